@@ -7,6 +7,7 @@ from softrobot_twin.constraints.cable import CablePath, Cables, folds
 from softrobot_twin.geometry.point_location import locate_points
 from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
+from test.builder import builder
 
 
 @pytest.fixture(params=["linear", "quadratic"])
@@ -20,12 +21,9 @@ def carried(mesh, points):
     return BarycentricMapping(*mesh.carriers(found.cells, found.barycentric_weights))
 
 
-@pytest.fixture
-def make(bound_term):
-    def cables(mesh, *paths, fixed=()):
-        return bound_term(Cables, tuple(paths), mesh.node_positions, fixed)
-
-    return cables
+@builder
+def make(bound_term, /, mesh, *paths, fixed=()):
+    return bound_term(Cables, tuple(paths), mesh.node_positions, fixed)
 
 
 def shaken(mesh, amount=0.01):
@@ -146,9 +144,7 @@ def test_a_point_given_twice_is_the_same_as_once(body, dense_rows, make):
 
 
 def test_a_pull_point_at_the_attach_point_gives_zero_rows(body, dense_rows, make):
-    term, matrix, free = make(
-        body, CablePath("c", carried(body, POINTS[:1]), np.array(POINTS[0]))
-    )
+    term, matrix, free = make(body, CablePath("c", carried(body, POINTS[:1]), np.array(POINTS[0])))
     H, values = dense_rows(term, body.node_positions, free)
     assert np.all(np.isfinite(H)) and not H.any() and values == pytest.approx(0.0)
     matrix.clear()

@@ -85,9 +85,7 @@ def test_stiffness_is_minus_the_derivative_of_the_forces_of_pressure(
                 for y in (ahead, behind)
             ]
             slope = (forces[0] - forces[1]) / (2 * step)
-            np.testing.assert_allclose(
-                K[:, 3 * index + axis], -slope, atol=1e-7 * np.abs(K).max()
-            )
+            np.testing.assert_allclose(K[:, 3 * index + axis], -slope, atol=1e-7 * np.abs(K).max())
 
 
 def test_pressure_in_a_closed_surface_has_neither_force_nor_moment(cavity, bound_term, dense_rows):

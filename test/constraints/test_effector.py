@@ -52,9 +52,7 @@ def test_rows_are_the_derivative_of_the_coordinates(effectors):
     at_rest = stack.values.copy()
     move = 1e-3 * np.random.default_rng(0).standard_normal(x.shape)
     stack.evaluate(x + move)
-    np.testing.assert_allclose(
-        np.einsum("kni,ni->k", H, move), stack.values - at_rest, atol=1e-15
-    )
+    np.testing.assert_allclose(np.einsum("kni,ni->k", H, move), stack.values - at_rest, atol=1e-15)
 
 
 def test_fixed_nodes_carry_no_entries(block):

@@ -115,9 +115,7 @@ def test_rows_on_a_rigid_frame_are_derivatives_by_its_unknowns(axis, rng):
     points = CarriedPoints(2, (frames,))
     x = rest.copy()
     frames.advance(x, rng.standard_normal((2, 3)), 1.0)
-    np.testing.assert_allclose(
-        term.rotations(x)[0], frames.pose(x, 0)[1] @ pose[1].T, atol=1e-13
-    )
+    np.testing.assert_allclose(term.rotations(x)[0], frames.pose(x, 0)[1] @ pose[1].T, atol=1e-13)
     term.aim(Rotation.random(random_state=rng).as_quat()[None], x)
     H, _ = rows_at(term, x, points)
     move, step, values = rng.standard_normal((2, 3)), 1e-6, []

@@ -16,9 +16,7 @@ from softrobot_twin.geometry.mass_properties import surface_mass_properties
 from softrobot_twin.geometry.mesh_reading import read_solid_mesh
 from softrobot_twin.geometry.point_location import extrapolated_weights, locate_points
 
-FORMATS = {
-    ".vtk": {}, ".vtu": {}, ".inp": {}, ".msh": {"file_format": "gmsh22", "binary": False},
-}  # fmt: skip
+FORMATS = {".vtk": {}, ".vtu": {}, ".inp": {}, ".msh": {"file_format": "gmsh22", "binary": False}}
 
 
 def shaken(seed=0, cells=(4, 2, 2), mixed=False):

@@ -6,20 +6,17 @@ from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.point_location import closest_on_triangles
 from softrobot_twin.geometry.surface import boundary_triangles
 from softrobot_twin.geometry.surface_pairs import SurfacePairDetector
+from test.builder import builder
 from test.near_pairs import near
 
 MARGIN = 3e-3
 
 
-@pytest.fixture
-def box(block):
+@builder
+def box(block, /, size=(0.02, 0.02, 0.02), cells=(1, 1, 1)):
     """A box about its own centre: its points and the triangles of its surface."""
-
-    def make(size=(0.02, 0.02, 0.02), cells=(1, 1, 1)):
-        mesh = block(size, cells, shake=0.0)
-        return mesh.node_positions - np.array(size) / 2, boundary_triangles(mesh.cells)
-
-    return make
+    mesh = block(size, cells, shake=0.0)
+    return mesh.node_positions - np.array(size) / 2, boundary_triangles(mesh.cells)
 
 
 def detector_of(first, second, depth=None):

@@ -66,9 +66,7 @@ def test_a_t_junction_is_cut_open_and_closed(tmp_path, scale):
     middles = [points[t[0]] + f * (points[t[1]] - points[t[0]]) for f in (0.37, 0.71)]
     n = len(points)
     points = np.vstack([points, middles]) * scale
-    triangles = np.vstack([
-        triangles[1:], [[t[0], n, t[2]], [n, n + 1, t[2]], [n + 1, t[1], t[2]]]
-    ])  # fmt: skip
+    triangles = np.vstack([triangles[1:], [[t[0], n, t[2]], [n, n + 1, t[2]], [n + 1, t[1], t[2]]]])
     with pytest.raises(MeshError):
         closed_surface(triangles, len(points))
     notes = []

@@ -193,9 +193,7 @@ def test_all_vertices_within_the_margin_are_given_first(shape):
     points, triangles, origin, turn, _ = touching(shape, 2, 1e-4)
     distances, normals = shape.signed_distances((points - origin) @ turn)
     margin = np.median(distances)
-    found = near(
-        SurfaceShapeDetector(triangles, len(points), shape), points, origin, turn, margin
-    )
+    found = near(SurfaceShapeDetector(triangles, len(points), shape), points, origin, turn, margin)
     within = np.flatnonzero(distances < margin)
     np.testing.assert_array_equal(found.first_points[: len(within)], np.tile(within, (3, 1)).T)
     np.testing.assert_allclose(found.gaps[: len(within)], distances[within], atol=1e-15)
@@ -236,9 +234,7 @@ def test_the_normal_is_the_direction_of_fastest_growth_of_the_gap(shape):
 def test_keys_stay_under_small_motion(shape):
     points, triangles, origin, turn, found = touching(shape, 5, 2e-4)
     shaken = points + np.random.default_rng(1).uniform(-1e-8, 1e-8, points.shape)
-    again = near(
-        SurfaceShapeDetector(triangles, len(points), shape), shaken, origin, turn, MARGIN
-    )
+    again = near(SurfaceShapeDetector(triangles, len(points), shape), shaken, origin, turn, MARGIN)
     off_border = np.abs(found.gaps - MARGIN) > 1e-6
     assert set(found.keys[off_border].tolist()) <= set(again.keys.tolist())
     np.testing.assert_allclose(
@@ -249,9 +245,7 @@ def test_keys_stay_under_small_motion(shape):
 
 def test_the_same_input_gives_the_same_bits(shape):
     points, triangles, origin, turn, found = touching(shape, 3, -1e-4)
-    again = near(
-        SurfaceShapeDetector(triangles, len(points), shape), points, origin, turn, MARGIN
-    )
+    again = near(SurfaceShapeDetector(triangles, len(points), shape), points, origin, turn, MARGIN)
     for one, other in zip(found, again, strict=True):
         assert one.tobytes() == other.tobytes()
 

@@ -14,6 +14,7 @@ from softrobot_twin.mechanics.material import bulk_modulus, lame_parameters, she
 from softrobot_twin.mechanics.remembering_elements import RememberingElements
 from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.solvers.superlu import SuperLU
+from test.builder import builder
 
 
 class Bound(NamedTuple):
@@ -84,27 +85,23 @@ SHARES = {
 """Constants of laws that have their own, those with a unit as shares of µ."""
 
 
-@pytest.fixture
-def parameters_of():
+@builder
+def parameters_of(law, young, poisson):
     """The parameters of a law, by its name, that has E and ν at rest."""
-
-    def made(law, young, poisson):
-        own, mu = law_named(law).own, shear_modulus(young, poisson)
-        if own is None:
-            return law_named(law).of_moduli(young, poisson)
-        scale = {constant.name: mu if constant.unit else 1.0 for constant in own.constants}
-        constants = {
-            name: tuple(scale[name] * one for one in share) if isinstance(share, tuple)
-            else scale[name] * share
-            for name, share in SHARES[law].items()
-        }  # fmt: skip
-        return own.parameters(constants, bulk_modulus(young, poisson))
-
-    return made
+    own, mu = law_named(law).own, shear_modulus(young, poisson)
+    if own is None:
+        return law_named(law).of_moduli(young, poisson)
+    scale = {constant.name: mu if constant.unit else 1.0 for constant in own.constants}
+    constants = {
+        name: tuple(scale[name] * one for one in share) if isinstance(share, tuple)
+        else scale[name] * share
+        for name, share in SHARES[law].items()
+    }  # fmt: skip
+    return own.parameters(constants, bulk_modulus(young, poisson))
 
 
-@pytest.fixture
-def bind(parameters_of):
+@builder
+def bind(parameters_of, /, *parts, fixed=()) -> Bound:
     """Binds terms, each given as (class or name of a law, mesh, E, ν), with some nodes fixed."""
 
     def term_of(made, mesh, free_index, young, poisson):
@@ -112,20 +109,17 @@ def bind(parameters_of):
             return Elements(mesh, free_index, parameters_of(made, young, poisson))
         return made(mesh, free_index, lame_parameters(young, poisson))
 
-    def make(*parts, fixed=()) -> Bound:
-        node_count = len(parts[0][1].node_positions)
-        free = np.setdiff1d(np.arange(node_count), fixed)
-        free_index = np.full(node_count, -1)
-        free_index[free] = np.arange(len(free))
-        terms = [term_of(made, part, free_index, *moduli) for made, part, *moduli in parts]
-        pairs = [stencil_pairs(term.stencils()) for term in terms]
-        rows, columns = (np.concatenate(side) for side in zip(*pairs, strict=True))
-        matrix = SuperLU(rows, columns, len(free))
-        for term in terms:
-            term.bind(matrix.elimination_rank, matrix.slots)
-        return Bound(terms, matrix, free)
-
-    return make
+    node_count = len(parts[0][1].node_positions)
+    free = np.setdiff1d(np.arange(node_count), fixed)
+    free_index = np.full(node_count, -1)
+    free_index[free] = np.arange(len(free))
+    terms = [term_of(made, part, free_index, *moduli) for made, part, *moduli in parts]
+    pairs = [stencil_pairs(term.stencils()) for term in terms]
+    rows, columns = (np.concatenate(side) for side in zip(*pairs, strict=True))
+    matrix = SuperLU(rows, columns, len(free))
+    for term in terms:
+        term.bind(matrix.elimination_rank, matrix.slots)
+    return Bound(terms, matrix, free)
 
 
 @pytest.fixture
@@ -134,19 +128,15 @@ def slopes():
     return central_slopes
 
 
-@pytest.fixture
-def tet_rule():
+@builder
+def tet_rule(order=5):
     """Barycentric points and weights (sum 1) of a rule on a tetrahedron, from Gauss's on a cube."""
-
-    def make(order=5):
-        points, weights = np.polynomial.legendre.leggauss(order)
-        points, weights = 0.5 * (points + 1.0), 0.5 * weights
-        u, v, w = (g.ravel() for g in np.meshgrid(points, points, points, indexing="ij"))
-        product = np.einsum("i,j,k->ijk", weights, weights, weights).ravel()
-        x, y, z = u, v * (1 - u), w * (1 - u) * (1 - v)
-        return np.column_stack([1 - x - y - z, x, y, z]), 6 * product * (1 - u) ** 2 * (1 - v)
-
-    return make
+    points, weights = np.polynomial.legendre.leggauss(order)
+    points, weights = 0.5 * (points + 1.0), 0.5 * weights
+    u, v, w = (g.ravel() for g in np.meshgrid(points, points, points, indexing="ij"))
+    product = np.einsum("i,j,k->ijk", weights, weights, weights).ravel()
+    x, y, z = u, v * (1 - u), w * (1 - u) * (1 - v)
+    return np.column_stack([1 - x - y - z, x, y, z]), 6 * product * (1 - u) ** 2 * (1 - v)
 
 
 class MaterialPoint:

@@ -89,9 +89,7 @@ def test_the_correction_solves_its_equations(block):
     )
     correction.linearize(mesh.node_positions)
     size, nodes = 3 * int(free.sum()), correction.node_unknowns
-    whole = np.stack([
-        correction.multiply(unit.reshape(-1, 3)).ravel() for unit in np.eye(size)
-    ])  # fmt: skip
+    whole = np.stack([correction.multiply(unit.reshape(-1, 3)).ravel() for unit in np.eye(size)])
     soft = whole[: 3 * nodes, : 3 * nodes]
 
     def solve_nodes(forces):

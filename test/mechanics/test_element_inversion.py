@@ -59,9 +59,7 @@ def test_an_element_with_positive_determinant_at_sampled_points_may_be_inverted(
     tet = np.vstack([np.zeros(3), np.eye(3)])
     mesh = add_mid_edge_nodes(TetMesh(tet, np.array([[0, 1, 2, 3]])))
     bound = bind(("corotational", mesh, 1.0, 0.3))
-    gradients = integration_points(
-        mesh.node_positions, mesh.cells, mesh.shape_functions
-    ).gradients
+    gradients = integration_points(mesh.node_positions, mesh.cells, mesh.shape_functions).gradients
     places = np.vstack([np.eye(4), 0.138 + 0.447 * np.eye(4)])
     if where == "edges too":
         pairs = itertools.combinations(np.eye(4), 2)

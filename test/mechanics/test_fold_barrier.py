@@ -18,6 +18,7 @@ from softrobot_twin.geometry.shape_functions import (
 from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.mechanics.fold_barrier import KEPT_SHARE, triples_of_parts
 from softrobot_twin.mechanics.laws import law_names
+from test.builder import builder
 
 # Barycentric coordinates of points all over a tetrahedron, those of its corners and mid-edges first.
 FINE = np.array([p for p in itertools.product(range(13), repeat=4) if sum(p) == 12]) / 12.0
@@ -27,8 +28,7 @@ PLACES = np.vstack([np.eye(4), [0.5 * (a + b) for a, b in itertools.combinations
 def mixed(A, B, C):
     """D(A, B, C) by its definition: det is the cubic form of which it is the polar form."""
     det = np.linalg.det
-    return (det(A + B + C) - det(A + B) - det(A + C) - det(B + C)
-            + det(A) + det(B) + det(C)) / 6.0  # fmt: skip
+    return (det(A + B + C) - det(A + B) - det(A + C) - det(B + C) + det(A) + det(B) + det(C)) / 6.0
 
 
 def values(F):
@@ -43,27 +43,19 @@ def uneven(rng):
     return mean + rng.uniform(0.0, 0.6) * rng.standard_normal((4, 3, 3))
 
 
-@pytest.fixture
-def tetrahedron(bind):
+@builder
+def tetrahedron(bind, /, law="corotational"):
     """Binds one quadratic tetrahedron of a law; its first two nodes are held."""
-
-    def make(law="corotational"):
-        corners = TetMesh(np.vstack([np.zeros(3), np.eye(3)]), np.array([[0, 1, 2, 3]]))
-        mesh = add_mid_edge_nodes(corners)
-        return mesh, bind((law, mesh, 2e5, 0.3), fixed=[0, 1])
-
-    return make
+    corners = TetMesh(np.vstack([np.zeros(3), np.eye(3)]), np.array([[0, 1, 2, 3]]))
+    mesh = add_mid_edge_nodes(corners)
+    return mesh, bind((law, mesh, 2e5, 0.3), fixed=[0, 1])
 
 
-@pytest.fixture
-def cube(bind):
+@builder
+def cube(bind, /, law="corotational"):
     """Binds one hexahedron of a law; its first two nodes are held."""
-
-    def make(law="corotational"):
-        (block,) = enhance(read_box(np.ones(3), (1, 1, 1), of_hexahedra=True).mesh).blocks()
-        return block.mesh, bind((law, block.mesh, 2e5, 0.3), fixed=[0, 1])
-
-    return make
+    (block,) = enhance(read_box(np.ones(3), (1, 1, 1), of_hexahedra=True).mesh).blocks()
+    return block.mesh, bind((law, block.mesh, 2e5, 0.3), fixed=[0, 1])
 
 
 def values_of(mesh, x):

@@ -8,33 +8,30 @@ from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.gravity import Gravity
 from softrobot_twin.mechanics.laws import law_named
+from test.builder import builder
 
 YOUNG, POISSON, SEED = 2.0e5, 0.45, 11
 SMALL = (0.02, 0.02, 0.02)
 
 
-@pytest.fixture
-def deformed(block, bind):
+@builder
+def deformed(block, bind, /, law, element="linear"):
     """Makes elements of a law in a turned and stretched state, and a smooth direction."""
-
-    def make(law, element="linear"):
-        mesh = element_named(element).make_mesh(block(size=SMALL, cells=(2, 2, 1)))
-        (strained,) = mesh.strained_blocks()
-        parameters = law_named(law).of_moduli(YOUNG, POISSON)
-        bound = bind(
-            (lambda part, free, _: Elements(part, free, parameters), strained.mesh, YOUNG, POISSON),
-            fixed=[0],
-        )
-        random = np.random.default_rng(SEED)
-        print("seed", SEED)
-        x = mesh.node_positions
-        slopes = random.normal(size=(3, 3))
-        positions = x @ (np.eye(3) + 0.1 * slopes) + 0.03 * np.sin(60.0 * x[:, [1, 2, 0]]) * 0.02
-        direction = np.sin(80.0 * x @ random.normal(size=(3, 3)) + 1.0)
-        direction[0] = 0.0
-        return bound, positions, direction
-
-    return make
+    mesh = element_named(element).make_mesh(block(size=SMALL, cells=(2, 2, 1)))
+    (strained,) = mesh.strained_blocks()
+    parameters = law_named(law).of_moduli(YOUNG, POISSON)
+    bound = bind(
+        (lambda part, free, _: Elements(part, free, parameters), strained.mesh, YOUNG, POISSON),
+        fixed=[0],
+    )
+    random = np.random.default_rng(SEED)
+    print("seed", SEED)
+    x = mesh.node_positions
+    slopes = random.normal(size=(3, 3))
+    positions = x @ (np.eye(3) + 0.1 * slopes) + 0.03 * np.sin(60.0 * x[:, [1, 2, 0]]) * 0.02
+    direction = np.sin(80.0 * x @ random.normal(size=(3, 3)) + 1.0)
+    direction[0] = 0.0
+    return bound, positions, direction
 
 
 def curvature(term, positions, direction, reach=1.0e-5):

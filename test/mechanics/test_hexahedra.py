@@ -16,18 +16,15 @@ from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.mechanics.inertia import borne_masses, lumped_masses
 from softrobot_twin.mechanics.laws import law_names
 from softrobot_twin.mechanics.strain_rate_damping import StrainRateDamping
+from test.builder import builder
 
 YOUNG = 2.0e5
 
 
-@pytest.fixture
-def bind_blocks(bind):
+@builder
+def bind_blocks(bind, /, mesh, law="corotational", poisson=0.3, fixed=()):
     """Binds a term of a law for each kind of cells of a mesh."""
-
-    def make(mesh, law="corotational", poisson=0.3, fixed=()):
-        return bind(*((law, block.mesh, YOUNG, poisson) for block in mesh.blocks()), fixed=fixed)
-
-    return make
+    return bind(*((law, block.mesh, YOUNG, poisson) for block in mesh.blocks()), fixed=fixed)
 
 
 def distorted(seed, cells=(3, 2, 2), amount=0.2, mixed=False):
@@ -146,25 +143,21 @@ def timoshenko(depth, poisson):
     return bending + LOAD * LENGTH * 2 * (1 + poisson) / (kappa * YOUNG * depth**2)
 
 
-@pytest.fixture
-def deflection(bind_blocks):
+@builder
+def deflection(bind_blocks, /, depth, cells, poisson):
     """Deflection of a cantilever's end under a shear load, over beam theory's."""
-
-    def solve(depth, cells, poisson):
-        mesh = enhance(read_box((LENGTH, depth, depth), cells, of_hexahedra=True).mesh)
-        x = mesh.node_positions
-        bound = bind_blocks(mesh, "linear", poisson, fixed=np.flatnonzero(x[:, 0] < 1e-9))
-        forces = np.zeros_like(x)
-        end = mesh.are_points & (x[:, 0] > LENGTH - 1e-9)
-        shares = [np.where((x[end, axis] > 1e-9) & (x[end, axis] < depth - 1e-9), 1.0, 0.5)
-                  for axis in (1, 2)]  # fmt: skip
-        forces[end, 2] = LOAD * shares[0] * shares[1] / (shares[0] * shares[1]).sum()
-        bound.assemble(x)
-        assert bound.matrix.factor()
-        u = bound.matrix.solve(forces[bound.free])
-        return np.sum(u * forces[bound.free]) / LOAD / timoshenko(depth, poisson)
-
-    return solve
+    mesh = enhance(read_box((LENGTH, depth, depth), cells, of_hexahedra=True).mesh)
+    x = mesh.node_positions
+    bound = bind_blocks(mesh, "linear", poisson, fixed=np.flatnonzero(x[:, 0] < 1e-9))
+    forces = np.zeros_like(x)
+    end = mesh.are_points & (x[:, 0] > LENGTH - 1e-9)
+    shares = [np.where((x[end, axis] > 1e-9) & (x[end, axis] < depth - 1e-9), 1.0, 0.5)
+              for axis in (1, 2)]  # fmt: skip
+    forces[end, 2] = LOAD * shares[0] * shares[1] / (shares[0] * shares[1]).sum()
+    bound.assemble(x)
+    assert bound.matrix.factor()
+    u = bound.matrix.solve(forces[bound.free])
+    return np.sum(u * forces[bound.free]) / LOAD / timoshenko(depth, poisson)
 
 
 @pytest.mark.parametrize("depth, cells, poisson, error", [
@@ -182,44 +175,41 @@ COOKS_LIMIT = {0.3: 23.054, 0.49: 19.66, 0.4999: 19.43}
 """Richardson's limit of meshes of 16 to 64 cells along an edge, in plane strain with E = 1."""
 
 
-@pytest.fixture
-def cooks_membrane(bind, bind_blocks):
+@builder
+def cooks_membrane(bind, bind_blocks, /, cells, poisson, of_tets=False):
     """Vertical displacement of the free end's upper corner in plane strain, E and load 1."""
 
-    def solve(cells, poisson, of_tets=False):
-        def shape(p):
-            return np.stack(
-                [48 * p[:, 0], 44 * p[:, 0] + p[:, 1] * (44 - 28 * p[:, 0]), p[:, 2]], axis=1
-            )
+    def shape(p):
+        return np.stack(
+            [48 * p[:, 0], 44 * p[:, 0] + p[:, 1] * (44 - 28 * p[:, 0]), p[:, 2]], axis=1
+        )
 
-        grid = read_box((1, 1, 1), (cells, cells, 1), of_hexahedra=True).mesh
-        corners = HexahedralMesh(shape(grid.node_positions), grid.tets, grid.hexahedra)
-        mesh = enhance(corners)
-        if of_tets:
-            mesh = add_mid_edge_nodes(TetMesh(corners.node_positions, corners.as_tets))
-        x = mesh.node_positions
-        held = np.flatnonzero(x[:, 0] < 1e-9)
-        bound = bind_blocks(mesh, "linear", poisson, fixed=held)
-        forces = np.zeros_like(x)
-        a, b, c = x[mesh.surface_triangles].transpose(1, 0, 2)
-        at_end = np.minimum(np.minimum(a[:, 0], b[:, 0]), c[:, 0]) > 48 - 1e-9
-        ends = mesh.surface_triangles[at_end]
-        areas = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)[at_end]
-        if of_tets:
-            ends, areas = ends.reshape(-1, 4, 3)[:, 3], 4 * areas[::4]
-        np.add.at(forces[:, 1], ends, areas[:, None] / 3 / 16)
-        _, K = bound.assemble(x)
-        in_plane = np.flatnonzero(np.tile([True, True, False], len(bound.free)))
-        from scipy.sparse import csc_array
-        from scipy.sparse.linalg import spsolve
+    grid = read_box((1, 1, 1), (cells, cells, 1), of_hexahedra=True).mesh
+    corners = HexahedralMesh(shape(grid.node_positions), grid.tets, grid.hexahedra)
+    mesh = enhance(corners)
+    if of_tets:
+        mesh = add_mid_edge_nodes(TetMesh(corners.node_positions, corners.as_tets))
+    x = mesh.node_positions
+    held = np.flatnonzero(x[:, 0] < 1e-9)
+    bound = bind_blocks(mesh, "linear", poisson, fixed=held)
+    forces = np.zeros_like(x)
+    a, b, c = x[mesh.surface_triangles].transpose(1, 0, 2)
+    at_end = np.minimum(np.minimum(a[:, 0], b[:, 0]), c[:, 0]) > 48 - 1e-9
+    ends = mesh.surface_triangles[at_end]
+    areas = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)[at_end]
+    if of_tets:
+        ends, areas = ends.reshape(-1, 4, 3)[:, 3], 4 * areas[::4]
+    np.add.at(forces[:, 1], ends, areas[:, None] / 3 / 16)
+    _, K = bound.assemble(x)
+    in_plane = np.flatnonzero(np.tile([True, True, False], len(bound.free)))
+    from scipy.sparse import csc_array
+    from scipy.sparse.linalg import spsolve
 
-        u = np.zeros(3 * len(bound.free))
-        K = csc_array(K)[in_plane][:, in_plane]
-        u[in_plane] = spsolve(K, forces[bound.free].ravel()[in_plane])
-        top = np.argmin(np.linalg.norm(x[bound.free, :2] - [48, 60], axis=1))
-        return float(u[3 * top + 1]) * YOUNG
-
-    return solve
+    u = np.zeros(3 * len(bound.free))
+    K = csc_array(K)[in_plane][:, in_plane]
+    u[in_plane] = spsolve(K, forces[bound.free].ravel()[in_plane])
+    top = np.argmin(np.linalg.norm(x[bound.free, :2] - [48, 60], axis=1))
+    return float(u[3 * top + 1]) * YOUNG
 
 
 @pytest.mark.parametrize("poisson", COOKS_LIMIT)

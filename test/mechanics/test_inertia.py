@@ -14,6 +14,7 @@ from softrobot_twin.mechanics.inertia import (
     lumped_masses,
     mass_shares,
 )
+from test.builder import builder
 
 DENSITY, STEP, GRAVITY = 1070.0, 0.004, np.array([1.0, -2.0, -9.81])
 
@@ -37,19 +38,15 @@ def mesh(request, block):
     return made if request.param == "linear" else add_mid_edge_nodes(made)
 
 
-@pytest.fixture(params=list(KINDS))
-def moving(request, mesh, bind):
+@builder(params=list(KINDS))
+def moving(request, mesh, bind, /, fixed=(), step=STEP):
     """The box's inertia in the middle of a step: mesh, bound terms, q₀, v₀."""
-
-    def make(fixed=(), step=STEP):
-        bound = bind((KINDS[request.param], mesh, 1.0, 0.0), fixed=fixed)
-        rng = np.random.default_rng(0)
-        start = mesh.node_positions + 0.01 * rng.standard_normal((mesh.node_count, 3))
-        velocities = rng.standard_normal((len(bound.free), 3))
-        bound.terms[0].begin_step(start, velocities, step)
-        return bound, start, velocities
-
-    return make
+    bound = bind((KINDS[request.param], mesh, 1.0, 0.0), fixed=fixed)
+    rng = np.random.default_rng(0)
+    start = mesh.node_positions + 0.01 * rng.standard_normal((mesh.node_count, 3))
+    velocities = rng.standard_normal((len(bound.free), 3))
+    bound.terms[0].begin_step(start, velocities, step)
+    return bound, start, velocities
 
 
 def mass_matrix(bound, positions):
@@ -107,9 +104,7 @@ def test_the_matrix_is_minus_the_derivative_of_the_force(moving):
             ahead[node, axis] += difference
             behind[node, axis] -= difference
             slope = (bound.forces(ahead)[0] - bound.forces(behind)[0]).ravel() / (2 * difference)
-            np.testing.assert_allclose(
-                A[:, 3 * index + axis], -slope, atol=1e-9 * np.abs(A).max()
-            )
+            np.testing.assert_allclose(A[:, 3 * index + axis], -slope, atol=1e-9 * np.abs(A).max())
 
 
 def test_a_weight_multiplies_force_and_matrix(moving):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
+from test.builder import builder
 
 LENGTH, DEPTH, YOUNG, LOAD = 1.0, 0.05, 1.0e6, 1.0e-4
 POISSONS = (0.3, 0.45, 0.49, 0.499)
@@ -34,24 +35,20 @@ def end_load(mesh):
     return LOAD / DEPTH**2 * forces
 
 
-@pytest.fixture
-def deflection(block, bind):
+@builder
+def deflection(block, bind, /, element, poisson, cells):
     """Deflection of the end under the load, over beam theory's."""
-
-    def solve(element, poisson, cells):
-        linear = block(size=(LENGTH, DEPTH, DEPTH), cells=cells, shake=0)
-        mesh = linear if element == "linear" else add_mid_edge_nodes(linear)
-        fixed = np.flatnonzero(mesh.node_positions[:, 0] < 1e-9)
-        bound = bind(("corotational", mesh, YOUNG, poisson), fixed=fixed)
-        forces = end_load(mesh)
-        assert forces[:, 2].sum() == pytest.approx(LOAD)
-        bound.assemble(mesh.node_positions)
-        assert bound.matrix.factor()
-        u = bound.matrix.solve(forces[bound.free])
-        # The work of the load is that of its mean displacement.
-        return np.sum(u * forces[bound.free]) / LOAD / timoshenko(poisson)
-
-    return solve
+    linear = block(size=(LENGTH, DEPTH, DEPTH), cells=cells, shake=0)
+    mesh = linear if element == "linear" else add_mid_edge_nodes(linear)
+    fixed = np.flatnonzero(mesh.node_positions[:, 0] < 1e-9)
+    bound = bind(("corotational", mesh, YOUNG, poisson), fixed=fixed)
+    forces = end_load(mesh)
+    assert forces[:, 2].sum() == pytest.approx(LOAD)
+    bound.assemble(mesh.node_positions)
+    assert bound.matrix.factor()
+    u = bound.matrix.solve(forces[bound.free])
+    # The work of the load is that of its mean displacement.
+    return np.sum(u * forces[bound.free]) / LOAD / timoshenko(poisson)
 
 
 def test_quadratic_tets_do_not_lock_on_a_coarse_mesh(deflection):

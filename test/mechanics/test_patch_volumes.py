@@ -17,39 +17,33 @@ from softrobot_twin.mechanics.patch_volumes import (
     patched_cells,
 )
 from softrobot_twin.mechanics.volume_change import volumetric
+from test.builder import builder
 
 BULK, SIZE = 1.0e6, (0.03, 0.02, 0.02)
 KINDS = ("linear", "quadratic", "hexahedral")
 
 
-@pytest.fixture
-def meshes(block):
+@builder
+def meshes(block, /, kind, cells=(3, 2, 2), size=SIZE, shake=0.2):
     """Makes a block of each kind of elements, its inner nodes moved about."""
-
-    def make(kind, cells=(3, 2, 2), size=SIZE, shake=0.2):
-        if kind == "hexahedral":
-            return enhance(read_box(size, cells, of_hexahedra=True).mesh).blocks()[0].mesh
-        linear = block(size, cells, shake)
-        return linear if kind == "linear" else add_mid_edge_nodes(linear)
-
-    return make
+    if kind == "hexahedral":
+        return enhance(read_box(size, cells, of_hexahedra=True).mesh).blocks()[0].mesh
+    linear = block(size, cells, shake)
+    return linear if kind == "linear" else add_mid_edge_nodes(linear)
 
 
-@pytest.fixture
-def patched(bind):
+@builder
+def patched(bind, /, mesh, law=None, fixed=()):
     """Binds the volumes of a mesh, and elements of a law beside them if one is given."""
 
-    def make(mesh, law=None, fixed=()):
-        def volumes(part, free, _):
-            return PatchVolumes(part, free, BULK, patched_cells(part).patches)
+    def volumes(part, free, _):
+        return PatchVolumes(part, free, BULK, patched_cells(part).patches)
 
-        def elements(part, free, _):
-            return Elements(part, free, law)
+    def elements(part, free, _):
+        return Elements(part, free, law)
 
-        terms = [volumes] if law is None else [elements, volumes]
-        return bind(*((term, mesh, 1.0, 0.3) for term in terms), fixed=fixed)
-
-    return make
+    terms = [volumes] if law is None else [elements, volumes]
+    return bind(*((term, mesh, 1.0, 0.3) for term in terms), fixed=fixed)
 
 
 def moved(mesh, seed, amount=5e-4):
@@ -155,30 +149,26 @@ def test_pressures_of_patches_are_stable(meshes, patched, kind, counts, least):
         assert least_stable_pressure(bound, mesh, law) > least
 
 
-@pytest.fixture
-def deflection(meshes, bind):
+@builder
+def deflection(meshes, bind, /, kind, cells, poisson, by_patches):
     """Deflection of a slender cantilever under a small end load, by beam theory's at ν = 0.3."""
-
-    def solve(kind, cells, poisson, by_patches):
-        mu = 1.0e6 / (2.0 + 2.0 * poisson)
-        law = NeoHookean(mu, 2.0 * mu * (1.0 + poisson) / (3.0 - 6.0 * poisson))
-        mesh = meshes(kind, cells, (1.0, 0.05, 0.05), 0.0)
-        kept, bulk = divided(law, mu, element_bulk(mesh)) if by_patches else (law, 0.0)
-        terms = [lambda part, free, _: Elements(part, free, kept)]
-        if by_patches:
-            terms.append(lambda part, free, _: PatchVolumes(part, free, bulk, patched_cells(part).patches))
-        x = mesh.node_positions
-        fixed = np.flatnonzero(x[:, 0] < 1e-9)
-        bound = bind(*((term, mesh, 1.0, 0.3) for term in terms), fixed=fixed)
-        load = np.where(x[:, 0] > 1.0 - 1e-9, 1.0, 0.0)[:, None] * [0.0, 0.0, 1e-4]
-        load /= (load > 0.0).sum()
-        bound.assemble(x)
-        assert bound.matrix.factor()
-        u = bound.matrix.solve(load[bound.free])
-        expected = 1e-4 / (3.0 * 1e6 * 0.05**4 / 12.0)
-        return np.sum(u * load[bound.free]) / 1e-4 / expected
-
-    return solve
+    mu = 1.0e6 / (2.0 + 2.0 * poisson)
+    law = NeoHookean(mu, 2.0 * mu * (1.0 + poisson) / (3.0 - 6.0 * poisson))
+    mesh = meshes(kind, cells, (1.0, 0.05, 0.05), 0.0)
+    kept, bulk = divided(law, mu, element_bulk(mesh)) if by_patches else (law, 0.0)
+    terms = [lambda part, free, _: Elements(part, free, kept)]
+    if by_patches:
+        terms.append(lambda part, free, _: PatchVolumes(part, free, bulk, patched_cells(part).patches))
+    x = mesh.node_positions
+    fixed = np.flatnonzero(x[:, 0] < 1e-9)
+    bound = bind(*((term, mesh, 1.0, 0.3) for term in terms), fixed=fixed)
+    load = np.where(x[:, 0] > 1.0 - 1e-9, 1.0, 0.0)[:, None] * [0.0, 0.0, 1e-4]
+    load /= (load > 0.0).sum()
+    bound.assemble(x)
+    assert bound.matrix.factor()
+    u = bound.matrix.solve(load[bound.free])
+    expected = 1e-4 / (3.0 * 1e6 * 0.05**4 / 12.0)
+    return np.sum(u * load[bound.free]) / 1e-4 / expected
 
 
 def test_linear_tetrahedra_with_patches_do_not_lock(deflection):

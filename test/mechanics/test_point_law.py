@@ -68,9 +68,7 @@ def outside_differential(law, F, dF):
     return add_scaled_matrix(turned, product(F, change), 1.0)
 
 
-register_law(
-    "from_outside", FromOutside, outside_energy, outside_stress, outside_differential,
-)  # fmt: skip
+register_law("from_outside", FromOutside, outside_energy, outside_stress, outside_differential)
 
 LAWS = (
     "corotational", "linear", "neo_hookean", "saint_venant_kirchhoff", "from_outside",
@@ -226,9 +224,7 @@ def rows(matrix):
     return tuple(tuple(float(entry) for entry in row) for row in matrix)
 
 
-def test_at_a_point_stress_and_differential_are_the_derivatives_of_the_energy(
-    law, parameters_of
-):
+def test_at_a_point_stress_and_differential_are_the_derivatives_of_the_energy(law, parameters_of):
     parameters = parameters_of(law, YOUNG, POISSON)
     rng = np.random.default_rng(1)
     # A law that turns sees a symmetric stretch, and changes of it.

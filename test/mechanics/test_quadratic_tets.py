@@ -7,19 +7,16 @@ from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.geometry.shape_functions import quadratic_values
 from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.mechanics.inertia import borne_masses
+from test.builder import builder
 
 YOUNG, POISSON = 2.0e5, 0.4
 
 
-@pytest.fixture
-def body(block, bind):
+@builder
+def body(block, bind, /, fixed=(), **shape):
     """A box of quadratic tetrahedra."""
-
-    def make(fixed=(), **shape):
-        mesh = add_mid_edge_nodes(block(**shape))
-        return mesh, bind(("corotational", mesh, YOUNG, POISSON), fixed=fixed)
-
-    return make
+    mesh = add_mid_edge_nodes(block(**shape))
+    return mesh, bind(("corotational", mesh, YOUNG, POISSON), fixed=fixed)
 
 
 def inside(mesh):
@@ -39,9 +36,7 @@ def test_patch_of_pure_bending_is_in_balance_inside(body):
     mesh, bound = body(cells=(2, 2, 2), shake=0.3)
     x, y, z = mesh.node_positions.T
     # σ_xx = -E κ z and no other stress.
-    bent = np.column_stack(
-        [-x * z, POISSON * y * z, 0.5 * (x**2 + POISSON * (z**2 - y**2))]
-    )
+    bent = np.column_stack([-x * z, POISSON * y * z, 0.5 * (x**2 + POISSON * (z**2 - y**2))])
     _, K = bound.assemble(mesh.node_positions)
     forces = (K @ bent.ravel()).reshape(-1, 3)
     assert np.abs(forces[inside(mesh)]).max() < 1e-12 * np.abs(forces).max()

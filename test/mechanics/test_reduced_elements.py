@@ -48,9 +48,7 @@ def forces_of(term, q):
 
 
 @pytest.mark.parametrize("name", LAWS)
-def test_all_points_give_the_projected_forces_and_the_energy_of_the_mesh(
-    name, block, bind, seeded
-):
+def test_all_points_give_the_projected_forces_and_the_energy_of_the_mesh(name, block, bind, seeded):
     mesh, law = block(), law_named(name).of_moduli(1.0e5, 0.4)
     basis = smooth_basis(mesh.node_positions, MODES, seeded)
     q = 0.01 * seeded.standard_normal(MODES)

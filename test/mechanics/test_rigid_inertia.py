@@ -10,6 +10,7 @@ from softrobot_twin.mechanics.rigid_bodies import RigidDamping, RigidFrames, Rig
 from softrobot_twin.mechanics.rotation import rotation_from_vector
 from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.solvers.superlu import SuperLU
+from test.builder import builder
 
 MASSES = [0.03, 2.0]
 TURN = rotation_from_vector([0.3, -1.0, 0.5])
@@ -59,25 +60,22 @@ class Bodies(NamedTuple):
         return out / h
 
 
-@pytest.fixture
-def bodies():
-    def make(*more):
-        frames = RigidFrames(2, [True, False, True], 1, UNKNOWNS)
-        inertia = RigidInertia(frames, MASSES, INERTIAS)
-        terms = [inertia, *(term(frames) for term in more)]
-        pairs = [stencil_pairs(term.stencils(), UNKNOWNS) for term in terms]
-        matrix = SuperLU(*(np.concatenate(side) for side in zip(*pairs, strict=True)), UNKNOWNS)
-        for term in terms:
-            term.bind(matrix.elimination_rank, matrix.slots)
-        poses = [
-            (np.array([0.1, 0.2, 0.3]), rotation_from_vector([0.5, 0.2, 1.0])),
-            (np.zeros(3), np.eye(3)),
-            (np.array([-1.0, 0.0, 0.0]), rotation_from_vector([-1.5, 0.2, 0.3])),
-        ]
-        start = np.vstack([np.zeros((2, 3)), frames.rest_nodes(poses)])
-        return Bodies(frames, terms, matrix, start)
-
-    return make
+@builder
+def bodies(*more):
+    frames = RigidFrames(2, [True, False, True], 1, UNKNOWNS)
+    inertia = RigidInertia(frames, MASSES, INERTIAS)
+    terms = [inertia, *(term(frames) for term in more)]
+    pairs = [stencil_pairs(term.stencils(), UNKNOWNS) for term in terms]
+    matrix = SuperLU(*(np.concatenate(side) for side in zip(*pairs, strict=True)), UNKNOWNS)
+    for term in terms:
+        term.bind(matrix.elimination_rank, matrix.slots)
+    poses = [
+        (np.array([0.1, 0.2, 0.3]), rotation_from_vector([0.5, 0.2, 1.0])),
+        (np.zeros(3), np.eye(3)),
+        (np.array([-1.0, 0.0, 0.0]), rotation_from_vector([-1.5, 0.2, 0.3])),
+    ]
+    start = np.vstack([np.zeros((2, 3)), frames.rest_nodes(poses)])
+    return Bodies(frames, terms, matrix, start)
 
 
 @pytest.fixture
@@ -109,9 +107,7 @@ def test_stiffness_is_the_symmetric_part_of_the_forces_derivative(bodies, speeds
     slope = tangent(two, x)
     K = two.stiffness(x)
     largest = np.abs(K).max(axis=1, keepdims=True) + 1e-12
-    np.testing.assert_allclose(
-        K / largest, 0.5 * (slope + slope.T) / largest, atol=1e-6, rtol=1e-6
-    )
+    np.testing.assert_allclose(K / largest, 0.5 * (slope + slope.T) / largest, atol=1e-6, rtol=1e-6)
     assert K[0, 0] == 0.0
 
 
@@ -124,9 +120,7 @@ def test_so_it_is_with_the_inertia_in_the_middle_of_the_turn(bodies, speeds, ang
     two.frames.advance(x, angle * move / np.linalg.norm(move, axis=1, keepdims=True), 1.0)
     slope, K = tangent(two, x), two.stiffness(x)
     largest = np.abs(K).max(axis=1, keepdims=True) + 1e-12
-    np.testing.assert_allclose(
-        K / largest, 0.5 * (slope + slope.T) / largest, atol=1e-6, rtol=1e-6
-    )
+    np.testing.assert_allclose(K / largest, 0.5 * (slope + slope.T) / largest, atol=1e-6, rtol=1e-6)
     positive = two.stiffness(x, projected=True)[3:, 3:]
     assert np.linalg.eigvalsh(positive).min() > 0.0
 
@@ -246,9 +240,7 @@ def test_a_body_spun_about_its_middle_axis_tumbles_with_bounded_energy(bodies):
 
 def test_free_fall_is_the_sum_of_its_implicit_steps(bodies):
     gravity, h, steps = np.array([0.0, 0.0, -9.81]), 0.01, 50
-    two = bodies(
-        lambda frames: Gravity(np.array([0.0, MASSES[0], 0.0, MASSES[1], 0.0]), gravity)
-    )
+    two = bodies(lambda frames: Gravity(np.array([0.0, MASSES[0], 0.0, MASSES[1], 0.0]), gravity))
     x, v = two.start.copy(), np.zeros((UNKNOWNS, 3))
     for _ in range(steps):
         v = two.step(x, v, h)

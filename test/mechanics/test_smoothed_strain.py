@@ -10,6 +10,7 @@ from softrobot_twin.geometry.smoothed_mesh import edge_rings, smooth
 from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.mechanics.strain_rate_damping import StrainRateDamping
 from softrobot_twin.mechanics.volume_barrier import BARRIER_VOLUME
+from test.builder import builder
 
 YOUNG, POISSON = 2.0e5, 0.4
 LAWS = ("corotational", "linear", "neo_hookean", "mooney_rivlin", "yeoh", "ogden")
@@ -20,15 +21,11 @@ def rings_of(mesh, cells=None):
     return block.mesh
 
 
-@pytest.fixture
-def body(block, bind):
+@builder
+def body(block, bind, /, law="corotational", fixed=(), **shape):
     """A box of tetrahedra with smoothed strain."""
-
-    def make(law="corotational", fixed=(), **shape):
-        mesh = block(**shape)
-        return mesh, bind((law, rings_of(mesh), YOUNG, POISSON), fixed=fixed)
-
-    return make
+    mesh = block(**shape)
+    return mesh, bind((law, rings_of(mesh), YOUNG, POISSON), fixed=fixed)
 
 
 def deformed(mesh, amount, seed=0):

@@ -49,9 +49,7 @@ def test_a_part_a_million_times_stiffer_acts_like_a_fixed_part(block, bind, elem
     )
     reached, residual = settle(both, mesh, load)
     assert residual < 1e-6 * np.abs(load).sum()
-    held = bind(
-        ("corotational", part(mesh, ~stiff), SOFT, 0.4), fixed=np.unique(mesh.cells[stiff])
-    )
+    held = bind(("corotational", part(mesh, ~stiff), SOFT, 0.4), fixed=np.unique(mesh.cells[stiff]))
     expected, _ = settle(held, mesh, load)
     sag = np.abs(expected - x).max()
     assert sag > 1e-3

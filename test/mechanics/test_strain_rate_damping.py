@@ -10,6 +10,7 @@ from softrobot_twin.geometry.shape_functions import integration_points
 from softrobot_twin.mechanics.inertia import ConsistentInertia, LumpedInertia, lumped_masses
 from softrobot_twin.mechanics.material import lame_parameters
 from softrobot_twin.mechanics.strain_rate_damping import THINNEST, StrainRateDamping
+from test.builder import builder
 
 YOUNG, POISSON, DENSITY = 2.0e5, 0.3, 1070.0
 STEP, BETA = 0.004, 0.02
@@ -33,15 +34,11 @@ def element(request):
     return request.param
 
 
-@pytest.fixture
-def body(element, block):
+@builder
+def body(element, block, /, cells=(1, 2, 2)):
     """Makes a box of elements of a kind that does not fill its batches."""
-
-    def make(cells=(1, 2, 2)):
-        mesh = block(cells=cells)
-        return add_mid_edge_nodes(mesh) if element == "quadratic" else mesh
-
-    return make
+    mesh = block(cells=cells)
+    return add_mid_edge_nodes(mesh) if element == "quadratic" else mesh
 
 
 def moved(positions, amount, seed):
@@ -139,9 +136,7 @@ def test_force_is_the_viscous_stress_in_the_elements_own_frame(body, bind):
     # The step before must leave nothing behind.
     begin(bound, x, 2.0 * STEP)
     begin(bound, start)
-    gradients, weights = integration_points(
-        mesh.node_positions, mesh.cells, mesh.shape_functions
-    )
+    gradients, weights = integration_points(mesh.node_positions, mesh.cells, mesh.shape_functions)
     F0 = np.einsum("kai,kqaj->kqij", start[mesh.cells], gradients)
     F = np.einsum("kai,kqaj->kqij", x[mesh.cells], gradients) @ np.linalg.inv(F0)
     nodal = np.zeros((*mesh.cells.shape, 3))
@@ -289,8 +284,7 @@ def test_a_body_that_spins_freely_keeps_its_angular_momentum(degrees, element, b
 def test_a_cantilevers_first_mode_decays_at_half_beta_omega_squared(body, bind):
     mesh = body((1, 1, 3))
     fixed = np.flatnonzero(mesh.node_positions[:, 2] < 1e-9)
-    parts = (("corotational", mesh, YOUNG, POISSON),
-             (consistent_inertia, mesh, 1.0, 0.0))  # fmt: skip
+    parts = (("corotational", mesh, YOUNG, POISSON), (consistent_inertia, mesh, 1.0, 0.0))
     plain = bind(*parts, fixed=fixed)
     still = np.zeros((len(plain.free), 3))
     begin(plain, mesh.node_positions, np.inf, still)

@@ -142,9 +142,7 @@ def test_a_call_at_another_place_changes_what_follows(recorded, tmp_path):
     assert targets.first.size == pytest.approx(1e-3)
 
 
-def test_recorded_readings_of_the_clock_decide_the_number_of_linearizations(
-    scene_file, tmp_path
-):
+def test_recorded_readings_of_the_clock_decide_the_number_of_linearizations(scene_file, tmp_path):
     path = tmp_path / "hurried.mcap"
     live = Live(scene_file, path, settings={"deadline": 1e-9})
     drive(live, 16)

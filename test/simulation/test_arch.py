@@ -15,32 +15,30 @@ from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import Hold, Simulation, Status
 from softrobot_twin.solvers.superlu import SuperLU
+from test.builder import builder
 
 SPAN, RISE, THICKNESS, WIDTH, YOUNG, DENSITY = 0.1, 0.0021, 0.002, 0.008, 1e6, 1000.0
 MIDDLE = np.array([SPAN / 2.0, WIDTH / 2.0, RISE])
 
 
-@pytest.fixture
-def arch(body_of, block, tmp_path):
+@builder
+def arch(body_of, block, tmp_path, /, gravity, integration="quasi_static",
+         factorization_type=None) -> Simulation:  # fmt: skip
     """Makes the arch, hinged at both ends, under some gravity."""
-
-    def make(gravity, integration="quasi_static", factorization_type=None) -> Simulation:
-        mesh = block(size=(SPAN, WIDTH, THICKNESS), cells=(24, 1, 1), shake=0.0)
-        x = mesh.node_positions.copy()
-        x[:, 2] += RISE * np.sin(np.pi * x[:, 0] / SPAN) - THICKNESS / 2.0
-        # The middle of the thickness is held: nodes on a line of mid-edge nodes.
-        hinges = [{"box": {"minimum": [end - 1e-9, -1, -1e-9], "maximum": [end + 1e-9, 1, 1e-9]}}
-                  for end in (0.0, SPAN)]  # fmt: skip
-        body = body_of(TetMesh(x, mesh.cells), "arch", YOUNG, 0.0, element="quadratic",
-                       fixed=hinges, damping={"mass": 5.0, "stiffness": 0.01})  # fmt: skip
-        scene = {
-            "name": "arch", "body": body, "gravity": [0, 0, -gravity], "integration": integration,
-            "solver": {"newton_iterations": 60, "residual_tolerance": 1e-9},
-        }  # fmt: skip
-        read = scene_from_mapping(scene, tmp_path / "scene.yaml")
-        return Simulation(read, factorization_type=factorization_type)
-
-    return make
+    mesh = block(size=(SPAN, WIDTH, THICKNESS), cells=(24, 1, 1), shake=0.0)
+    x = mesh.node_positions.copy()
+    x[:, 2] += RISE * np.sin(np.pi * x[:, 0] / SPAN) - THICKNESS / 2.0
+    # The middle of the thickness is held: nodes on a line of mid-edge nodes.
+    hinges = [{"box": {"minimum": [end - 1e-9, -1, -1e-9], "maximum": [end + 1e-9, 1, 1e-9]}}
+              for end in (0.0, SPAN)]  # fmt: skip
+    body = body_of(TetMesh(x, mesh.cells), "arch", YOUNG, 0.0, element="quadratic",
+                   fixed=hinges, damping={"mass": 5.0, "stiffness": 0.01})  # fmt: skip
+    scene = {
+        "name": "arch", "body": body, "gravity": [0, 0, -gravity], "integration": integration,
+        "solver": {"newton_iterations": 60, "residual_tolerance": 1e-9},
+    }  # fmt: skip
+    read = scene_from_mapping(scene, tmp_path / "scene.yaml")
+    return Simulation(read, factorization_type=factorization_type)
 
 
 def height(simulation, positions):

@@ -5,6 +5,7 @@ import pytest
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.simulation import CommandSetpoints, Hold, Status
+from test.builder import builder
 from test.scene_changes import repeat_step
 
 G = np.array([0.0, 0.0, -9.81])
@@ -16,19 +17,16 @@ BOX = {"name": "box", "mass": MASS, "box": {"size": [0.03, 0.04, 0.02]},
        "position": [0.012, 0.009, -0.01], "rotation": [0.2, -0.1, 0.4]}  # fmt: skip
 
 
-@pytest.fixture
-def pair(simulate, body_of, block):
+@builder
+def pair(simulate, body_of, block, /, integration="dynamic", gravity=G, box=BOX, more=None,
+         **entries):  # fmt: skip
     """Makes a soft block whose foot is attached to a free rigid box."""
-
-    def make(integration="dynamic", gravity=G, box=BOX, more=None, **entries):
-        mesh = block(size=SIZE, cells=(1, 1, 3))
-        body = body_of(mesh, attached=[{"to": "box", "box": FOOT}], **entries)
-        return simulate(
-            body=body, rigid_bodies=[box], integration=integration, gravity=list(gravity),
-            **(more or {}),
-        )  # fmt: skip
-
-    return make
+    mesh = block(size=SIZE, cells=(1, 1, 3))
+    body = body_of(mesh, attached=[{"to": "box", "box": FOOT}], **entries)
+    return simulate(
+        body=body, rigid_bodies=[box], integration=integration, gravity=list(gravity),
+        **(more or {}),
+    )  # fmt: skip
 
 
 def masses(scene):

@@ -4,51 +4,47 @@ import itertools
 
 import meshio
 import numpy as np
-import pytest
 
 from softrobot_twin.geometry.quality import radius_ratios
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandSetpoints, Simulation
+from test.builder import builder
 
 MATERIAL = {"young_modulus": 2.0e5, "poisson_ratio": 0.4, "density": 1070.0}
 
 
-@pytest.fixture
-def column(block, tmp_path):
+@builder
+def column(block, tmp_path, /, spoil=None) -> Simulation:
     """Builds a column with one cable from a mesh that a function may spoil first."""
-
-    def make(spoil=None) -> Simulation:
-        mesh = block(size=(0.02, 0.02, 0.1), cells=(2, 2, 5), shake=0.0)
-        points, tets = mesh.node_positions.copy(), mesh.cells.copy()
-        if spoil is not None:
-            points, tets = spoil(points, tets)
-        file = tmp_path / "column.vtk"
-        meshio.Mesh(points, [("tetra", tets)]).write(file)
-        return Simulation(
-            scene_from_mapping(
-                {
-                    "name": "column",
-                    "body": {
-                        "mesh": {"file": str(file)},
-                        "element": "linear",
-                        "material": MATERIAL,
-                        "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, 0.001]}}],
-                    },
-                    "cables": [
-                        {
-                            "name": "pull",
-                            "pull_point": [0.0, 0.01, -0.01],
-                            "points": [[0.0, 0.01, 0.03], [0.0, 0.01, 0.09]],
-                            "shortening": [0.0, 0.03],
-                            "tension": [0.0, 10.0],
-                        }
-                    ],
-                    "effectors": [{"name": "tip", "points": [[0.01, 0.01, 0.095]]}],
-                }
-            )
+    mesh = block(size=(0.02, 0.02, 0.1), cells=(2, 2, 5), shake=0.0)
+    points, tets = mesh.node_positions.copy(), mesh.cells.copy()
+    if spoil is not None:
+        points, tets = spoil(points, tets)
+    file = tmp_path / "column.vtk"
+    meshio.Mesh(points, [("tetra", tets)]).write(file)
+    return Simulation(
+        scene_from_mapping(
+            {
+                "name": "column",
+                "body": {
+                    "mesh": {"file": str(file)},
+                    "element": "linear",
+                    "material": MATERIAL,
+                    "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, 0.001]}}],
+                },
+                "cables": [
+                    {
+                        "name": "pull",
+                        "pull_point": [0.0, 0.01, -0.01],
+                        "points": [[0.0, 0.01, 0.03], [0.0, 0.01, 0.09]],
+                        "shortening": [0.0, 0.03],
+                        "tension": [0.0, 10.0],
+                    }
+                ],
+                "effectors": [{"name": "tip", "points": [[0.01, 0.01, 0.095]]}],
+            }
         )
-
-    return make
+    )
 
 
 def bent(simulation) -> np.ndarray:

@@ -9,28 +9,25 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation import CommandSetpoints, Status
+from test.builder import builder
 from test.scene_changes import repeat_step
 
 SHEAR, LIMIT, LIMIT_STRETCH = 1.0e5, 0.81642, 1.828
 
 
-@pytest.fixture
-def balloon(simulate, body_of, tmp_path, icosphere, layered):
+@builder
+def balloon(simulate, body_of, tmp_path, icosphere, layered, /, **cavity):
     """Makes a balloon, held at one facet of its outer surface."""
-
-    def make(**cavity):
-        points, triangles = icosphere(1)
-        layers = [radius * points for radius in (0.01, 0.0142, 0.02)]
-        meshio.write(tmp_path / "wall.vtk", meshio.Mesh(layers[0], [("triangle", triangles)]))
-        held = [{"nodes": [int(2 * len(points) + k) for k in triangles[0]]}]
-        body = body_of(layered(layers, triangles), "balloon", 3.0 * SHEAR, 0.4995,
-                       element="quadratic", volume="patches", fixed=held)  # fmt: skip
-        body["material"]["law"] = "neo_hookean"
-        air = {"name": "air", "walls": [{"file": str(tmp_path / "wall.vtk")}], **cavity}
-        return simulate(gravity=[0.0, 0.0, 0.0], body=body, cavities=[air],
-                        solver={"newton_iterations": 15})  # fmt: skip
-
-    return make
+    points, triangles = icosphere(1)
+    layers = [radius * points for radius in (0.01, 0.0142, 0.02)]
+    meshio.write(tmp_path / "wall.vtk", meshio.Mesh(layers[0], [("triangle", triangles)]))
+    held = [{"nodes": [int(2 * len(points) + k) for k in triangles[0]]}]
+    body = body_of(layered(layers, triangles), "balloon", 3.0 * SHEAR, 0.4995,
+                   element="quadratic", volume="patches", fixed=held)  # fmt: skip
+    body["material"]["law"] = "neo_hookean"
+    air = {"name": "air", "walls": [{"file": str(tmp_path / "wall.vtk")}], **cavity}
+    return simulate(gravity=[0.0, 0.0, 0.0], body=body, cavities=[air],
+                    solver={"newton_iterations": 15})  # fmt: skip
 
 
 def rest_volume(simulation):

@@ -12,6 +12,7 @@ from scipy.integrate import solve_bvp, trapezoid
 
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Hold, Status
 from softrobot_twin.simulation.result import UNSTABLE
+from test.builder import builder
 
 LENGTH, THIN, WIDE, DENSITY, YOUNG = 0.15, 0.010, 0.014, 1000.0, 5.07e5
 GREENHILL = 7.8373
@@ -19,21 +20,17 @@ GREENHILL = 7.8373
 CRITICAL = GREENHILL * YOUNG * THIN**2 / (12.0 * DENSITY * LENGTH**3)
 
 
-@pytest.fixture
-def column(simulate, body_of, block):
+@builder
+def column(simulate, body_of, block, /, share, integration="quasi_static"):
     """Makes a column under a share of its critical gravity; it is thin along x."""
-
-    def make(share, integration="quasi_static"):
-        mesh = block(size=(THIN, WIDE, LENGTH), cells=(1, 1, 10), shake=0.0)
-        foot = [{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, 1e-9]}}]
-        body = body_of(mesh, "column", YOUNG, 0.0, element="quadratic", fixed=foot,
-                       damping={"mass": 1.0, "stiffness": 0.02})  # fmt: skip
-        return simulate(
-            body=body, integration=integration, gravity=[0, 0, -share * CRITICAL],
-            solver={"newton_iterations": 60, "residual_tolerance": 1e-8},
-        )  # fmt: skip
-
-    return make
+    mesh = block(size=(THIN, WIDE, LENGTH), cells=(1, 1, 10), shake=0.0)
+    foot = [{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, 1e-9]}}]
+    body = body_of(mesh, "column", YOUNG, 0.0, element="quadratic", fixed=foot,
+                   damping={"mass": 1.0, "stiffness": 0.02})  # fmt: skip
+    return simulate(
+        body=body, integration=integration, gravity=[0, 0, -share * CRITICAL],
+        solver={"newton_iterations": 60, "residual_tolerance": 1e-8},
+    )  # fmt: skip
 
 
 def pushed(simulation, way):

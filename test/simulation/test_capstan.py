@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation import CommandSetpoints, Status
+from test.builder import builder
 
 DRUM, THICKNESS, WIDTH, TAIL = 0.02, 0.001, 0.004, 0.02
 INNER = 1.0005 * DRUM  # its facets, not its corners, lie on the drum
@@ -20,24 +21,20 @@ def bent(s: float, height: float) -> tuple[float, float]:
     return np.sign(s) * r, 0.5 * WRAP * DRUM - abs(s)
 
 
-@pytest.fixture
-def strip(tmp_path):
+@builder
+def strip(tmp_path, /, count: int) -> str:
     """File of a strip of so many cells along."""
-
-    def write(count: int) -> str:
-        length = WRAP * DRUM + 2.0 * TAIL
-        nodes = [
-            (x, y, z)
-            for s in np.linspace(-0.5 * length, 0.5 * length, count + 1)
-            for y in (-0.5 * WIDTH, 0.5 * WIDTH)
-            for x, z in (bent(s, 0.0), bent(s, THICKNESS))
-        ]
-        corners = np.array([0, 4, 6, 2, 1, 5, 7, 3])
-        tets = [4 * cell + corners[list(tet)] for cell in range(count) for tet in CELLS]
-        meshio.write(tmp_path / "strip.vtk", meshio.Mesh(np.array(nodes), [("tetra", tets)]))
-        return str(tmp_path / "strip.vtk")
-
-    return write
+    length = WRAP * DRUM + 2.0 * TAIL
+    nodes = [
+        (x, y, z)
+        for s in np.linspace(-0.5 * length, 0.5 * length, count + 1)
+        for y in (-0.5 * WIDTH, 0.5 * WIDTH)
+        for x, z in (bent(s, 0.0), bent(s, THICKNESS))
+    ]
+    corners = np.array([0, 4, 6, 2, 1, 5, 7, 3])
+    tets = [4 * cell + corners[list(tet)] for cell in range(count) for tet in CELLS]
+    meshio.write(tmp_path / "strip.vtk", meshio.Mesh(np.array(nodes), [("tetra", tets)]))
+    return str(tmp_path / "strip.vtk")
 
 
 def cable(name: str, side: float) -> dict:

@@ -411,9 +411,7 @@ def test_a_sealed_gas_resists_as_by_boyle(inflatable):
 def test_a_sealed_gas_of_high_pressure_inflates_its_cavity(inflatable):
     def sealed(mapping):
         (cavity,) = mapping.pop("cavities")
-        mapping["sealed_cavities"] = [
-            {"name": "air", "walls": cavity["walls"], "pressure": 5e3}
-        ]
+        mapping["sealed_cavities"] = [{"name": "air", "walls": cavity["walls"], "pressure": 5e3}]
 
     simulation = inflatable(sealed)
     result = settled(simulation, Hold(STEP))

@@ -96,9 +96,7 @@ def follow(trunk, circle, time_step) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CIRCLES)
-def test_a_circle_in_contact_is_met_wherever_exactly_the_obstacle_is(
-    coarse_trunk, drawn_rng, name
-):
+def test_a_circle_in_contact_is_met_wherever_exactly_the_obstacle_is(coarse_trunk, drawn_rng, name):
     for _ in range(RUNS):
         follow(coarse_trunk(leaning(name, drawn_rng)), CIRCLES[name], STEP)
 

@@ -12,30 +12,27 @@ import pytest
 
 from softrobot_twin.simulation import Hold, Status
 from softrobot_twin.simulation.step.actuation import INVERSION
+from test.builder import builder
 
 SIZE = (0.04, 0.04, 0.12)
 FOOT = [{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, 1e-9]}}]
 
 
-@pytest.fixture
-def tower(simulate, body_of, block):
+@builder
+def tower(simulate, body_of, block, /, element, integration="quasi_static", cells=(2, 2, 6)):
     """Makes a settled block on its foot, and returns it with its shape."""
-
-    def make(element, integration="quasi_static", cells=(2, 2, 6)):
-        body = body_of(block(SIZE, cells, shake=0.0), element=element, young_modulus=2e5,
-                       fixed=FOOT, damping={"mass": 2.0, "stiffness": 0.02})  # fmt: skip
-        simulation = simulate(
-            body=body, integration=integration,
-            solver={"newton_iterations": 30, "residual_tolerance": 1e-7},
-        )  # fmt: skip
-        for _ in range(60):
-            result = simulation.step(Hold(0.05))
-            if is_at_rest(result):
-                break
-        assert result.status is Status.OK
-        return simulation, result.state.positions
-
-    return make
+    body = body_of(block(SIZE, cells, shake=0.0), element=element, young_modulus=2e5,
+                   fixed=FOOT, damping={"mass": 2.0, "stiffness": 0.02})  # fmt: skip
+    simulation = simulate(
+        body=body, integration=integration,
+        solver={"newton_iterations": 30, "residual_tolerance": 1e-7},
+    )  # fmt: skip
+    for _ in range(60):
+        result = simulation.step(Hold(0.05))
+        if is_at_rest(result):
+            break
+    assert result.status is Status.OK
+    return simulation, result.state.positions
 
 
 def collapsed(simulation, kind, rng):

@@ -13,6 +13,7 @@ import pytest
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.loading import read_yaml, written_out
 from softrobot_twin.simulation import CommandEfforts, Simulation, Status
+from test.builder import builder
 from test.scene_changes import LEFT_OUT, changed
 
 TRUNK_FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "trunk.yaml"
@@ -50,27 +51,23 @@ def test_a_beam_under_four_cables_has_the_stress_of_their_tension_over_its_area(
         assert strain == pytest.approx(4.0 * tension / (3e5 * 0.02**2), rel=0.03)
 
 
-@pytest.fixture
-def trunk():
+@builder
+def trunk(element, newton_iterations=30) -> Simulation:
     """Makes the coarse Trunk, its base fixed, weightless, with its four long cables only."""
-
-    def make(element, newton_iterations=30) -> Simulation:
-        cables = [copy.deepcopy(entry) for entry in TRUNK["cables"] if entry["name"][0] == "L"]
-        for cable in cables:
-            del cable["pull_point_on"], cable["rate"]
-            cable["shortening"] = [0.0, 0.5]
-        return Simulation(scene_from_mapping({
-            "name": "trunk", "gravity": [0, 0, 0], "cables": cables,
-            "body": {
-                "mesh": {"file": "../../meshes/trunk_700.vtk"}, "element": element,
-                "material": TRUNK["body"]["material"],
-                "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, BASE]}}],
-            },
-            "effectors": [{"name": "tip", "points": TRUNK["effectors"][0]["points"]}],
-            "solver": {"newton_iterations": newton_iterations, "residual_tolerance": 1e-7},
-        }, TRUNK_FILE))  # fmt: skip
-
-    return make
+    cables = [copy.deepcopy(entry) for entry in TRUNK["cables"] if entry["name"][0] == "L"]
+    for cable in cables:
+        del cable["pull_point_on"], cable["rate"]
+        cable["shortening"] = [0.0, 0.5]
+    return Simulation(scene_from_mapping({
+        "name": "trunk", "gravity": [0, 0, 0], "cables": cables,
+        "body": {
+            "mesh": {"file": "../../meshes/trunk_700.vtk"}, "element": element,
+            "material": TRUNK["body"]["material"],
+            "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, BASE]}}],
+        },
+        "effectors": [{"name": "tip", "points": TRUNK["effectors"][0]["points"]}],
+        "solver": {"newton_iterations": newton_iterations, "residual_tolerance": 1e-7},
+    }, TRUNK_FILE))  # fmt: skip
 
 
 def area(mesh, z):

@@ -7,6 +7,7 @@ import pytest
 
 from softrobot_twin.mechanics.inertia import lumped_masses
 from softrobot_twin.simulation import Hold, Simulation
+from test.builder import builder
 from test.scene_changes import repeat_step
 
 DENSITY = 1000.0
@@ -43,34 +44,30 @@ def momentum(simulation: Simulation) -> tuple[np.ndarray, np.ndarray]:
     return linear, angular
 
 
-@pytest.fixture
-def collision(scene_of, write_block):
+@builder
+def collision(scene_of, write_block, /, kinds, friction) -> Simulation:
     """Two bodies, each rigid or soft, that approach each other in zero gravity."""
-
-    def make(kinds, friction) -> Simulation:
-        file = write_block((0.04, 0.04, 0.02), (4, 4, 2))
-        rigids, softs = [], []
-        for name, kind, x in (("left", kinds[0], -0.032), ("right", kinds[1], 0.032)):
-            if kind == "rigid":
-                rigids.append(
-                    rigid(name, x, [-10.0 * x, 0.05, 0.0], rotation=[0.2, x, 0.1],
-                          angular_velocity=[0.0, 0.3, 1.0])
-                )  # fmt: skip
-            else:
-                softs.append(soft(name, file, x))
-        simulation = scene_of(
-            gravity=[0, 0, 0], integration="dynamic", rigid_bodies=rigids, bodies=softs,
-            contact={"friction": friction, "between": [{"pair": ["left", "right"]}]},
-        )  # fmt: skip
-        velocities = simulation.state.velocities.copy()
-        for body in simulation.model.bodies:
-            own = slice(body.first_node, body.first_node + body.mesh.node_count)
-            x = simulation.state.positions[own].mean(axis=0)
-            velocities[own] = [-10.0 * x[0], 0.0, 0.1]
-        simulation.restore(replace(simulation.state, velocities=velocities))
-        return simulation
-
-    return make
+    file = write_block((0.04, 0.04, 0.02), (4, 4, 2))
+    rigids, softs = [], []
+    for name, kind, x in (("left", kinds[0], -0.032), ("right", kinds[1], 0.032)):
+        if kind == "rigid":
+            rigids.append(
+                rigid(name, x, [-10.0 * x, 0.05, 0.0], rotation=[0.2, x, 0.1],
+                      angular_velocity=[0.0, 0.3, 1.0])
+            )  # fmt: skip
+        else:
+            softs.append(soft(name, file, x))
+    simulation = scene_of(
+        gravity=[0, 0, 0], integration="dynamic", rigid_bodies=rigids, bodies=softs,
+        contact={"friction": friction, "between": [{"pair": ["left", "right"]}]},
+    )  # fmt: skip
+    velocities = simulation.state.velocities.copy()
+    for body in simulation.model.bodies:
+        own = slice(body.first_node, body.first_node + body.mesh.node_count)
+        x = simulation.state.positions[own].mean(axis=0)
+        velocities[own] = [-10.0 * x[0], 0.0, 0.1]
+    simulation.restore(replace(simulation.state, velocities=velocities))
+    return simulation
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.5])

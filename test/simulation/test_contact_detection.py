@@ -1,11 +1,11 @@
 """Detection by the driver finds, to the bit, what detection in Python finds from nothing."""
 
 import numpy as np
-import pytest
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.simulation import Hold
 from softrobot_twin.traced_stage import TracedStages
+from test.builder import builder
 from test.scene_changes import repeat_step
 
 MATERIAL = {"young_modulus": 1.0e5, "poisson_ratio": 0.3, "density": 1000.0}
@@ -13,35 +13,31 @@ STEP, REACH = 0.002, 0.004
 FOUND = ("nodes", "coefficients", "directions", "positions", "pair", "_gaps", "_anchors", "_begins")
 
 
-@pytest.fixture
-def scene(scene_of, write_block):
+@builder
+def scene(scene_of, write_block, /):
     """Makes a block above a floor, a thin plate, a guided paddle, a free cube and a ball."""
-
-    def make():
-        file = write_block((0.04, 0.04, 0.02), (4, 4, 2))
-        others = ("floor", "plate", "paddle", "cube", "ball")
-        return scene_of(
-            integration="dynamic", gravity=[0, 0, 0],
-            body={"name": "soft", "mesh": {"file": file}, "element": "linear",
-                  "material": MATERIAL},
-            rigid_bodies=[
-                {"name": "paddle", "motion": "guided", "box": {"size": [0.03, 0.03, 0.004]},
-                 "position": [0.0, 0.0, 0.03]},
-                {"name": "cube", "mass": 0.02, "box": {"size": [0.01, 0.01, 0.01]},
-                 "position": [0.03, 0.0, 0.0]},
-            ],
-            obstacles=[
-                {"name": "floor", "plane": {}, "position": [0, 0, -0.016]},
-                {"name": "plate", "box": {"size": [0.0002, 0.1, 0.1]}, "position": [-0.03, 0, 0]},
-                {"name": "ball", "sphere": {"radius": 0.01}, "position": [0, 0.035, 0]},
-            ],
-            contact={"alarm_distance": REACH, "friction": 0.5, "between": [
-                *({"pair": ["soft", other], "friction": 0.5 * (other != "plate")}
-                  for other in others), {"pair": ["cube", "floor"]},
-            ]},
-        )  # fmt: skip
-
-    return make
+    file = write_block((0.04, 0.04, 0.02), (4, 4, 2))
+    others = ("floor", "plate", "paddle", "cube", "ball")
+    return scene_of(
+        integration="dynamic", gravity=[0, 0, 0],
+        body={"name": "soft", "mesh": {"file": file}, "element": "linear",
+              "material": MATERIAL},
+        rigid_bodies=[
+            {"name": "paddle", "motion": "guided", "box": {"size": [0.03, 0.03, 0.004]},
+             "position": [0.0, 0.0, 0.03]},
+            {"name": "cube", "mass": 0.02, "box": {"size": [0.01, 0.01, 0.01]},
+             "position": [0.03, 0.0, 0.0]},
+        ],
+        obstacles=[
+            {"name": "floor", "plane": {}, "position": [0, 0, -0.016]},
+            {"name": "plate", "box": {"size": [0.0002, 0.1, 0.1]}, "position": [-0.03, 0, 0]},
+            {"name": "ball", "sphere": {"radius": 0.01}, "position": [0, 0.035, 0]},
+        ],
+        contact={"alarm_distance": REACH, "friction": 0.5, "between": [
+            *({"pair": ["soft", other], "friction": 0.5 * (other != "plate")}
+              for other in others), {"pair": ["cube", "floor"]},
+        ]},
+    )  # fmt: skip
 
 
 def found_at(simulation, x):

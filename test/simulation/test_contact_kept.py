@@ -5,34 +5,32 @@ import pytest
 
 from softrobot_twin.errors import CommandError
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
+from test.builder import builder
 
 STEP = 0.01
 MATERIAL = {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0}
 
 
-@pytest.fixture
-def finger(scene_of, write_block):
+@builder
+def finger(scene_of, write_block, /, integration="quasi_static", friction=0.4,
+           **contact) -> Simulation:  # fmt: skip
     """A bar on a wall, with a cable below that pulls it against an obstacle."""
-
-    def make(integration="quasi_static", friction=0.4, **contact) -> Simulation:
-        return scene_of(
-            gravity=[0, 0, 0], integration=integration,
-            body={"name": "bar",
-                  "mesh": {"file": write_block((0.1, 0.02, 0.02), (10, 2, 2)),
-                           "translation": [0.05, 0, 0]},
-                  "element": "linear",
-                  "material": MATERIAL, "damping": {"mass": 40.0},
-                  "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [1e-6, 1, 1]}}]},
-            cables=[{"name": "cable", "pull_point": [-0.01, 0, -0.007],
-                     "points": [[x, 0, -0.007] for x in (0.01, 0.03, 0.05, 0.07, 0.095)],
-                     "shortening": [0.0, 0.03], "tension": [0.0, 50.0]}],
-            effectors=[{"name": "tip", "points": [[0.1, 0, 0]]}],
-            obstacles=[{"name": "table", "position": [0, 0, -0.02], "plane": {}}],
-            contact={"friction": friction, "between": [{"pair": ["bar", "table"]}], **contact},
-            solver={"newton_iterations": 3},
-        )  # fmt: skip
-
-    return make
+    return scene_of(
+        gravity=[0, 0, 0], integration=integration,
+        body={"name": "bar",
+              "mesh": {"file": write_block((0.1, 0.02, 0.02), (10, 2, 2)),
+                       "translation": [0.05, 0, 0]},
+              "element": "linear",
+              "material": MATERIAL, "damping": {"mass": 40.0},
+              "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [1e-6, 1, 1]}}]},
+        cables=[{"name": "cable", "pull_point": [-0.01, 0, -0.007],
+                 "points": [[x, 0, -0.007] for x in (0.01, 0.03, 0.05, 0.07, 0.095)],
+                 "shortening": [0.0, 0.03], "tension": [0.0, 50.0]}],
+        effectors=[{"name": "tip", "points": [[0.1, 0, 0]]}],
+        obstacles=[{"name": "table", "position": [0, 0, -0.02], "plane": {}}],
+        contact={"friction": friction, "between": [{"pair": ["bar", "table"]}], **contact},
+        solver={"newton_iterations": 3},
+    )  # fmt: skip
 
 
 def wind(simulation, shortening, steps):

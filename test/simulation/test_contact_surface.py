@@ -8,6 +8,7 @@ from softrobot_twin.errors import MeshError, SceneError
 from softrobot_twin.geometry.shapes import Box
 from softrobot_twin.simulation import Hold, Simulation, Status
 from softrobot_twin.simulation.appearance import skins
+from test.builder import builder
 
 SIDE, STEP, G, DENSITY = 0.04, 0.004, 9.81, 1000.0
 WEIGHT = DENSITY * SIDE**3 * G
@@ -31,26 +32,23 @@ def cap(radius, cells=40):
     return points, triangles, bulge.max()
 
 
-@pytest.fixture
-def cube(scene_of, write_block):
+@builder
+def cube(scene_of, write_block, /, contact_surface=None, cells=(2, 2, 2), element="linear",
+         lift=0.0, **scene):  # fmt: skip
     """Makes a soft cube with its sole at z = 0, and what the scene says besides."""
-
-    def make(contact_surface=None, cells=(2, 2, 2), element="linear", lift=0.0, **scene):
-        body = {
-            "name": "cube", "element": element, "material": MATERIAL,
-            "mesh": {"file": write_block((SIDE,) * 3, cells), "translation": [0, 0, lift]},
-        }  # fmt: skip
-        if contact_surface is not None:
-            body["contact_surface"] = {"file": contact_surface}
-        body |= scene.pop("body", {})
-        scene = {"obstacles": [{"name": "floor", "plane": {"point": [0, 0, -SIDE / 2]}}]} | scene
-        contact = {"friction": 0.5, "between": [{"pair": ["cube", "floor"]}]}
-        return scene_of(**{
-            "integration": "dynamic", "gravity": [0, 0, -G], "bodies": [body], "contact": contact,
-            "solver": {"newton_iterations": 4, "residual_tolerance": 1e-6},
-        } | scene)  # fmt: skip
-
-    return make
+    body = {
+        "name": "cube", "element": element, "material": MATERIAL,
+        "mesh": {"file": write_block((SIDE,) * 3, cells), "translation": [0, 0, lift]},
+    }  # fmt: skip
+    if contact_surface is not None:
+        body["contact_surface"] = {"file": contact_surface}
+    body |= scene.pop("body", {})
+    scene = {"obstacles": [{"name": "floor", "plane": {"point": [0, 0, -SIDE / 2]}}]} | scene
+    contact = {"friction": 0.5, "between": [{"pair": ["cube", "floor"]}]}
+    return scene_of(**{
+        "integration": "dynamic", "gravity": [0, 0, -G], "bodies": [body], "contact": contact,
+        "solver": {"newton_iterations": 4, "residual_tolerance": 1e-6},
+    } | scene)  # fmt: skip
 
 
 def run(simulation: Simulation, steps: int):

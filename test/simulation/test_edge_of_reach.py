@@ -7,25 +7,23 @@ from scipy.optimize import minimize
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
 from softrobot_twin.simulation.step.actuation import INVERSION
 from softrobot_twin.simulation.step.target_trust import GREATEST, LONG_PATIENCE, Approach
+from test.builder import builder
 from test.scene_changes import changed, repeat_step
 
 HELD_BACK = (Status.SATURATED, Status.UNREACHABLE)
 
 
-@pytest.fixture
-def trunk(coarse_trunk):
+@builder
+def trunk(coarse_trunk, /, has_cylinders: bool, slides: bool) -> Simulation:
     """Makes the coarse Trunk, with or without what it touches and what carries it."""
 
-    def make(has_cylinders: bool, slides: bool) -> Simulation:
-        def change(mapping):
-            if not has_cylinders:
-                del mapping["obstacles"], mapping["contact"]
-            if not slides:
-                del mapping["slides"]
+    def change(mapping):
+        if not has_cylinders:
+            del mapping["obstacles"], mapping["contact"]
+        if not slides:
+            del mapping["slides"]
 
-        return coarse_trunk(change)
-
-    return make
+    return coarse_trunk(change)
 
 
 # A robot of which nothing has moved for longer than the twin is patient stays where it is: nothing

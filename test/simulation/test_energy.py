@@ -43,9 +43,7 @@ def test_energy_of_a_soft_body_never_grows(simulate, body_of, block, energies, h
     mesh = block(size=(0.03, 0.03, 0.1), cells=(1, 1, 4))
     body = body_of(mesh, fixed=HELD if held else [])
     # A free body would fall without end: it is tested without gravity.
-    scene = simulate(
-        body=body, integration="dynamic", gravity=[0.0, 0.0, -9.81 if held else 0.0]
-    )
+    scene = simulate(body=body, integration="dynamic", gravity=[0.0, 0.0, -9.81 if held else 0.0])
     let_go(scene, bent(scene.model.nodes.rest_positions) if not held else _held_bent(scene))
     found, fastest = totals(scene, energies, time_step, 60)
     start = found[0] - found.min()

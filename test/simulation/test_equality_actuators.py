@@ -5,6 +5,7 @@ import pytest
 
 from softrobot_twin.errors import CommandError
 from softrobot_twin.simulation import FollowTargets, Status
+from test.builder import builder
 
 WITH_ROD = pytest.mark.parametrize("with_rod", [False, True])
 
@@ -26,16 +27,12 @@ def only(simulation, actuator, length):
     return lengths
 
 
-@pytest.fixture
-def reaching(beam, rod):
+@builder
+def reaching(beam, rod, /, with_rod):
     """A beam that has come to its target, the rod beyond it."""
-
-    def make(with_rod):
-        simulation = beam(lambda m: rod(m) if with_rod else None)
-        target = simulation.effector_positions() + [0.004, 0.001, -0.006]
-        return simulation, target, settled(simulation, target)
-
-    return make
+    simulation = beam(lambda m: rod(m) if with_rod else None)
+    target = simulation.effector_positions() + [0.004, 0.001, -0.006]
+    return simulation, target, settled(simulation, target)
 
 
 @WITH_ROD

@@ -7,6 +7,7 @@ import pytest
 from softrobot_twin.errors import SceneError
 from softrobot_twin.simulation import Hold
 from softrobot_twin.study.explain import effects
+from test.builder import builder
 from test.scene_changes import repeat_step
 
 INNER, OUTER, HEIGHT = 0.008, 0.010, 0.06
@@ -15,47 +16,40 @@ MIDDLE = 0.009
 EA = 200.0
 
 
-@pytest.fixture
-def tube_entry(tmp_path, block):
+@builder
+def tube_entry(tmp_path, block, /, poisson_ratio=0.0, cells=(16, 1, 12),
+               element="quadratic") -> dict:  # fmt: skip
     """Makes the entry of a soft tube about z whose ends are attached to two guided plates."""
-
-    def make(poisson_ratio=0.0, cells=(16, 1, 12), element="quadratic") -> dict:
-        mesh = block(size=(1.0, 1.0, 1.0), cells=cells, shake=0.0)
-        turn, wall, height = mesh.node_positions.T
-        radius, angle = OUTER + (INNER - OUTER) * wall, 2.0 * np.pi * turn
-        x = np.stack([radius * np.cos(angle), radius * np.sin(angle), HEIGHT * height], axis=1)
-        meshio.Mesh(x, [("tetra", mesh.cells)]).write(tmp_path / "tube.vtk")
-        ends = [{"to": name, "box": {"minimum": [-1, -1, low], "maximum": [1, 1, high]}}
-                for name, low, high in (("foot", -1, 1e-6), ("head", HEIGHT - 1e-6, 1))]  # fmt: skip
-        return {
-            "mesh": {"file": "tube.vtk", "merge_distance": 1e-6}, "element": element,
-            "material": {"young_modulus": 1e4, "poisson_ratio": poisson_ratio, "density": 1.0},
-            "attached": ends,
-        }  # fmt: skip
-
-    return make
+    mesh = block(size=(1.0, 1.0, 1.0), cells=cells, shake=0.0)
+    turn, wall, height = mesh.node_positions.T
+    radius, angle = OUTER + (INNER - OUTER) * wall, 2.0 * np.pi * turn
+    x = np.stack([radius * np.cos(angle), radius * np.sin(angle), HEIGHT * height], axis=1)
+    meshio.Mesh(x, [("tetra", mesh.cells)]).write(tmp_path / "tube.vtk")
+    ends = [{"to": name, "box": {"minimum": [-1, -1, low], "maximum": [1, 1, high]}}
+            for name, low, high in (("foot", -1, 1e-6), ("head", HEIGHT - 1e-6, 1))]  # fmt: skip
+    return {
+        "mesh": {"file": "tube.vtk", "merge_distance": 1e-6}, "element": element,
+        "material": {"young_modulus": 1e4, "poisson_ratio": poisson_ratio, "density": 1.0},
+        "attached": ends,
+    }  # fmt: skip
 
 
-@pytest.fixture
-def stretched(simulate, tube_entry):
+@builder
+def stretched(simulate, tube_entry, /, stretch, fibres, **body):
     """Makes a tube with fibres whose head has been moved along its axis; statics."""
-
-    def make(stretch, fibres, **body):
-        plate = {"motion": "guided", "sphere": {"radius": 1e-3}, "speed": 1.0}
-        scene = simulate(
-            body=tube_entry(**body), fibres=fibres, gravity=[0, 0, 0],
-            rigid_bodies=[{"name": "foot", **plate},
-                          {"name": "head", **plate, "position": [0, 0, HEIGHT]}],
-            solver={"newton_iterations": 60, "residual_tolerance": 1e-7},
-        )  # fmt: skip
-        for share in np.linspace(0.0, 1.0, 5)[1:]:
-            top = [0.0, 0.0, HEIGHT * (1.0 + share * (stretch - 1.0))]
-            scene.model.guides.aim("head", top, [0, 0, 0, 1])
-            result = scene.step(Hold(0.1))
-        assert result.report.residual < 1e-6
-        return scene
-
-    return make
+    plate = {"motion": "guided", "sphere": {"radius": 1e-3}, "speed": 1.0}
+    scene = simulate(
+        body=tube_entry(**body), fibres=fibres, gravity=[0, 0, 0],
+        rigid_bodies=[{"name": "foot", **plate},
+                      {"name": "head", **plate, "position": [0, 0, HEIGHT]}],
+        solver={"newton_iterations": 60, "residual_tolerance": 1e-7},
+    )  # fmt: skip
+    for share in np.linspace(0.0, 1.0, 5)[1:]:
+        top = [0.0, 0.0, HEIGHT * (1.0 + share * (stretch - 1.0))]
+        scene.model.guides.aim("head", top, [0, 0, 0, 1])
+        result = scene.step(Hold(0.1))
+    assert result.report.residual < 1e-6
+    return scene
 
 
 def helix(angle, **entries):
@@ -113,32 +107,28 @@ def test_hoops_stop_radial_growth_and_are_slack_where_the_tube_contracts(stretch
     assert abs(middle_stretches(both)[0] - 1.0) < 0.05 * (1.0 - middle_stretches(bare)[0])
 
 
-@pytest.fixture
-def bar(simulate, tmp_path, block):
+@builder
+def bar(simulate, tmp_path, block, /, fibres, element="linear", gravity=(1.0, 0.0, 0.0)):
     """Makes a bar along x with fibres, held at its foot; its file names the edges `rim`."""
-
-    def make(fibres, element="linear", gravity=(1.0, 0.0, 0.0)):
-        mesh = block(size=(0.1, 0.02, 0.02), cells=(5, 1, 1), shake=0.0)
-        x = mesh.node_positions
-        along = np.flatnonzero((x[:, 1:] == 0.0).all(axis=1))
-        along = along[np.argsort(x[along, 0])]
-        rim = np.stack([along[:-1], along[1:]], axis=1)
-        meshio.Mesh(
-            x, [("tetra", mesh.cells), ("line", rim)],
-            cell_sets={"rim": [np.empty(0, int), np.arange(len(rim))]},
-        ).write(tmp_path / "bar.inp", file_format="abaqus")  # fmt: skip
-        scene = simulate(
-            body={
-                "mesh": {"file": "bar.inp"}, "element": element,
-                "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0},
-                "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [1e-6, 1, 1]}}],
-            }, fibres=fibres, gravity=list(gravity),
-        )  # fmt: skip
-        result = repeat_step(scene, Hold(0.05), 4)
-        assert result.report.residual < 1e-8
-        return scene
-
-    return make
+    mesh = block(size=(0.1, 0.02, 0.02), cells=(5, 1, 1), shake=0.0)
+    x = mesh.node_positions
+    along = np.flatnonzero((x[:, 1:] == 0.0).all(axis=1))
+    along = along[np.argsort(x[along, 0])]
+    rim = np.stack([along[:-1], along[1:]], axis=1)
+    meshio.Mesh(
+        x, [("tetra", mesh.cells), ("line", rim)],
+        cell_sets={"rim": [np.empty(0, int), np.arange(len(rim))]},
+    ).write(tmp_path / "bar.inp", file_format="abaqus")  # fmt: skip
+    scene = simulate(
+        body={
+            "mesh": {"file": "bar.inp"}, "element": element,
+            "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0},
+            "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [1e-6, 1, 1]}}],
+        }, fibres=fibres, gravity=list(gravity),
+    )  # fmt: skip
+    result = repeat_step(scene, Hold(0.05), 4)
+    assert result.report.residual < 1e-8
+    return scene
 
 
 ENDS = [[0.02 * k, 0.0, 0.0] for k in range(6)]

@@ -12,9 +12,7 @@ HOUSE = {"centre": [0.0, 0.0, 0.0], "size": [0.02, 0.03, 0.04]}
 def fallen(simulation, time_step, count):
     """Moves of all nodes against rest after each step [m], shape (count, node_count, 3)."""
     rest = simulation.model.nodes.rest_positions
-    return np.array(
-        [simulation.step(Hold(time_step)).state.positions - rest for _ in range(count)]
-    )
+    return np.array([simulation.step(Hold(time_step)).state.positions - rest for _ in range(count)])
 
 
 def closed_form(time_step, count):

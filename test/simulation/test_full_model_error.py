@@ -24,8 +24,7 @@ def judge(half_trained):
     """Full and reduced simulation with a touch at the tip, exact and without rates; their judge."""
     scene = load_scene(half_trained)
     cables = tuple(cable.model_copy(update={"rate": None}) for cable in scene.cables)
-    solver = scene.solver.model_copy(update={
-        "newton_iterations": 30, "residual_tolerance": 1.0e-8})  # fmt: skip
+    solver = scene.solver.model_copy(update={"newton_iterations": 30, "residual_tolerance": 1.0e-8})
     touch = Touch(name="finger", points=scene.effectors[0].points, while_touched="follow_targets")
     scene = scene.model_copy(update={"cables": cables, "solver": solver, "touches": (touch,)})
     reduced = Simulation(scene, with_warnings=False)
@@ -104,8 +103,7 @@ def test_bodies_beside_a_reduced_one_keep_their_nodes(half_trained, first):
     for entry in (*mapping["cables"], *mapping["effectors"]):
         entry["body"] = "body"
     mapping["effectors"][0].pop("measured_by")
-    mapping["effectors"].append(
-        {"name": "other", "body": "beside", "points": [[0.5, 0.0, 0.125]]})  # fmt: skip
+    mapping["effectors"].append({"name": "other", "body": "beside", "points": [[0.5, 0.0, 0.125]]})
     simulation = Simulation(scene_from_mapping(mapping, half_trained), with_warnings=False)
     lengths = simulation.rest_setpoints - [0.006, 0.0, 0.002, 0.008]
     repeat_step(simulation, CommandSetpoints(lengths, ANY_TIME), 12)

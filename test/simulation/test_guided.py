@@ -8,6 +8,7 @@ import pytest
 from softrobot_twin.errors import CommandError
 from softrobot_twin.mechanics.rotation import quaternion_from_rotation, rotation_from_vector
 from softrobot_twin.simulation import FollowTargets, Hold, Status
+from test.builder import builder
 from test.scene_changes import repeat_step
 
 SPEED, TURN_RATE = 0.1, 2.0
@@ -20,16 +21,12 @@ ON_PALM = [{"to": "palm", "box": {"minimum": [-1, -1, -1e-6], "maximum": [1, 1, 
 INTEGRATIONS = ["quasi_static", "first_order", "dynamic"]
 
 
-@pytest.fixture
-def finger(simulate, body_of, block):
+@builder
+def finger(simulate, body_of, block, /, integration):
     """Makes a finger whose foot is attached to a palm."""
-
-    def make(integration):
-        mesh = block(size=(0.02, 0.02, 0.06), cells=(1, 1, 3))
-        body = body_of(mesh, attached=ON_PALM, damping={"mass": 30.0})
-        return simulate(body=body, rigid_bodies=[PALM], integration=integration)
-
-    return make
+    mesh = block(size=(0.02, 0.02, 0.06), cells=(1, 1, 3))
+    body = body_of(mesh, attached=ON_PALM, damping={"mass": 30.0})
+    return simulate(body=body, rigid_bodies=[PALM], integration=integration)
 
 
 def riders(scene):
@@ -72,15 +69,11 @@ def test_a_palm_rotates_at_its_limit_and_attached_bodies_keep_their_shape(finger
         state = scene.step(Hold(0.01)).state
         angle = min(TURN_RATE * 0.01 * (index + 1), 1.0)
         expected = rest @ rotation_from_vector(angle * turn).T
-        np.testing.assert_allclose(
-            state.positions[foot] - PALM["position"], expected, atol=1e-12
-        )
+        np.testing.assert_allclose(state.positions[foot] - PALM["position"], expected, atol=1e-12)
     origin, quaternion = scene.model.guides.pose("palm", state.positions)
     np.testing.assert_allclose(origin, PALM["position"], atol=1e-14)
     expected = quaternion_from_rotation(rotation)
-    np.testing.assert_allclose(
-        quaternion * np.sign(quaternion @ expected), expected, atol=1e-12
-    )
+    np.testing.assert_allclose(quaternion * np.sign(quaternion @ expected), expected, atol=1e-12)
 
 
 def test_a_moved_finger_has_the_equilibrium_of_one_built_there(finger, simulate, body_of, block):

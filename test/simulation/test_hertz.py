@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation import Hold, Status
+from test.builder import builder
 
 RADIUS, SIZE, HEIGHT = 0.05, 0.1, 0.08
 YOUNG, POISSON = 1.0e5, 0.3
@@ -20,34 +21,30 @@ def drawn_together(x):
     return out
 
 
-@pytest.fixture
-def pressed(scene_of, write_block):
+@builder
+def pressed(scene_of, write_block, /, cells, depth, element="linear") -> float:
     """Force of a ball, pressed in by a depth, on a block of some cells across [N]."""
-
-    def run(cells, depth, element="linear") -> float:
-        simulation = scene_of(
-            gravity=[0, 0, 0],
-            body={"name": "block", "element": element,
-                  "mesh": {"file": write_block((SIZE, SIZE, HEIGHT), (cells, cells, cells // 2),
-                                               drawn_together, shake=0.0)},
-                  "material": {"young_modulus": YOUNG, "poisson_ratio": POISSON,
-                               "density": 1000.0},
-                  "fixed": [{"box": {"minimum": [-1, -1, -1],
-                                     "maximum": [1, 1, -HEIGHT / 2 + 1e-6]}}]},
-            rigid_bodies=[{"name": "ball", "motion": "guided",
-                           "position": [0, 0, HEIGHT / 2 + RADIUS], "sphere": {"radius": RADIUS}}],
-            contact={"alarm_distance": 0.002, "between": [{"pair": ["block", "ball"]}]},
-        )  # fmt: skip
-        simulation.model.guides.aim("ball", [0, 0, HEIGHT / 2 + RADIUS - depth])
-        forces = []
-        for _ in range(16):
-            result = simulation.step(Hold(1.0))
-            assert result.status in (Status.OK, Status.LINEARIZED, Status.NOT_CONVERGED)
-            forces.append(-result.contacts.forces.sum(axis=0)[2])
-        # Facets rock on the ball from step to step: the mean of the last ones is meant.
-        return float(np.mean(forces[-8:]))
-
-    return run
+    simulation = scene_of(
+        gravity=[0, 0, 0],
+        body={"name": "block", "element": element,
+              "mesh": {"file": write_block((SIZE, SIZE, HEIGHT), (cells, cells, cells // 2),
+                                           drawn_together, shake=0.0)},
+              "material": {"young_modulus": YOUNG, "poisson_ratio": POISSON,
+                           "density": 1000.0},
+              "fixed": [{"box": {"minimum": [-1, -1, -1],
+                                 "maximum": [1, 1, -HEIGHT / 2 + 1e-6]}}]},
+        rigid_bodies=[{"name": "ball", "motion": "guided",
+                       "position": [0, 0, HEIGHT / 2 + RADIUS], "sphere": {"radius": RADIUS}}],
+        contact={"alarm_distance": 0.002, "between": [{"pair": ["block", "ball"]}]},
+    )  # fmt: skip
+    simulation.model.guides.aim("ball", [0, 0, HEIGHT / 2 + RADIUS - depth])
+    forces = []
+    for _ in range(16):
+        result = simulation.step(Hold(1.0))
+        assert result.status in (Status.OK, Status.LINEARIZED, Status.NOT_CONVERGED)
+        forces.append(-result.contacts.forces.sum(axis=0)[2])
+    # Facets rock on the ball from step to step: the mean of the last ones is meant.
+    return float(np.mean(forces[-8:]))
 
 
 def hertz(depth) -> float:

@@ -12,6 +12,7 @@ from softrobot_twin.geometry.hexahedral_mesh import INTO_TETS, HexahedralMesh
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandEfforts, FollowTargets, Hold, Simulation, Status
 from softrobot_twin.simulation.mesh_error import MeshErrorEstimator, MeshErrorUnknown
+from test.builder import builder
 from test.scene_changes import change_scene, changed, repeat_step
 
 FOOT = [{"box": {"minimum": [-1, -1, -1e-6], "maximum": [1, 1, 1e-6]}}]
@@ -25,45 +26,36 @@ def mixed_block(size, cells):
     return HexahedralMesh(grid.node_positions, tets, grid.hexahedra[~cut])
 
 
-@pytest.fixture
-def body_of_hexahedra(tmp_path):
+@builder
+def body_of_hexahedra(tmp_path, /, mesh, name="soft", young_modulus=1e5, poisson_ratio=0.45,
+                      **entries) -> dict:  # fmt: skip
     """Makes the entry of a soft body of silicone from a mesh; more entries may be given."""
-
-    def make(mesh, name="soft", young_modulus=1e5, poisson_ratio=0.45, **entries) -> dict:
-        path = tmp_path / f"{name}.vtk"
-        cells = [("hexahedron", mesh.hexahedra), ("tetra", mesh.tets)]
-        cells = [block for block in cells if len(block[1])]
-        meshio.write(path, meshio.Mesh(mesh.node_positions, cells))
-        material = {
-            "young_modulus": young_modulus, "poisson_ratio": poisson_ratio, "density": 1000.0,
-        }  # fmt: skip
-        return {"name": name, "mesh": {"file": str(path)}, "material": material, **entries}
-
-    return make
+    path = tmp_path / f"{name}.vtk"
+    cells = [("hexahedron", mesh.hexahedra), ("tetra", mesh.tets)]
+    cells = [block for block in cells if len(block[1])]
+    meshio.write(path, meshio.Mesh(mesh.node_positions, cells))
+    material = {"young_modulus": young_modulus, "poisson_ratio": poisson_ratio, "density": 1000.0}
+    return {"name": name, "mesh": {"file": str(path)}, "material": material, **entries}
 
 
-@pytest.fixture
-def bar(simulate, body_of_hexahedra):
+@builder
+def bar(simulate, body_of_hexahedra, /, change=None, mesh=None, **entries) -> Simulation:
     """Makes an upright bar, held at its foot, with two cables; its tip is the effector."""
+    mesh = read_box((0.02, 0.02, 0.1), (2, 2, 5), of_hexahedra=True).mesh if mesh is None else mesh
 
-    def make(change=None, mesh=None, **entries) -> Simulation:
-        mesh = read_box((0.02, 0.02, 0.1), (2, 2, 5), of_hexahedra=True).mesh if mesh is None else mesh
+    def cable(name, x):
+        points = [[x, 0.01, z] for z in (0.02, 0.04, 0.06, 0.08, 0.095)]
+        return {"name": name, "pull_point": [x, 0.01, 0.0], "points": points,
+                "shortening": [0.0, 0.05], "tension": [0.0, 40.0]}  # fmt: skip
 
-        def cable(name, x):
-            points = [[x, 0.01, z] for z in (0.02, 0.04, 0.06, 0.08, 0.095)]
-            return {"name": name, "pull_point": [x, 0.01, 0.0], "points": points,
-                    "shortening": [0.0, 0.05], "tension": [0.0, 40.0]}  # fmt: skip
-
-        mapping = {
-            "gravity": [0.0, 0.0, -9.81],
-            "body": body_of_hexahedra(mesh, "bar", fixed=FOOT, **entries),
-            "cables": [cable("east", 0.018), cable("west", 0.002)],
-            "effectors": [{"name": "tip", "points": [[0.01, 0.01, 0.1]]}],
-        }  # fmt: skip
-        change_scene(mapping, change)
-        return simulate(**mapping)
-
-    return make
+    mapping = {
+        "gravity": [0.0, 0.0, -9.81],
+        "body": body_of_hexahedra(mesh, "bar", fixed=FOOT, **entries),
+        "cables": [cable("east", 0.018), cable("west", 0.002)],
+        "effectors": [{"name": "tip", "points": [[0.01, 0.01, 0.1]]}],
+    }  # fmt: skip
+    change_scene(mapping, change)
+    return simulate(**mapping)
 
 
 def test_hexahedra_of_a_file_become_hexahedral_elements(bar):
@@ -232,29 +224,26 @@ def test_a_block_rests_on_a_plane_with_its_weight(simulate, body_of_hexahedra):
     assert result.contacts.forces.sum(axis=0)[2] == pytest.approx(9.81 * 0.018, rel=0.02)
 
 
-@pytest.fixture
-def chamber(tmp_path, simulate, body_of_hexahedra):
+@builder
+def chamber(tmp_path, simulate, body_of_hexahedra, /, cells=(4, 4, 6),
+            poisson_ratio=0.45) -> Simulation:  # fmt: skip
     """Makes a block with a cavity in the middle of its cells, commanded by pressure."""
-
-    def make(cells=(4, 4, 6), poisson_ratio=0.45) -> Simulation:
-        size = (0.02, 0.02, 0.03)
-        grid = read_box(size, cells, of_hexahedra=True).mesh
-        middle = grid.node_positions[grid.hexahedra].mean(axis=1) / np.array(size)
-        inside = (np.abs(middle - 0.5) < 0.26).all(axis=1)
-        hole = HexahedralMesh(grid.node_positions, grid.tets, grid.hexahedra[inside])
-        used, index = np.unique(grid.hexahedra[~inside], return_inverse=True)
-        body = HexahedralMesh(grid.node_positions[used], grid.tets, index.reshape(-1, 8))
-        file = tmp_path / "air.vtk"
-        wall = meshio.Mesh(grid.node_positions, [("triangle", hole.surface_triangles)])
-        meshio.write(file, wall)
-        return simulate(
-            gravity=[0.0, 0.0, 0.0],
-            body=body_of_hexahedra(body, fixed=FOOT, poisson_ratio=poisson_ratio),
-            cavities=[{"name": "air", "walls": [{"file": str(file)}], "pressure": [0.0, 5e3]}],
-            effectors=[{"name": "top", "points": [[0.01, 0.01, 0.03]]}],
-        )  # fmt: skip
-
-    return make
+    size = (0.02, 0.02, 0.03)
+    grid = read_box(size, cells, of_hexahedra=True).mesh
+    middle = grid.node_positions[grid.hexahedra].mean(axis=1) / np.array(size)
+    inside = (np.abs(middle - 0.5) < 0.26).all(axis=1)
+    hole = HexahedralMesh(grid.node_positions, grid.tets, grid.hexahedra[inside])
+    used, index = np.unique(grid.hexahedra[~inside], return_inverse=True)
+    body = HexahedralMesh(grid.node_positions[used], grid.tets, index.reshape(-1, 8))
+    file = tmp_path / "air.vtk"
+    wall = meshio.Mesh(grid.node_positions, [("triangle", hole.surface_triangles)])
+    meshio.write(file, wall)
+    return simulate(
+        gravity=[0.0, 0.0, 0.0],
+        body=body_of_hexahedra(body, fixed=FOOT, poisson_ratio=poisson_ratio),
+        cavities=[{"name": "air", "walls": [{"file": str(file)}], "pressure": [0.0, 5e3]}],
+        effectors=[{"name": "top", "points": [[0.01, 0.01, 0.03]]}],
+    )  # fmt: skip
 
 
 def test_a_cavity_in_hexahedra_is_inflated(chamber):

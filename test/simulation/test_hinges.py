@@ -18,6 +18,7 @@ from softrobot_twin.simulation import (
     Simulation,
     Status,
 )
+from test.builder import builder
 from test.scene_changes import repeat_step
 
 E, DENSITY = 35e6, 1220.0
@@ -47,18 +48,14 @@ def motor(name="m", beam="leg", at="start", angle=(-2.9, 2.9), **changes):
     return {"name": name, "beam": beam, "at": at, "angle": list(angle)} | changes
 
 
-@pytest.fixture
-def scene():
+@builder
+def scene(*beams, **others) -> Simulation:
     """Makes a simulation of beams; by default without gravity."""
-
-    def make(*beams, **others) -> Simulation:
-        mapping = {
-            "name": "hinges", "gravity": [0.0, 0.0, 0.0], "beams": list(beams),
-            "solver": {"newton_iterations": 60, "residual_tolerance": 1e-9},
-        } | others  # fmt: skip
-        return Simulation(scene_from_mapping(mapping, None))
-
-    return make
+    mapping = {
+        "name": "hinges", "gravity": [0.0, 0.0, 0.0], "beams": list(beams),
+        "solver": {"newton_iterations": 60, "residual_tolerance": 1e-9},
+    } | others  # fmt: skip
+    return Simulation(scene_from_mapping(mapping, None))
 
 
 def turn(simulation, *angles):
@@ -113,9 +110,7 @@ def test_the_torque_of_a_turned_beam_is_that_of_beam_theory(scene, far, factor):
         joined.append({"at": "end", "to": "world", "by": far["by"]})
     if far.get("by") == "hinge":
         joined[-1]["axis"] = Y
-    simulation = scene(
-        strip(joined=joined, fixed=far.get("fixed", [])), hinge_motors=[motor()]
-    )
+    simulation = scene(strip(joined=joined, fixed=far.get("fixed", [])), hinge_motors=[motor()])
     angle = 1e-3
     result = turn(simulation, angle)
     shear = 12.0 * BENDING / (5.0 / 6.0 * THICKNESS * WIDTH * E / 2.9 * LENGTH**2)
@@ -186,9 +181,7 @@ def test_the_end_of_a_beam_at_a_hinge_has_no_moment_about_its_axis(scene):
 
 
 def test_the_work_of_a_motor_is_the_energy_of_the_beam(scene):
-    simulation = scene(
-        strip(joined=[hinge("start")], fixed=["end"]), hinge_motors=[motor()]
-    )
+    simulation = scene(strip(joined=[hinge("start")], fixed=["end"]), hinge_motors=[motor()])
     angles = np.linspace(0.0, 1.2, 41)
     torques = [turn(simulation, angle).efforts[0] for angle in angles]
     work = trapezoid(torques, angles)
@@ -198,9 +191,7 @@ def test_the_work_of_a_motor_is_the_energy_of_the_beam(scene):
 
 def test_a_commanded_torque_turns_the_beam_to_the_angle_that_needs_it(scene):
     def made():
-        return scene(
-            strip(joined=[hinge("start")], fixed=["end"]), hinge_motors=[motor()]
-        )
+        return scene(strip(joined=[hinge("start")], fixed=["end"]), hinge_motors=[motor()])
 
     by_angle, by_torque = made(), made()
     torque = turn(by_angle, 0.8).efforts
@@ -212,9 +203,7 @@ def test_a_commanded_torque_turns_the_beam_to_the_angle_that_needs_it(scene):
 
 def test_a_motor_stops_at_its_angle_rate_and_torque_limits(scene):
     limited = motor(angle=(-0.5, 0.5), rate=2.0, torque=(-0.005, 0.02))
-    simulation = scene(
-        strip(joined=[hinge("start")], fixed=["end"]), hinge_motors=[limited]
-    )
+    simulation = scene(strip(joined=[hinge("start")], fixed=["end"]), hinge_motors=[limited])
     result = simulation.step(CommandSetpoints(np.array([0.4]), 0.05))
     assert result.setpoints[0] == pytest.approx(0.1)
     result = simulation.step(CommandSetpoints(np.array([2.0]), 1.0))

@@ -62,9 +62,7 @@ def test_prescribed_lengths_are_met_with_a_patch():
 
 
 @pytest.mark.parametrize("leaving", [0.0, 1.0], ids=["along the surface", "out of the body"])
-def test_the_weights_of_a_patch_have_continuous_derivatives_by_radius_and_place(
-    drawn_rng, leaving
-):
+def test_the_weights_of_a_patch_have_continuous_derivatives_by_radius_and_place(drawn_rng, leaving):
     """Second differences fall by the square of the step: a kink would let them fall by the step."""
     scene = with_mesh_file(load_scene(SCENE), ROOT / "meshes" / "diamond_150.vtk")
     body = lay_out(scene, []).bodies[0]

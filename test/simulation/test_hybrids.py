@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.rigid_bodies import write_frame
 from softrobot_twin.simulation import CommandSetpoints, Status
+from test.builder import builder
 from test.scene_changes import repeat_step
 
 STRUT = {
@@ -31,23 +32,19 @@ THREAD = {
 }  # fmt: skip
 
 
-@pytest.fixture
-def hybrid(simulate, body_of, block):
+@builder
+def hybrid(simulate, body_of, block, /, **entries):
     """Two struts between a handle and a hub with a soft block, a spring and a cable over all."""
-
-    def make(**entries):
-        entry = body_of(block(size=(0.06, 0.02, 0.01), cells=(3, 2, 1), shake=0.0))
-        box = {"minimum": [0.109, -1.0, -1.0], "maximum": [0.111, 1.0, 1.0]}
-        entry["mesh"]["translation"] = [0.11, -0.01, -0.005]
-        scene = {
-            "bodies": [{**entry, "attached": [{"to": "hub", "box": box}]}], "beams": [STRUT],
-            "rigid_bodies": [HUB, {**HANDLE, "name": "hold"}], "springs": [SPRING],
-            "cables": [THREAD], "integration": "dynamic",
-            "effectors": [{"name": "tip", "body": "soft", "points": [[0.17, 0.0, 0.0]]}],
-        }  # fmt: skip
-        return simulate(**{**scene, **entries})
-
-    return make
+    entry = body_of(block(size=(0.06, 0.02, 0.01), cells=(3, 2, 1), shake=0.0))
+    box = {"minimum": [0.109, -1.0, -1.0], "maximum": [0.111, 1.0, 1.0]}
+    entry["mesh"]["translation"] = [0.11, -0.01, -0.005]
+    scene = {
+        "bodies": [{**entry, "attached": [{"to": "hub", "box": box}]}], "beams": [STRUT],
+        "rigid_bodies": [HUB, {**HANDLE, "name": "hold"}], "springs": [SPRING],
+        "cables": [THREAD], "integration": "dynamic",
+        "effectors": [{"name": "tip", "body": "soft", "points": [[0.17, 0.0, 0.0]]}],
+    }  # fmt: skip
+    return simulate(**{**scene, **entries})
 
 
 def deformed(simulation, seed):

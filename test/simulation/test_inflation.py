@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation import CommandSetpoints, Status
+from test.builder import builder
 from test.scene_changes import repeat_step
 
 YOUNG, POISSON = 1e5, 0.3
@@ -13,24 +14,20 @@ INNER, OUTER = 0.01, 0.015
 DRAG, STEP = 1.0, 1e3
 
 
-@pytest.fixture
-def inflated_shell(simulate, body_of, tmp_path, layered):
+@builder
+def inflated_shell(simulate, body_of, tmp_path, layered, /, layers, triangles, **entries):
     """Makes a floating shell of layers, the first of which is the wall of its cavity."""
-
-    def make(layers, triangles, **entries):
-        mesh, file = layered(layers, triangles), tmp_path / "wall.vtk"
-        meshio.write(file, meshio.Mesh(layers[0], [("triangle", triangles)]))
-        body = body_of(mesh, "shell", YOUNG, POISSON, damping={"mass": DRAG}, element="quadratic",
-                       **entries)  # fmt: skip
-        body["material"]["law"] = "linear"
-        cavity = {"name": "air", "walls": [{"file": str(file)}], "pressure": [0.0, 1e5]}
-        return simulate(
-            integration="first_order", gravity=[0.0, 0.0, 0.0], body=body, cavities=[cavity],
-            # Displacements are small: more linearizations would only turn the body by round-off.
-            solver={"newton_iterations": 1},
-        )
-
-    return make
+    mesh, file = layered(layers, triangles), tmp_path / "wall.vtk"
+    meshio.write(file, meshio.Mesh(layers[0], [("triangle", triangles)]))
+    body = body_of(mesh, "shell", YOUNG, POISSON, damping={"mass": DRAG}, element="quadratic",
+                   **entries)  # fmt: skip
+    body["material"]["law"] = "linear"
+    cavity = {"name": "air", "walls": [{"file": str(file)}], "pressure": [0.0, 1e5]}
+    return simulate(
+        integration="first_order", gravity=[0.0, 0.0, 0.0], body=body, cavities=[cavity],
+        # Displacements are small: more linearizations would only turn the body by round-off.
+        solver={"newton_iterations": 1},
+    )
 
 
 def test_a_sphere_grows_as_by_lame(inflated_shell, icosphere):
@@ -121,9 +118,7 @@ def test_a_volume_passes_the_limit_points_of_a_dome(dome):
     simulation, pressures, iterations = dome(control="volume"), [0.0], []
     shares = np.linspace(0.0, 1.0, 33)[1:]
     for share in shares:
-        result = simulation.step(
-            CommandSetpoints(simulation.rest_setpoints - 2e-5 * share, 0.02)
-        )
+        result = simulation.step(CommandSetpoints(simulation.rest_setpoints - 2e-5 * share, 0.02))
         assert result.status is Status.OK
         pressures.append(float(result.efforts[0]))
         iterations.append(result.report.iterations)
@@ -136,9 +131,7 @@ def test_a_volume_passes_the_limit_points_of_a_dome(dome):
     assert max(iterations) <= 6
     # The way back is the same: nothing of it depends on the past.
     for share, pressure in zip(shares[::-1], pressures[:0:-1], strict=True):
-        result = simulation.step(
-            CommandSetpoints(simulation.rest_setpoints - 2e-5 * share, 0.02)
-        )
+        result = simulation.step(CommandSetpoints(simulation.rest_setpoints - 2e-5 * share, 0.02))
         assert result.efforts[0] == pytest.approx(pressure, abs=1e-3)
 
 

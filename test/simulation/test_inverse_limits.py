@@ -11,6 +11,7 @@ from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import CommandEfforts, FollowTargets, Hold, Simulation, Status
 from softrobot_twin.simulation.result import RATE
+from test.builder import builder
 from test.scene_changes import change_scene, repeat_step
 
 TRUNK_FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "trunk.yaml"
@@ -18,22 +19,18 @@ TRUNK = written_out(yaml.safe_load(TRUNK_FILE.read_text()))
 TRUNK["body"]["element"] = "linear"
 
 
-@pytest.fixture
-def trunk():
+@builder
+def trunk(with_rod=False, change=None) -> Simulation:
     """Makes the coarse Trunk without its slide, optionally with a rod beside it."""
-
-    def make(with_rod=False, change=None) -> Simulation:
-        mapping = copy.deepcopy(TRUNK)
-        mapping["body"]["mesh"]["file"] = "../../meshes/trunk_700.vtk"
-        mapping.pop("slides", None)
-        if with_rod:
-            ends = [[-0.1, 0.03, 0.15], [0.1, 0.03, 0.15]]
-            mapping["obstacles"] = [{"name": "rod", "cylinder": {"ends": ends, "radius": 0.008}}]
-            mapping["contact"] = {"between": [{"pair": ["trunk", "rod"]}]}
-        change_scene(mapping, change)
-        return Simulation(scene_from_mapping(mapping, TRUNK_FILE))
-
-    return make
+    mapping = copy.deepcopy(TRUNK)
+    mapping["body"]["mesh"]["file"] = "../../meshes/trunk_700.vtk"
+    mapping.pop("slides", None)
+    if with_rod:
+        ends = [[-0.1, 0.03, 0.15], [0.1, 0.03, 0.15]]
+        mapping["obstacles"] = [{"name": "rod", "cylinder": {"ends": ends, "radius": 0.008}}]
+        mapping["contact"] = {"between": [{"pair": ["trunk", "rod"]}]}
+    change_scene(mapping, change)
+    return Simulation(scene_from_mapping(mapping, TRUNK_FILE))
 
 
 def follow(simulation, target, steps, time_step=0.02):

@@ -5,6 +5,7 @@ import pytest
 
 from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.simulation import Hold
+from test.builder import builder
 
 TOTAL, GRAVITY = 0.5, 9.81
 MODELS = ("lumped", "consistent", "uniform")
@@ -29,18 +30,14 @@ def graded(block):
     return TetMesh(x, mesh.cells), heights
 
 
-@pytest.fixture
-def column(simulate, body_of, graded):
+@builder
+def column(simulate, body_of, graded, /, integration="quasi_static", held=True, **entries):
     """Makes the column, of a mass in all, held at its upper end or free."""
-
-    def make(integration="quasi_static", held=True, **entries):
-        body = body_of(graded[0], **entries)
-        body["material"] = entries.get("material", material(total_mass=TOTAL))
-        if held:
-            body["fixed"] = [{"box": {"minimum": [-1, -1, 0.2 - 1e-9], "maximum": [1, 1, 1]}}]
-        return simulate(body=body, integration=integration, gravity=[0, 0, -GRAVITY])
-
-    return make
+    body = body_of(graded[0], **entries)
+    body["material"] = entries.get("material", material(total_mass=TOTAL))
+    if held:
+        body["fixed"] = [{"box": {"minimum": [-1, -1, 0.2 - 1e-9], "maximum": [1, 1, 1]}}]
+    return simulate(body=body, integration=integration, gravity=[0, 0, -GRAVITY])
 
 
 @pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])

@@ -17,6 +17,7 @@ from softrobot_twin.simulation.mesh_error import (
     MeshErrorUnknown,
     load_errors,
 )
+from test.builder import builder
 from test.scene_changes import repeat_step
 
 FACTOR = 1.5
@@ -68,45 +69,37 @@ def compared(family: dict, finest) -> list[Row]:
     return rows
 
 
-@pytest.fixture
-def bar(write_block):
+@builder
+def bar(write_block, /, cells, poisson_ratio=0.45, element="linear"):
     """Makes the scene of a cantilever with one cable along its upper side."""
-
-    def make(cells, poisson_ratio=0.45, element="linear"):
-        file = write_block((LENGTH, WIDTH, WIDTH), cells, name="bar_" + "x".join(map(str, cells)))
-        mapping = {
-            "name": "bar", "gravity": [0.0, 0.0, -9.81],
-            "body": {
-                "mesh": {"file": file, "translation": [LENGTH / 2, WIDTH / 2, WIDTH / 2]},
-                "element": element,
-                "material": {"young_modulus": YOUNG, "poisson_ratio": poisson_ratio,
-                             "density": DENSITY},
-                "fixed": [{"box": {"minimum": [-1e-6, -1, -1], "maximum": [1e-6, 1, 1]}}],
-            },
-            "cables": [{
-                "name": "upper", "pull_point": [-0.02, WIDTH / 2, WIDTH],
-                "points": [[0.95 * LENGTH, WIDTH / 2, WIDTH]], "hold_radius": WIDTH / 4,
-                "shortening": [0.0, 0.02], "tension": [0.0, 10.0],
-            }],
-            "effectors": [{"name": "tip", "points": [[LENGTH, WIDTH / 2, WIDTH / 2]]}],
-            "solver": {"newton_iterations": 30, "residual_tolerance": 1e-8},
-        }  # fmt: skip
-        return scene_from_mapping(mapping)
-
-    return make
+    file = write_block((LENGTH, WIDTH, WIDTH), cells, name="bar_" + "x".join(map(str, cells)))
+    mapping = {
+        "name": "bar", "gravity": [0.0, 0.0, -9.81],
+        "body": {
+            "mesh": {"file": file, "translation": [LENGTH / 2, WIDTH / 2, WIDTH / 2]},
+            "element": element,
+            "material": {"young_modulus": YOUNG, "poisson_ratio": poisson_ratio,
+                         "density": DENSITY},
+            "fixed": [{"box": {"minimum": [-1e-6, -1, -1], "maximum": [1e-6, 1, 1]}}],
+        },
+        "cables": [{
+            "name": "upper", "pull_point": [-0.02, WIDTH / 2, WIDTH],
+            "points": [[0.95 * LENGTH, WIDTH / 2, WIDTH]], "hold_radius": WIDTH / 4,
+            "shortening": [0.0, 0.02], "tension": [0.0, 10.0],
+        }],
+        "effectors": [{"name": "tip", "points": [[LENGTH, WIDTH / 2, WIDTH / 2]]}],
+        "solver": {"newton_iterations": 30, "residual_tolerance": 1e-8},
+    }  # fmt: skip
+    return scene_from_mapping(mapping)
 
 
-@pytest.fixture
-def diamond_on(diamond):
+@builder
+def diamond_on(diamond, /, number):
     """Makes the scene of the Diamond on one of its meshes, with one cable."""
-
-    def make(number):
-        mapping = copy.deepcopy(diamond().scene.model_dump(mode="json"))
-        mapping["body"]["mesh"]["file"] = f"../../meshes/diamond_{number}.vtk"
-        mapping["cables"] = mapping["cables"][:1]
-        return scene_from_mapping(mapping, diamond().scene.path)
-
-    return make
+    mapping = copy.deepcopy(diamond().scene.model_dump(mode="json"))
+    mapping["body"]["mesh"]["file"] = f"../../meshes/diamond_{number}.vtk"
+    mapping["cables"] = mapping["cables"][:1]
+    return scene_from_mapping(mapping, diamond().scene.path)
 
 
 @pytest.mark.slow
@@ -132,6 +125,7 @@ def test_on_bars_the_estimate_is_within_a_factor_of_the_truth(bar, poisson_ratio
 @pytest.mark.slow
 def test_the_live_estimate_of_a_hanging_bar_is_right_for_both_elements(bar):
     """The truth is what quadratic elements give on a mesh of a third the size."""
+
     def sag(scene):
         simulation = Simulation(scene)
         rest = simulation.effector_positions()[0, 2]
@@ -196,6 +190,7 @@ def test_it_predicts_error_and_time_of_quadratic_elements(bar):
 
 def test_a_load_that_does_not_move_the_effectors_has_no_estimate(bar):
     """A cable from the side bends the bar in the plane that its weight does not."""
+
     def sideways(directions):
         scene = bar((6, 2, 2))
         side = scene.cables[0].model_copy(update={
@@ -253,6 +248,7 @@ def test_a_passive_step_builds_nothing_for_the_estimate(bar, monkeypatch):
 
 def test_a_state_with_every_cable_twice_has_the_error_of_one_with_each_once(diamond):
     """W of the cables is singular then."""
+
     def twice(mapping):
         mapping["cables"] += [cable | {"name": f"{cable['name']}_2"} for cable in mapping["cables"]]
 
@@ -270,8 +266,7 @@ def test_a_body_defined_by_mass_has_the_error_of_one_defined_by_density(bar):
     body = by_density.body
     mass = Simulation(by_density).model.bodies[0].mass
     material = body.material.model_copy(update={"density": None, "total_mass": mass})
-    by_mass = by_density.model_copy(update={
-        "body": body.model_copy(update={"material": material})})  # fmt: skip
+    by_mass = by_density.model_copy(update={"body": body.model_copy(update={"material": material})})
     loads = [MeshErrorEstimator(scene).at_rest().own.loads for scene in (by_density, by_mass)]
     assert loads[0] and [load.load for load in loads[0]] == [load.load for load in loads[1]]
     for expected, found in zip(*loads, strict=True):
@@ -295,21 +290,17 @@ def test_elements_are_quadratic_by_default(bar):
     assert scene_from_mapping(mapping).body.element == "quadratic"
 
 
-@pytest.fixture
-def inflated_column(simulate, hollow):
+@builder
+def inflated_column(simulate, hollow, /, fineness: int, control: str = "volume"):
     """Makes the scene of a hollow column, of cells whose edges are this share of a fourth."""
-
-    def make(fineness: int, control: str = "volume"):
-        cells = tuple(fineness * count for count in (4, 4, 6))
-        hole = tuple((fineness * low, fineness * high) for low, high in ((1, 3), (2, 3), (1, 5)))
-        body, surface = hollow(cells=cells, hole=hole, name=f"column_{fineness}")
-        cavity = {"name": "air", "walls": [{"file": surface}], "control": control}
-        return simulate(
-            body=body, cavities=[cavity],
-            effectors=[{"name": "tip", "points": [[0.01, 0.01, 0.06]]}],
-        )  # fmt: skip
-
-    return make
+    cells = tuple(fineness * count for count in (4, 4, 6))
+    hole = tuple((fineness * low, fineness * high) for low, high in ((1, 3), (2, 3), (1, 5)))
+    body, surface = hollow(cells=cells, hole=hole, name=f"column_{fineness}")
+    cavity = {"name": "air", "walls": [{"file": surface}], "control": control}
+    return simulate(
+        body=body, cavities=[cavity],
+        effectors=[{"name": "tip", "points": [[0.01, 0.01, 0.06]]}],
+    )  # fmt: skip
 
 
 def test_the_error_at_given_pressures_and_volumes_is_near_that_against_a_finer_mesh(

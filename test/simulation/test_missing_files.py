@@ -5,21 +5,18 @@ import pytest
 
 from softrobot_twin.geometry.shapes import Box
 from softrobot_twin.simulation import Hold, Status
+from test.builder import builder
 
 TOUCHING = {"friction": 0.5, "between": [{"pair": ["cube", "floor"]}]}
 
 
-@pytest.fixture
-def flipped(tmp_path):
+@builder
+def flipped(tmp_path, /, name, centre, size):
     """Writes a box inside out; gives the file."""
-
-    def write(name, centre, size):
-        points, triangles = Box(centre, size).surface(0.03)
-        path = tmp_path / name
-        meshio.write(path, meshio.Mesh(points, [("triangle", triangles[:, ::-1])]), binary=True)
-        return str(path)
-
-    return write
+    points, triangles = Box(centre, size).surface(0.03)
+    path = tmp_path / name
+    meshio.write(path, meshio.Mesh(points, [("triangle", triangles[:, ::-1])]), binary=True)
+    return str(path)
 
 
 def test_flipped_surfaces_of_obstacles_and_rigid_bodies_are_reversed_and_reported_once(

@@ -142,9 +142,7 @@ def test_viscosity_changes_angular_momentum_by_a_time_step_error_only(simulate, 
     """
     lost, lost_later = [], []
     for count in (20, 40, 80):
-        body = body_of(
-            block(size=(0.04, 0.05, 0.08), cells=(1, 1, 2)), damping={"stiffness": 0.01}
-        )
+        body = body_of(block(size=(0.04, 0.05, 0.08), cells=(1, 1, 2)), damping={"stiffness": 0.01})
         scene = simulate(body=body, integration="dynamic", gravity=[0, 0, 0],
                          solver={"newton_iterations": 40, "residual_tolerance": 1e-12})  # fmt: skip
         thrown(scene, stretch=1.02)

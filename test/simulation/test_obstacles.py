@@ -6,6 +6,7 @@ import pytest
 
 from softrobot_twin.errors import MeshError
 from softrobot_twin.simulation import Hold, Status
+from test.builder import builder
 
 STEP, G = 0.004, 9.81
 ENDS = [[-0.04, 0.0, 0.0], [0.04, 0.0, 0.0]]
@@ -22,19 +23,15 @@ KINDS = {
 }  # fmt: skip
 
 
-@pytest.fixture
-def surface(tmp_path, block):
+@builder
+def surface(tmp_path, block, /, kind, left_out=0) -> str:
     """Writes the surface of a box whose top is at z = 0, whole or with triangles left out."""
-
-    def write(kind, left_out=0) -> str:
-        mesh = block((0.1, 0.06, 0.02), (3, 3, 2))
-        triangles = mesh.surface_triangles[left_out:]
-        file = tmp_path / f"obstacle.{kind}"
-        points = 1000.0 * (mesh.node_positions - [0.05, 0.03, 0.02])
-        meshio.write(file, meshio.Mesh(points, [("triangle", triangles)]))
-        return str(file)
-
-    return write
+    mesh = block((0.1, 0.06, 0.02), (3, 3, 2))
+    triangles = mesh.surface_triangles[left_out:]
+    file = tmp_path / f"obstacle.{kind}"
+    points = 1000.0 * (mesh.node_positions - [0.05, 0.03, 0.02])
+    meshio.write(file, meshio.Mesh(points, [("triangle", triangles)]))
+    return str(file)
 
 
 def resting_on(scene_of, write_block, obstacle, friction=0.5):

@@ -8,6 +8,7 @@ from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.mechanics.kinematics import CarriedTerm
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold
 from softrobot_twin.simulation.step.contact_solvers import ContactSolvers
+from test.builder import builder
 
 PLAIN = {"corotational elements", "gravity"}
 FLOOR = {"name": "floor", "plane": {}, "position": [0, 0, -0.011]}
@@ -29,20 +30,16 @@ EFFECTS = {
 }  # fmt: skip
 
 
-@pytest.fixture
-def bar(simulate, write_block):
+@builder
+def bar(simulate, write_block, /, effect):
     """Makes a held bar with one effect besides."""
-
-    def make(effect):
-        damping = {"damping": {"mass": 5.0}} if effect == "first_order" else {}
-        return simulate(body={
-            "name": "bar", "mesh": {"file": write_block((0.04, 0.02, 0.02), (2, 1, 1))},
-            "element": "linear",
-            "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0},
-            "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [-0.019, 1, 1]}}], **damping,
-        }, **EFFECTS[effect][1])  # fmt: skip
-
-    return make
+    damping = {"damping": {"mass": 5.0}} if effect == "first_order" else {}
+    return simulate(body={
+        "name": "bar", "mesh": {"file": write_block((0.04, 0.02, 0.02), (2, 1, 1))},
+        "element": "linear",
+        "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0},
+        "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [-0.019, 1, 1]}}], **damping,
+    }, **EFFECTS[effect][1])  # fmt: skip
 
 
 @pytest.mark.parametrize("effect", EFFECTS)
@@ -106,6 +103,7 @@ def test_the_trunk_among_cylinders_stores_contacts_and_frames(coarse_trunk):
     assert model.contacts is not None and "detect" in model.stages
     assert model.rows.row_capacity > model.actuators.row_count + model.effectors.row_count
 
+
 CABLE = {
     "name": "cable", "pull_point": [-0.04, 0.0, 0.0],
     "points": [[-0.019, 0.0, 0.0], [0.019, 0.0, 0.0]], "tension": [0.0, 5.0],
@@ -114,19 +112,15 @@ TIP = {"name": "tip", "points": [[0.019, 0.0, 0.0]], "directions": ["x", "y", "z
 PULLED = {"cables": [CABLE], "effectors": [TIP]}
 
 
-@pytest.fixture
-def built(simulate, write_block):
+@builder
+def built(simulate, write_block, /, more):
     """Makes the held bar with further effects."""
-
-    def make(more):
-        return simulate(body={
-            "name": "bar", "mesh": {"file": write_block((0.04, 0.02, 0.02), (2, 1, 1))},
-            "element": "linear",
-            "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0},
-            "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [-0.019, 1, 1]}}],
-        }, **more)  # fmt: skip
-
-    return make
+    return simulate(body={
+        "name": "bar", "mesh": {"file": write_block((0.04, 0.02, 0.02), (2, 1, 1))},
+        "element": "linear",
+        "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0},
+        "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [-0.019, 1, 1]}}],
+    }, **more)  # fmt: skip
 
 
 def above(height):
@@ -176,8 +170,6 @@ def test_a_distant_contact_does_not_change_the_answer(built):
         results.append([simulation.step(commands) for _ in range(3)][-1])
     alone, with_floor = results
     # The contact solver's tolerance is 1e-8 m by default.
-    np.testing.assert_allclose(
-        with_floor.state.positions, alone.state.positions, rtol=0, atol=1e-8
-    )
+    np.testing.assert_allclose(with_floor.state.positions, alone.state.positions, rtol=0, atol=1e-8)
     np.testing.assert_allclose(with_floor.efforts, alone.efforts, rtol=1e-4)
     assert with_floor.report.contact_count == 0

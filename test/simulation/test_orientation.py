@@ -11,6 +11,7 @@ from softrobot_twin.scene import load_scene
 from softrobot_twin.scene.schema import EffectorOrientation
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
 from softrobot_twin.simulation.result import RATE
+from test.builder import builder
 from test.scene_changes import change_scene, repeat_step
 
 FETCH = Path(__file__).resolve().parents[2] / "config/scenes/fetch_reduced.yaml"
@@ -22,29 +23,26 @@ TOP = {"minimum": [-1, -1, 0.0999], "maximum": [1, 1, 1]}
 STEP = 0.1
 
 
-@pytest.fixture
-def posed(beam):
+@builder
+def posed(beam, /, directions=None, on_plate=False, change=None, **orientation):
     """Makes the beam whose tip has an orientation: of a patch of it, or of a plate on top of it."""
 
-    def make(directions=None, on_plate=False, change=None, **orientation):
-        def asks(mapping):
-            effector = mapping["effectors"][0]
-            if directions is not None:
-                effector["directions"] = directions
-            if on_plate:
-                mapping["rigid_bodies"] = [PLATE]
-                mapping["body"]["attached"] = [{"to": "plate", "box": TOP}]
-                effector["body"] = "plate"
-                for cable in mapping["cables"]:
-                    cable["body"] = "beam"
-            else:
-                orientation.setdefault("points", CORNERS)
-            effector["orientation"] = orientation
-            change_scene(mapping, change)
+    def asks(mapping):
+        effector = mapping["effectors"][0]
+        if directions is not None:
+            effector["directions"] = directions
+        if on_plate:
+            mapping["rigid_bodies"] = [PLATE]
+            mapping["body"]["attached"] = [{"to": "plate", "box": TOP}]
+            effector["body"] = "plate"
+            for cable in mapping["cables"]:
+                cable["body"] = "beam"
+        else:
+            orientation.setdefault("points", CORNERS)
+        effector["orientation"] = orientation
+        change_scene(mapping, change)
 
-        return beam(asks)
-
-    return make
+    return beam(asks)
 
 
 def quaternion(*degrees):

@@ -6,6 +6,7 @@ import pytest
 
 from softrobot_twin.mechanics.inertia import lumped_masses
 from softrobot_twin.simulation import Hold, Simulation, Status
+from test.builder import builder
 from test.scene_changes import repeat_step
 
 STEP, PUSH_OUT = 0.002, 0.05
@@ -14,27 +15,22 @@ MATERIAL = {"young_modulus": 1.0e5, "poisson_ratio": 0.3, "density": 1000.0}
 TOP_HELD = [{"box": {"minimum": [-1, -1, 0.0199], "maximum": [1, 1, 1]}}]
 
 
-@pytest.fixture
-def obstacle(tmp_path, block):
+@builder
+def obstacle(tmp_path, block, /, kind) -> dict:
     """Obstacles that reach 5 mm into a block on the plane z = 0."""
-
-    def make(kind) -> dict:
-        if kind == "surface":
-            mesh = block((0.06, 0.06, 0.03), (3, 3, 2))
-            points = mesh.node_positions - [0.03, 0.03, 0.03]
-            surface = meshio.Mesh(points, [("triangle", mesh.surface_triangles)])
-            meshio.write(tmp_path / "solid.stl", surface)
-            return {"position": [0.001, 0.002, DEEP],
-                    "surface": {"file": str(tmp_path / "solid.stl")}}  # fmt: skip
-        return {
-            "plane": {"plane": {}, "position": [0, 0, DEEP]},
-            "sphere": {"sphere": {"radius": 0.05}, "position": [0, 0, DEEP - 0.05]},
-            "cylinder": {"cylinder": {"ends": [[-0.03, 0, 0], [0.03, 0, 0]], "radius": 0.01},
-                         "position": [0, 0.001, DEEP - 0.01]},
-            "box": {"box": {"size": [0.06, 0.06, 0.03]}, "position": [0.001, 0.002, DEEP - 0.015]},
-        }[kind]  # fmt: skip
-
-    return make
+    if kind == "surface":
+        mesh = block((0.06, 0.06, 0.03), (3, 3, 2))
+        points = mesh.node_positions - [0.03, 0.03, 0.03]
+        surface = meshio.Mesh(points, [("triangle", mesh.surface_triangles)])
+        meshio.write(tmp_path / "solid.stl", surface)
+        return {"position": [0.001, 0.002, DEEP], "surface": {"file": str(tmp_path / "solid.stl")}}
+    return {
+        "plane": {"plane": {}, "position": [0, 0, DEEP]},
+        "sphere": {"sphere": {"radius": 0.05}, "position": [0, 0, DEEP - 0.05]},
+        "cylinder": {"cylinder": {"ends": [[-0.03, 0, 0], [0.03, 0, 0]], "radius": 0.01},
+                     "position": [0, 0.001, DEEP - 0.01]},
+        "box": {"box": {"size": [0.06, 0.06, 0.03]}, "position": [0.001, 0.002, DEEP - 0.015]},
+    }[kind]  # fmt: skip
 
 
 def overlapping(scene_of, write_block, integration="dynamic", friction=0.0, **obstacle):

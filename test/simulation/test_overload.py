@@ -11,6 +11,7 @@ import pytest
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
 from softrobot_twin.simulation.step.step_report import NEAR_BALANCE
+from test.builder import builder
 from test.scene_changes import repeat_step
 
 BUDGET = 1.0e-6
@@ -28,19 +29,13 @@ class SlowClock:
         return self.time
 
 
-@pytest.fixture
-def overloaded():
+@builder
+def overloaded(model) -> Simulation:
     """Builds the scene of a simulation again, where not even one linearization is on time."""
-
-    def make(model) -> Simulation:
-        mapping = copy.deepcopy(model.scene.model_dump(mode="json"))
-        simulation = Simulation(
-            scene_from_mapping(mapping, model.scene.path), now=SlowClock()
-        )
-        simulation.step(Hold(PERIOD), budget=BUDGET)
-        return simulation
-
-    return make
+    mapping = copy.deepcopy(model.scene.model_dump(mode="json"))
+    simulation = Simulation(scene_from_mapping(mapping, model.scene.path), now=SlowClock())
+    simulation.step(Hold(PERIOD), budget=BUDGET)
+    return simulation
 
 
 def on_the_path(time: float) -> np.ndarray:
@@ -51,9 +46,7 @@ def on_the_path(time: float) -> np.ndarray:
     return np.array([[0.02 * math.cos(angle), -0.01 * math.sin(2.0 * angle), 0.136]])
 
 
-def test_in_overload_the_tip_stays_on_a_circle_and_a_lemniscate(
-    diamond, overloaded
-):
+def test_in_overload_the_tip_stays_on_a_circle_and_a_lemniscate(diamond, overloaded):
     simulation = overloaded(diamond())
     late, worst = 0, 0.0
     for _ in range(60):
@@ -106,9 +99,7 @@ def test_a_stale_factor_without_progress_leads_to_a_full_step_that_is_late(
         expected, result = whole.step(command), hurried.step(command, budget=BUDGET)
         if result.report.is_late:
             given_up += 1
-            np.testing.assert_array_equal(
-                result.state.positions, expected.state.positions
-            )
+            np.testing.assert_array_equal(result.state.positions, expected.state.positions)
         else:
             way = np.abs(expected.state.positions - state.positions).max()
             off = np.abs(result.state.positions - expected.state.positions).max()

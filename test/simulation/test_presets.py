@@ -9,6 +9,7 @@ from softrobot_twin.mechanics.strain_watch import extreme_eigenvalues
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.material_presets import MATERIAL_PRESETS, POISSON_RATIO
 from softrobot_twin.simulation import Hold
+from test.builder import builder
 
 
 def scene_of(tmp_path, whole=None, **material):
@@ -16,21 +17,17 @@ def scene_of(tmp_path, whole=None, **material):
     return scene_from_mapping({"name": "scene", "body": body}, tmp_path / "scene.yaml")
 
 
-@pytest.fixture
-def hung(simulate, write_block):
+@builder
+def hung(simulate, write_block, /, gravity, **material):
     """Makes a bar that hangs by its end, under a multiple of its weight."""
-
-    def make(gravity, **material):
-        return simulate(
-            gravity=[-gravity, 0.0, 0.0],
-            body={
-                "name": "bar", "mesh": {"file": write_block((0.06, 0.02, 0.02), (2, 1, 1))},
-                "element": "linear", "material": material,
-                "fixed": [{"box": {"minimum": [0.029, -1, -1], "maximum": [1, 1, 1]}}],
-            },
-        )  # fmt: skip
-
-    return make
+    return simulate(
+        gravity=[-gravity, 0.0, 0.0],
+        body={
+            "name": "bar", "mesh": {"file": write_block((0.06, 0.02, 0.02), (2, 1, 1))},
+            "element": "linear", "material": material,
+            "fixed": [{"box": {"minimum": [0.029, -1, -1], "maximum": [1, 1, 1]}}],
+        },
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("name", MATERIAL_PRESETS)
@@ -79,9 +76,7 @@ def test_strain_outside_of_the_range_is_told_after_the_step(hung):
 
 def test_the_strain_of_the_state_after_a_step_needs_no_second_deformation(hung, monkeypatch):
     deformed = []
-    monkeypatch.setattr(
-        elements, "deform_all", lambda *given: deformed.append(deform_all(*given))
-    )
+    monkeypatch.setattr(elements, "deform_all", lambda *given: deformed.append(deform_all(*given)))
     simulation = hung(9.81, preset="ecoflex_00_30")
     simulation.step(Hold())
     deformed.clear()

@@ -16,6 +16,7 @@ from softrobot_twin.simulation.building.reduced_body import (
     reduction_fingerprints,
     write_body_reduction,
 )
+from test.builder import builder
 from test.scene_changes import change_scene, changed
 
 STEP = 0.02
@@ -30,28 +31,22 @@ def save_whole_basis(path, body):
     parts = [all_points(block) for part in body.materials for block in body.mesh.blocks(part.cells)]
     points = SampledPoints(*map(np.concatenate, zip(*parts, strict=True)))
     modes = basis.shape[2]
-    reduction = BodyReduction(
-        basis, modes, points, points, np.ones(modes), np.full(2, np.nan), {}
-    )
+    reduction = BodyReduction(basis, modes, points, points, np.ones(modes), np.full(2, np.nan), {})
     write_body_reduction(path, reduction, reduction_fingerprints(body))
 
 
-@pytest.fixture
-def pair(inflatable, tmp_path):
+@builder
+def pair(inflatable, tmp_path, /, change=None, **entries):
     """Makes a scene with a full body, and the same in a basis that spans everything."""
+    full = inflatable(change, body=BLOCK, **entries)
+    path = tmp_path / "block.npz"
+    save_whole_basis(path, full.model.bodies[0])
 
-    def make(change=None, **entries):
-        full = inflatable(change, body=BLOCK, **entries)
-        path = tmp_path / "block.npz"
-        save_whole_basis(path, full.model.bodies[0])
+    def reduce(mapping):
+        change_scene(mapping, change)
+        mapping["body"]["reduced"] = {"file": str(path)}
 
-        def reduce(mapping):
-            change_scene(mapping, change)
-            mapping["body"]["reduced"] = {"file": str(path)}
-
-        return full, inflatable(reduce, body=BLOCK, **entries)
-
-    return make
+    return full, inflatable(reduce, body=BLOCK, **entries)
 
 
 turned = changed({"body.mesh.rotation": [0.0, 0.0, 0.7], "body.mesh.translation": [0.2, -0.1, 0.0]})
@@ -102,29 +97,25 @@ def test_a_cavity_whose_walls_are_all_fixed_is_refused(inflatable, tmp_path):
         inflatable({"body.reduced": {"file": str(tmp_path / "held.npz")}}, body=held)
 
 
-@pytest.fixture
-def two_blocks(simulate, hollow, tmp_path):
+@builder
+def two_blocks(simulate, hollow, tmp_path, /, reduced, walls_on=("left", "right")):
     """Makes a scene of two hollow blocks, those of given names reduced; and its cavity's walls."""
-
-    def make(reduced, walls_on=("left", "right")):
-        bodies, walls = [], []
-        for name in ("left", "right"):
-            body, surface = hollow(**BLOCK, name=name)
-            body["mesh"]["translation"] = [0.1 * len(bodies), 0.0, 0.0]
-            bodies.append(body)
-            walls.append({"body": name, "file": surface})
-        cavity = {"name": "air", "walls": [wall for wall in walls if wall["body"] in walls_on]}
-        scene = {"gravity": [0.0, 0.0, 0.0], "bodies": bodies, "cavities": [cavity]}
-        if not reduced:
-            return simulate(**scene)
-        built = simulate(**scene).model.bodies
-        for name, entry, body in zip(("left", "right"), bodies, built, strict=True):
-            if name in reduced:
-                entry["reduced"] = {"file": str(tmp_path / f"{name}.npz")}
-                save_whole_basis(tmp_path / f"{name}.npz", body)
+    bodies, walls = [], []
+    for name in ("left", "right"):
+        body, surface = hollow(**BLOCK, name=name)
+        body["mesh"]["translation"] = [0.1 * len(bodies), 0.0, 0.0]
+        bodies.append(body)
+        walls.append({"body": name, "file": surface})
+    cavity = {"name": "air", "walls": [wall for wall in walls if wall["body"] in walls_on]}
+    scene = {"gravity": [0.0, 0.0, 0.0], "bodies": bodies, "cavities": [cavity]}
+    if not reduced:
         return simulate(**scene)
-
-    return make
+    built = simulate(**scene).model.bodies
+    for name, entry, body in zip(("left", "right"), bodies, built, strict=True):
+        if name in reduced:
+            entry["reduced"] = {"file": str(tmp_path / f"{name}.npz")}
+            save_whole_basis(tmp_path / f"{name}.npz", body)
+    return simulate(**scene)
 
 
 def test_one_cavity_inflates_two_reduced_bodies(two_blocks):
@@ -165,9 +156,7 @@ def with_a_wall_elsewhere(mapping):
 
 
 def with_a_cavity_elsewhere(mapping):
-    mapping["cavities"].insert(
-        0, {"name": "oil", "walls": [{"body": "other", "file": "oil.stl"}]}
-    )
+    mapping["cavities"].insert(0, {"name": "oil", "walls": [{"body": "other", "file": "oil.stl"}]})
 
 
 with_a_wall_of_both = changed({"cavities.0.walls.0.also_on": ["other"]})

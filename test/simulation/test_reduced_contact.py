@@ -17,6 +17,7 @@ from softrobot_twin.simulation.effects.reduction_error import FullModelError
 
 from .building.test_reduced_body import every_point, spanning_basis
 from .test_slides import CART, FOOT, SLIDE
+from test.builder import builder
 from test.scene_changes import LEFT_OUT, changed, repeat_step
 
 
@@ -31,16 +32,12 @@ def saved_beside(simulation, basis, path) -> Simulation:
     return Simulation(reduced_scene(simulation.scene, "beam", path), with_warnings=False)
 
 
-@pytest.fixture
-def spanned(beam, tmp_path):
+@builder
+def spanned(beam, tmp_path, /, change):
     """Makes a beam, and the same reduced to a basis that spans everything."""
-
-    def make(change):
-        full = beam({"solver": {"newton_iterations": 30, "residual_tolerance": 1e-9}}, change)
-        basis = spanning_basis(full.model.bodies[0])
-        return full, saved_beside(full, basis, tmp_path / "reduced.npz")
-
-    return make
+    full = beam({"solver": {"newton_iterations": 30, "residual_tolerance": 1e-9}}, change)
+    basis = spanning_basis(full.model.bodies[0])
+    return full, saved_beside(full, basis, tmp_path / "reduced.npz")
 
 
 def modes_of(states: np.ndarray, count: int) -> np.ndarray:
@@ -180,9 +177,7 @@ def assert_same(full, reduced, command, steps, atol=1e-8):
         first, second = [simulation.step(command) for simulation in (full, reduced)]
     assert first.status == second.status
     assert first.report.contact_count == second.report.contact_count
-    np.testing.assert_allclose(
-        reduced.surface_positions(), full.surface_positions(), atol=atol
-    )
+    np.testing.assert_allclose(reduced.surface_positions(), full.surface_positions(), atol=atol)
     np.testing.assert_allclose(pressing(second).sum(), pressing(first).sum(), rtol=1e-3, atol=1e-6)
     return first, second
 
@@ -263,20 +258,16 @@ def test_a_guided_ball_pushes_a_spanning_basis_as_the_full_model(
     assert_same(full, reduced, Hold(1.0), 4, atol=1e-7)
 
 
-@pytest.fixture
-def write_surface(tmp_path, block):
+@builder
+def write_surface(tmp_path, block, /) -> str:
     """Writes a finer surface of the same beam; gives its file."""
-
-    def write() -> str:
-        mesh = block(size=(0.02, 0.02, 0.1), cells=(2, 2, 10), shake=0.0)
-        triangles = boundary_triangles(mesh.cells)
-        used, index = np.unique(triangles, return_inverse=True)
-        file = tmp_path / "skin.vtk"
-        cells = [("triangle", index.reshape(-1, 3))]
-        meshio.write(file, meshio.Mesh(mesh.node_positions[used], cells))
-        return str(file)
-
-    return write
+    mesh = block(size=(0.02, 0.02, 0.1), cells=(2, 2, 10), shake=0.0)
+    triangles = boundary_triangles(mesh.cells)
+    used, index = np.unique(triangles, return_inverse=True)
+    file = tmp_path / "skin.vtk"
+    cells = [("triangle", index.reshape(-1, 3))]
+    meshio.write(file, meshio.Mesh(mesh.node_positions[used], cells))
+    return str(file)
 
 
 # --- few modes ------------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ import pytest
 from softrobot_twin.mechanics.laws import law_named
 from softrobot_twin.mechanics.remembering_elements import RememberingElements
 from softrobot_twin.simulation import Hold
+from test.builder import builder
 
 SHARE, TIME = 0.3, 0.5
 VISCOSITY = [{"share": SHARE, "time": TIME}]
@@ -15,21 +16,18 @@ SOFTENING = {"r": 1.5, "m": 30.0, "beta": 0.1}
 RUBBER = {"law": "neo_hookean", "young_modulus": 2e5, "poisson_ratio": 0.49, "density": 1000.0}
 
 
-@pytest.fixture
-def bar(simulate, write_block):
+@builder
+def bar(simulate, write_block, /, material=None, integration="quasi_static", element="linear",
+        gravity=-9.81, **entries):  # fmt: skip
     """Makes a bar that is held at one end."""
-
-    def make(material=None, integration="quasi_static", element="linear", gravity=-9.81, **entries):
-        return simulate(
-            integration=integration, gravity=[0.0, 0.0, gravity],
-            body={
-                "name": "bar", "mesh": {"file": write_block((0.06, 0.01, 0.01), (3, 1, 1))},
-                "element": element, "material": RUBBER | (material or {}),
-                "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [-0.029, 1, 1]}}],
-            }, **entries,
-        )  # fmt: skip
-
-    return make
+    return simulate(
+        integration=integration, gravity=[0.0, 0.0, gravity],
+        body={
+            "name": "bar", "mesh": {"file": write_block((0.06, 0.01, 0.01), (3, 1, 1))},
+            "element": element, "material": RUBBER | (material or {}),
+            "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [-0.029, 1, 1]}}],
+        }, **entries,
+    )  # fmt: skip
 
 
 def sag(simulation):

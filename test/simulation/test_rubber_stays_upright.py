@@ -6,6 +6,7 @@ import pytest
 from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.rotation import quaternion_from_rotation, rotation_from_vector
 from softrobot_twin.simulation import CommandEfforts, Hold, Status
+from test.builder import builder
 
 SIDE = 0.04
 TOP = np.array([SIDE / 2, SIDE / 2, SIDE + 0.005])
@@ -23,32 +24,29 @@ COMMANDS = {
 }
 
 
-@pytest.fixture
-def cube(simulate, body_of, block):
+@builder
+def cube(simulate, body_of, block, /, law, element, integration="quasi_static", shake=0.0,
+         **entries):  # fmt: skip
     """Makes a cube of rubber on the ground; a palm, that moves at any speed, holds its top."""
-
-    def make(law, element, integration="quasi_static", shake=0.0, **entries):
-        body = body_of(
-            block((SIDE, SIDE, SIDE), (2, 2, 2), shake), element=element,
-            fixed=[{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, 1e-6]}}],
-        )  # fmt: skip
-        body["material"] = {"density": 1000.0, "law": law, "poisson_ratio": 0.49, **LAWS[law]}
-        if integration == "dynamic":
-            body["damping"] = {"mass": 5.0, "stiffness": 0.01}
-        if "cables" not in entries:
-            body["attached"] = [
-                {"to": "palm", "box": {"minimum": [-1, -1, SIDE - 1e-6], "maximum": [1, 1, 1]}}
-            ]
-            entries["rigid_bodies"] = [
-                {"name": "palm", "box": {"size": [SIDE, SIDE, 0.01]}, "motion": "guided",
-                 "speed": 1e3, "turn_rate": 1e3, "position": TOP.tolist()}
-            ]  # fmt: skip
-        return simulate(
-            body=body, integration=integration, gravity=[0.0, 0.0, 0.0],
-            solver={"newton_iterations": 30, "residual_tolerance": 1e-6}, **entries,
-        )  # fmt: skip
-
-    return make
+    body = body_of(
+        block((SIDE, SIDE, SIDE), (2, 2, 2), shake), element=element,
+        fixed=[{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, 1e-6]}}],
+    )  # fmt: skip
+    body["material"] = {"density": 1000.0, "law": law, "poisson_ratio": 0.49, **LAWS[law]}
+    if integration == "dynamic":
+        body["damping"] = {"mass": 5.0, "stiffness": 0.01}
+    if "cables" not in entries:
+        body["attached"] = [
+            {"to": "palm", "box": {"minimum": [-1, -1, SIDE - 1e-6], "maximum": [1, 1, 1]}}
+        ]
+        entries["rigid_bodies"] = [
+            {"name": "palm", "box": {"size": [SIDE, SIDE, 0.01]}, "motion": "guided",
+             "speed": 1e3, "turn_rate": 1e3, "position": TOP.tolist()}
+        ]  # fmt: skip
+    return simulate(
+        body=body, integration=integration, gravity=[0.0, 0.0, 0.0],
+        solver={"newton_iterations": 30, "residual_tolerance": 1e-6}, **entries,
+    )  # fmt: skip
 
 
 def checked(simulation, command, steps):

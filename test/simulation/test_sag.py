@@ -10,23 +10,21 @@ from softrobot_twin.simulation.scene_warnings import (
     expected_sag,
     linear_sag,
 )
+from test.builder import builder
 from test.scene_changes import repeat_step
 
 LENGTH, SIDE, DENSITY = 0.2, 0.02, 1000.0
 
 
-@pytest.fixture
-def cantilever(simulate, body_of, block):
+@builder
+def cantilever(simulate, body_of, block, /, young_modulus, element="quadratic", held=True,
+               cells=(8, 1, 1), **entries):  # fmt: skip
     """Makes a beam along x that sticks out of a wall; more entries may be given."""
-
-    def make(young_modulus, element="quadratic", held=True, cells=(8, 1, 1), **entries):
-        mesh = block(size=(LENGTH, SIDE, SIDE), cells=cells, shake=0.0)
-        wall = [{"box": {"minimum": [-1, -1, -1], "maximum": [1e-9, 1, 1]}}]
-        body = body_of(mesh, "beam", young_modulus, 0.3, element=element,
-                       **({"fixed": wall} if held else {}))  # fmt: skip
-        return simulate(body=body, **entries)
-
-    return make
+    mesh = block(size=(LENGTH, SIDE, SIDE), cells=cells, shake=0.0)
+    wall = [{"box": {"minimum": [-1, -1, -1], "maximum": [1e-9, 1, 1]}}]
+    body = body_of(mesh, "beam", young_modulus, 0.3, element=element,
+                   **({"fixed": wall} if held else {}))  # fmt: skip
+    return simulate(body=body, **entries)
 
 
 def settled_sag(simulation):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation import Hold, Simulation
+from test.builder import builder
 from test.scene_changes import repeat_step
 
 STEP, OPENING, RADIUS, ANGLE = 0.01, 0.0, 0.03, 5.9
@@ -16,23 +17,19 @@ def clasp_shape(x):
     return np.column_stack([radius * np.cos(turn), x[:, 1], radius * np.sin(turn)])
 
 
-@pytest.fixture
-def clasp(scene_of, write_block):
+@builder
+def clasp(scene_of, write_block, /, **contact) -> Simulation:
     """Held at its lower half; its upper half is heavy and soft."""
-
-    def make(**contact) -> Simulation:
-        file = write_block((0.16, 0.01, 0.008), (24, 2, 2), clasp_shape)
-        return scene_of(
-            gravity=[0, 0, -9.81],
-            body={"name": "clasp", "mesh": {"file": file},
-                  "element": "linear",
-                  "material": {"young_modulus": 3e4, "poisson_ratio": 0.3, "density": 1000.0},
-                  "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, -0.004]}}]},
-            solver={"newton_iterations": 3},
-            **({"contact": contact} if contact else {}),
-        )  # fmt: skip
-
-    return make
+    file = write_block((0.16, 0.01, 0.008), (24, 2, 2), clasp_shape)
+    return scene_of(
+        gravity=[0, 0, -9.81],
+        body={"name": "clasp", "mesh": {"file": file},
+              "element": "linear",
+              "material": {"young_modulus": 3e4, "poisson_ratio": 0.3, "density": 1000.0},
+              "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, -0.004]}}]},
+        solver={"newton_iterations": 3},
+        **({"contact": contact} if contact else {}),
+    )  # fmt: skip
 
 
 def settle(simulation):

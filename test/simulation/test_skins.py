@@ -13,6 +13,7 @@ from softrobot_twin.geometry.surface import boundary_triangles
 from softrobot_twin.geometry.surface_reading import read_surface
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import Simulation, State
+from test.builder import builder
 
 SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
 
@@ -39,18 +40,15 @@ def fine_surface(tmp_path):
     return make
 
 
-@pytest.fixture
-def dressed(diamond):
+@builder
+def dressed(diamond, /, path, scale=1.0, element="linear"):
     """Makes a Diamond that carries a surface file; also of quadratic elements."""
 
-    def make(path, scale=1.0, element="linear"):
-        def change(mapping):
-            mapping["body"]["visual"] = {"file": str(path), "scale": scale}
-            mapping["body"]["element"] = element
+    def change(mapping):
+        mapping["body"]["visual"] = {"file": str(path), "scale": scale}
+        mapping["body"]["element"] = element
 
-        return diamond(change)
-
-    return make
+    return diamond(change)
 
 
 def moved(simulation, rotation, shift):

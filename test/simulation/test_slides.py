@@ -9,6 +9,7 @@ import pytest
 
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, FollowTargets, Hold, Status
 from softrobot_twin.simulation.step.time_budget import StageClock
+from test.builder import builder
 from test.scene_changes import LEFT_OUT, change_scene, changed, repeat_step
 
 AXIS = np.array([0.6, 0.0, 0.8])
@@ -20,23 +21,20 @@ FOOT = {"minimum": [-1, -1, -1e-6], "maximum": [1, 1, 1e-6]}
 FAR = np.array([[0.3, 0.01, 0.5]])
 
 
-@pytest.fixture
-def sliding(beam):
+@builder
+def sliding(beam, /, change=None):
     """Makes the beam on a cart that slides; a function may change its scene further."""
 
-    def make(change=None):
-        def add(mapping):
-            del mapping["body"]["fixed"]
-            mapping["body"]["attached"] = [{"to": "cart", "box": FOOT}]
-            mapping["rigid_bodies"] = [copy.deepcopy(CART)]
-            mapping["slides"] = [copy.deepcopy(SLIDE)]
-            for cable in mapping["cables"]:
-                cable["pull_point_on"] = "cart"
-            change_scene(mapping, change)
+    def add(mapping):
+        del mapping["body"]["fixed"]
+        mapping["body"]["attached"] = [{"to": "cart", "box": FOOT}]
+        mapping["rigid_bodies"] = [copy.deepcopy(CART)]
+        mapping["slides"] = [copy.deepcopy(SLIDE)]
+        for cable in mapping["cables"]:
+            cable["pull_point_on"] = "cart"
+        change_scene(mapping, change)
 
-        return beam(add)
-
-    return make
+    return beam(add)
 
 
 def slid_to(simulation, position, steps=20, time_step=1.0):

@@ -8,24 +8,21 @@ import pytest
 from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.patch_volumes import PatchVolumes
 from softrobot_twin.simulation import Hold, Status
+from test.builder import builder
 
 SIZE = (0.1, 0.02, 0.02)
 
 
-@pytest.fixture
-def beam(simulate, body_of, block):
+@builder
+def beam(simulate, body_of, block, /, element="smoothed", law="corotational", poisson=0.45,
+         cells=(10, 2, 2), body=(), **entries):  # fmt: skip
     """Makes a cantilever."""
-
-    def make(element="smoothed", law="corotational", poisson=0.45, cells=(10, 2, 2), body=(),
-             **entries):  # fmt: skip
-        held = [{"box": {"minimum": [-1, -1, -1], "maximum": [1e-6, 1, 1]}}]
-        mesh = block(SIZE, cells, 0.2)
-        made = body_of(mesh, "beam", 1e5, poisson, element=element, fixed=held, **dict(body))
-        made["material"]["law"] = law
-        entries = {"gravity": [0.0, 0.0, -9.81], "solver": {"newton_iterations": 30}, **entries}
-        return simulate(body=made, **entries)
-
-    return make
+    held = [{"box": {"minimum": [-1, -1, -1], "maximum": [1e-6, 1, 1]}}]
+    mesh = block(SIZE, cells, 0.2)
+    made = body_of(mesh, "beam", 1e5, poisson, element=element, fixed=held, **dict(body))
+    made["material"]["law"] = law
+    entries = {"gravity": [0.0, 0.0, -9.81], "solver": {"newton_iterations": 30}, **entries}
+    return simulate(body=made, **entries)
 
 
 def patches_of(simulation):

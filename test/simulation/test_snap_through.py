@@ -6,6 +6,7 @@ from scipy.optimize import minimize_scalar
 
 from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.simulation import CommandEfforts, Hold, Status
+from test.builder import builder
 
 SPAN, RISE, STIFFNESS, LEGS = 0.1, 0.02, 200.0, 4
 
@@ -22,22 +23,18 @@ def limit():
     return top.x, carried(top.x)
 
 
-@pytest.fixture
-def tent(simulate):
+@builder
+def tent(simulate, /, share_of_limit, integration, damping=20.0):
     """Makes a mass on a shallow tent of four springs."""
-
-    def make(share_of_limit, integration, damping=20.0):
-        feet = [[SPAN, 0, 0], [-SPAN, 0, 0], [0, SPAN, 0], [0, -SPAN, 0]]
-        return simulate(
-            mass_springs=[{
-                "name": "tent", "points": [[0, 0, RISE], *feet],
-                "masses": [share_of_limit * limit()[1] / 9.81], "stiffness": STIFFNESS,
-                "damping": damping, "springs": [[0, k] for k in range(1, 5)], "fixed": [1, 2, 3, 4],
-            }],
-            integration=integration,
-        )  # fmt: skip
-
-    return make
+    feet = [[SPAN, 0, 0], [-SPAN, 0, 0], [0, SPAN, 0], [0, -SPAN, 0]]
+    return simulate(
+        mass_springs=[{
+            "name": "tent", "points": [[0, 0, RISE], *feet],
+            "masses": [share_of_limit * limit()[1] / 9.81], "stiffness": STIFFNESS,
+            "damping": damping, "springs": [[0, k] for k in range(1, 5)], "fixed": [1, 2, 3, 4],
+        }],
+        integration=integration,
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("integration", ["quasi_static", "dynamic"])
@@ -79,29 +76,25 @@ def test_an_undamped_spring_truss_snaps_through_below_its_limit_load(tent):
     assert passed == [False, True]
 
 
-@pytest.fixture
-def arch(simulate, body_of, block):
+@builder
+def arch(simulate, body_of, block, /, integration):
     """Makes a soft shallow arch between two clamps, with a cable that pulls its crown down."""
-
-    def make(integration):
-        flat = block(size=(0.1, 0.008, 0.003), cells=(10, 1, 1), shake=0)
-        points = flat.node_positions.copy()
-        points[:, 2] += 0.005 * (1.0 - np.cos(2 * np.pi * points[:, 0] / 0.1))
-        clamps = [
-            {"box": {"minimum": [x - 1e-6, -1, -1], "maximum": [x + 1e-6, 1, 1]}}
-            for x in (0.0, 0.1)
-        ]  # fmt: skip
-        body = body_of(
-            TetMesh(points, flat.cells), young_modulus=5e5, element="quadratic", fixed=clamps,
-            damping={"mass": 40.0},
-        )  # fmt: skip
-        cable = {
-            "name": "pull", "pull_point": [0.05, 0.004, -0.1], "points": [[0.05, 0.004, 0.0102]],
-            "hold_radius": 0.006, "shortening": [-0.1, 0.1], "tension": [0.0, 5.0],
-        }  # fmt: skip
-        return simulate(body=body, cables=[cable], integration=integration, gravity=[0, 0, 0])
-
-    return make
+    flat = block(size=(0.1, 0.008, 0.003), cells=(10, 1, 1), shake=0)
+    points = flat.node_positions.copy()
+    points[:, 2] += 0.005 * (1.0 - np.cos(2 * np.pi * points[:, 0] / 0.1))
+    clamps = [
+        {"box": {"minimum": [x - 1e-6, -1, -1], "maximum": [x + 1e-6, 1, 1]}}
+        for x in (0.0, 0.1)
+    ]  # fmt: skip
+    body = body_of(
+        TetMesh(points, flat.cells), young_modulus=5e5, element="quadratic", fixed=clamps,
+        damping={"mass": 40.0},
+    )  # fmt: skip
+    cable = {
+        "name": "pull", "pull_point": [0.05, 0.004, -0.1], "points": [[0.05, 0.004, 0.0102]],
+        "hold_radius": 0.006, "shortening": [-0.1, 0.1], "tension": [0.0, 5.0],
+    }  # fmt: skip
+    return simulate(body=body, cables=[cable], integration=integration, gravity=[0, 0, 0])
 
 
 @pytest.mark.parametrize("integration", ["quasi_static", "dynamic"])

@@ -68,9 +68,7 @@ def test_a_spring_to_ground_carries_the_load_that_a_soft_body_does_not(
     assert np.linalg.norm(forces.sum(axis=0)) == pytest.approx(tension(scene), rel=1e-6)
 
 
-def test_a_soft_body_carries_the_whole_weight_of_a_rigid_one_on_springs(
-    simulate, body_of, block
-):
+def test_a_soft_body_carries_the_whole_weight_of_a_rigid_one_on_springs(simulate, body_of, block):
     """The rigid body hangs on one spring below a soft cantilever: the spring carries m g."""
     mesh = block(size=(0.1, 0.03, 0.03), cells=(4, 1, 1), shake=0)
     held = [{"box": {"minimum": [-1e-6, -1, -1], "maximum": [1e-6, 1, 1]}}]

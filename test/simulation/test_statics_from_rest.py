@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation import CommandEfforts, FollowTargets, Hold, Status
+from test.builder import builder
 
 LAWS = ["corotational", "neo_hookean"]
 ELEMENTS = ["linear", "quadratic", "hexahedral"]
@@ -55,28 +56,24 @@ def test_one_tension_at_a_point_leads_where_small_steps_lead(element, law, simul
     np.testing.assert_allclose(back, simulation.model.nodes.rest_positions, atol=1e-7)
 
 
-@pytest.fixture
-def bar(simulate):
+@builder
+def bar(simulate, /, element, law, young_modulus, cable_count):
     """Makes a bar of 200 mm under its weight, with four cables or without."""
-
-    def make(element, law, young_modulus, cable_count):
-        size = 0.03
-        corners = [(0.0, 0.0), (size, 0.0), (0.0, size), (size, size)][:cable_count]
-        entries = {
-            "cables": [
-                {"name": f"cable_{k}", "pull_point": [-0.01, y, z],
-                 "points": [[0.1, y, z], [0.2, y, z]]}
-                for k, (y, z) in enumerate(corners)
-            ],
-            "effectors": [{"name": "tip", "points": [[0.2, size / 2, size / 2]]}],
-        } if cable_count else {}  # fmt: skip
-        return simulate(
-            gravity=[0.0, 0.0, -9.81],
-            body=held_at_its_root([0.2, size, size], [8, 2, 2], element, law, young_modulus),
-            solver={"newton_iterations": 10, "residual_tolerance": 1e-8}, **entries,
-        )  # fmt: skip
-
-    return make
+    size = 0.03
+    corners = [(0.0, 0.0), (size, 0.0), (0.0, size), (size, size)][:cable_count]
+    entries = {
+        "cables": [
+            {"name": f"cable_{k}", "pull_point": [-0.01, y, z],
+             "points": [[0.1, y, z], [0.2, y, z]]}
+            for k, (y, z) in enumerate(corners)
+        ],
+        "effectors": [{"name": "tip", "points": [[0.2, size / 2, size / 2]]}],
+    } if cable_count else {}  # fmt: skip
+    return simulate(
+        gravity=[0.0, 0.0, -9.81],
+        body=held_at_its_root([0.2, size, size], [8, 2, 2], element, law, young_modulus),
+        solver={"newton_iterations": 10, "residual_tolerance": 1e-8}, **entries,
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("cable_count", [0, 4])

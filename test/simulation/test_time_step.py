@@ -6,27 +6,24 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Hold, Status
+from test.builder import builder
 
 HELD = [{"box": {"minimum": [-1, -1, -1e-6], "maximum": [1, 1, 1e-6]}}]
 STEPS = {1e-4: 600, 1e-3: 150, 1e-2: 60, 0.1: 30, 1.0: 20}
 """Enough of each to settle; a body of 2 cm and 1e6 Pa swings in some 8 ms."""
 
 
-@pytest.fixture
-def finger(simulate, body_of, block):
+@builder
+def finger(simulate, body_of, block, /, integration):
     """Makes a small bent finger with a cable, heavily braked."""
-
-    def make(integration):
-        mesh = block(size=(0.01, 0.01, 0.02), cells=(1, 1, 2))
-        body = body_of(mesh, young_modulus=1e6, fixed=HELD, damping={"mass": 1000.0})
-        cable = {
-            "name": "tendon", "pull_point": [0.012, 0.005, -0.005],
-            "points": [[0.01, 0.005, 0.005], [0.01, 0.005, 0.015]],
-            "shortening": [-0.01, 0.01], "tension": [0.0, 50.0],
-        }  # fmt: skip
-        return simulate(body=body, cables=[cable], integration=integration)
-
-    return make
+    mesh = block(size=(0.01, 0.01, 0.02), cells=(1, 1, 2))
+    body = body_of(mesh, young_modulus=1e6, fixed=HELD, damping={"mass": 1000.0})
+    cable = {
+        "name": "tendon", "pull_point": [0.012, 0.005, -0.005],
+        "points": [[0.01, 0.005, 0.005], [0.01, 0.005, 0.015]],
+        "shortening": [-0.01, 0.01], "tension": [0.0, 50.0],
+    }  # fmt: skip
+    return simulate(body=body, cables=[cable], integration=integration)
 
 
 def settled(scene, command_of, time_step, count):

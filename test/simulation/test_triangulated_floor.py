@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from softrobot_twin.geometry.shapes import Box
 from softrobot_twin.simulation import Hold
+from test.builder import builder
 from test.scene_changes import repeat_step
 
 G, STEP, SIZE, SLOPE = 9.81, 0.004, 0.04, np.arctan(0.55)
@@ -83,27 +84,23 @@ def shape_of(name, scale, folder):
     return {kind: {"ends": [(-axis).tolist(), axis.tolist()], "radius": half}}
 
 
-@pytest.fixture
-def laid(scene_of, tmp_path):
+@builder
+def laid(scene_of, tmp_path, /, name, floor, scale, friction, tilt=0.0, yaw=0.0, speed=0.0):
     """Makes a body on a floor, its step [s] grown so that it moves alike at every scale."""
-
-    def make(name, floor, scale, friction, tilt=0.0, yaw=0.0, speed=0.0):
-        turn = Rotation.from_euler("y", tilt)
-        rotation = (turn * Rotation.from_euler("z", yaw)).as_euler("xyz").tolist()
-        body = {
-            "name": "body", "mass": 0.03 * scale**3, **shape_of(name, scale, tmp_path),
-            "position": (scale * turn.apply([0.0, 0.003, 0.5 * SIZE])).tolist(),
-            "rotation": rotation, "velocity": [speed * scale**0.5, 0.0, 0.0],
-        }  # fmt: skip
-        return scene_of(
-            integration="dynamic", gravity=[0, 0, -G], rigid_bodies=[body],
-            obstacles=[{"name": "floor", "rotation": [0.0, tilt, 0.0], **floor}],
-            contact={"friction": friction, "alarm_distance": 0.003 * scale,
-                     "tolerance": 1e-6 * scale, "between": [{"pair": ["body", "floor"]}]},
-            solver={"newton_iterations": 3, "residual_tolerance": 1e-6 * scale**3},
-        ), STEP * scale**0.5  # fmt: skip
-
-    return make
+    turn = Rotation.from_euler("y", tilt)
+    rotation = (turn * Rotation.from_euler("z", yaw)).as_euler("xyz").tolist()
+    body = {
+        "name": "body", "mass": 0.03 * scale**3, **shape_of(name, scale, tmp_path),
+        "position": (scale * turn.apply([0.0, 0.003, 0.5 * SIZE])).tolist(),
+        "rotation": rotation, "velocity": [speed * scale**0.5, 0.0, 0.0],
+    }  # fmt: skip
+    return scene_of(
+        integration="dynamic", gravity=[0, 0, -G], rigid_bodies=[body],
+        obstacles=[{"name": "floor", "rotation": [0.0, tilt, 0.0], **floor}],
+        contact={"friction": friction, "alarm_distance": 0.003 * scale,
+                 "tolerance": 1e-6 * scale, "between": [{"pair": ["body", "floor"]}]},
+        solver={"newton_iterations": 3, "residual_tolerance": 1e-6 * scale**3},
+    ), STEP * scale**0.5  # fmt: skip
 
 
 # Each glider on each floor, each of both straight ahead and turned.

@@ -9,6 +9,7 @@ import pytest
 from softrobot_twin.scene import load_scene, scene_from_mapping
 from softrobot_twin.scene.loading import read_yaml, written_out
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
+from test.builder import builder
 from test.scene_changes import LEFT_OUT, change_scene, changed, repeat_step
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
@@ -19,19 +20,15 @@ MAPPINGS = {
 }
 
 
-@pytest.fixture
-def trunk():
+@builder
+def trunk(name="trunk", change=None, newton_iterations=1) -> Simulation:
     """Makes a simulation of one of the Trunk's scenes, of linear elements on its coarsest mesh."""
-
-    def make(name="trunk", change=None, newton_iterations=1) -> Simulation:
-        mapping = copy.deepcopy(MAPPINGS[name])
-        mapping["body"]["mesh"]["file"] = "../../meshes/trunk_700.vtk"
-        mapping["body"]["element"] = "linear"
-        mapping["solver"] = {"newton_iterations": newton_iterations}
-        change_scene(mapping, change)
-        return Simulation(scene_from_mapping(mapping, CONFIG / "scenes" / f"{name}.yaml"))
-
-    return make
+    mapping = copy.deepcopy(MAPPINGS[name])
+    mapping["body"]["mesh"]["file"] = "../../meshes/trunk_700.vtk"
+    mapping["body"]["element"] = "linear"
+    mapping["solver"] = {"newton_iterations": newton_iterations}
+    change_scene(mapping, change)
+    return Simulation(scene_from_mapping(mapping, CONFIG / "scenes" / f"{name}.yaml"))
 
 
 @pytest.fixture(scope="module")

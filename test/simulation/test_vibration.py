@@ -6,6 +6,7 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 
 from softrobot_twin.simulation import Hold
+from test.builder import builder
 
 # Beam theory has no clamp that prevents lateral strain: without Poisson's ratio there is
 # nothing to hinder.
@@ -46,16 +47,12 @@ def swing_frequency(simulation, time_step, half_periods):
     return np.tan(slow * time_step) / time_step
 
 
-@pytest.fixture
-def cantilever(simulate, body_of, block):
+@builder
+def cantilever(simulate, body_of, block, /, cells, poisson_ratio=POISSON, **entries):
     """Makes a cantilever of square section that a weak weight bends."""
-
-    def make(cells, poisson_ratio=POISSON, **entries):
-        mesh = block(size=(LENGTH, WIDTH, WIDTH), cells=cells, shake=0)
-        body = body_of(mesh, young_modulus=E, poisson_ratio=poisson_ratio, fixed=HELD, **entries)
-        return simulate(body=body, integration="dynamic", gravity=[0, 0, -0.05])
-
-    return make
+    mesh = block(size=(LENGTH, WIDTH, WIDTH), cells=cells, shake=0)
+    body = body_of(mesh, young_modulus=E, poisson_ratio=poisson_ratio, fixed=HELD, **entries)
+    return simulate(body=body, integration="dynamic", gravity=[0, 0, -0.05])
 
 
 def test_shear_and_rotary_inertia_lower_the_frequency_of_a_beam():

@@ -10,6 +10,7 @@ import pytest
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.loading import read_yaml, written_out
 from softrobot_twin.simulation import CommandEfforts, Hold, Simulation, Status
+from test.builder import builder
 
 TRUNK_FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "trunk.yaml"
 TRUNK = written_out(read_yaml(TRUNK_FILE.read_text()))
@@ -17,26 +18,22 @@ TRUNK["body"]["element"] = "linear"
 TENSION, END = 1.2, 0.1
 
 
-@pytest.fixture
-def trunk():
+@builder
+def trunk(integration, beta=0.1, iterations=30) -> Simulation:
     """Makes the coarse Trunk, its base fixed, with one long cable and nothing else."""
-
-    def make(integration, beta=0.1, iterations=30) -> Simulation:
-        mapping = {"name": "trunk"}
-        body = {key: TRUNK["body"][key] for key in ("name", "mesh", "element", "material")}
-        body["mesh"] = {"file": "../../meshes/trunk_700.vtk"}
-        base = {"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, 0.0201]}}
-        cable = copy.deepcopy(next(entry for entry in TRUNK["cables"] if entry["name"] == "L3"))
-        del cable["pull_point_on"]
-        mapping |= {
-            "gravity": [0, 0, 0], "integration": integration, "cables": [cable],
-            "effectors": [{"name": "tip", "points": TRUNK["effectors"][0]["points"]}],
-            "body": {**body, "fixed": [base], "damping": {"stiffness": beta}},
-            "solver": {"newton_iterations": iterations, "residual_tolerance": 1e-7},
-        }  # fmt: skip
-        return Simulation(scene_from_mapping(mapping, TRUNK_FILE))
-
-    return make
+    mapping = {"name": "trunk"}
+    body = {key: TRUNK["body"][key] for key in ("name", "mesh", "element", "material")}
+    body["mesh"] = {"file": "../../meshes/trunk_700.vtk"}
+    base = {"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, 0.0201]}}
+    cable = copy.deepcopy(next(entry for entry in TRUNK["cables"] if entry["name"] == "L3"))
+    del cable["pull_point_on"]
+    mapping |= {
+        "gravity": [0, 0, 0], "integration": integration, "cables": [cable],
+        "effectors": [{"name": "tip", "points": TRUNK["effectors"][0]["points"]}],
+        "body": {**body, "fixed": [base], "damping": {"stiffness": beta}},
+        "solver": {"newton_iterations": iterations, "residual_tolerance": 1e-7},
+    }  # fmt: skip
+    return Simulation(scene_from_mapping(mapping, TRUNK_FILE))
 
 
 def tip_after(simulation, step):

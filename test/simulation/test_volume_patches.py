@@ -9,23 +9,21 @@ from softrobot_twin.mechanics.inertia import lumped_masses
 from softrobot_twin.mechanics.material import INCOMPRESSIBLE
 from softrobot_twin.mechanics.patch_volumes import PatchVolumes
 from softrobot_twin.simulation import Hold, Status
+from test.builder import builder
 
 SIZE = (0.06, 0.01, 0.01)
 
 
-@pytest.fixture
-def bar(simulate, body_of, block):
+@builder
+def bar(simulate, body_of, block, /, poisson=0.4999, element="linear", law="neo_hookean", body=(),
+        **entries):  # fmt: skip
     """Makes a bar that is clamped at one end and bends under its weight."""
-
-    def make(poisson=0.4999, element="linear", law="neo_hookean", body=(), **entries):
-        foot = [{"box": {"minimum": [-1, -1, -1], "maximum": [1e-6, 1, 1]}}]
-        mesh = block(SIZE, (12, 2, 2), 0.0)
-        made = body_of(mesh, "bar", 1e5, poisson, element=element, fixed=foot, **dict(body))
-        made["material"]["law"] = law
-        entries = {"gravity": [0.0, 0.0, -9.81], "solver": {"newton_iterations": 20}, **entries}
-        return simulate(body=made, **entries)
-
-    return make
+    foot = [{"box": {"minimum": [-1, -1, -1], "maximum": [1e-6, 1, 1]}}]
+    mesh = block(SIZE, (12, 2, 2), 0.0)
+    made = body_of(mesh, "bar", 1e5, poisson, element=element, fixed=foot, **dict(body))
+    made["material"]["law"] = law
+    entries = {"gravity": [0.0, 0.0, -9.81], "solver": {"newton_iterations": 20}, **entries}
+    return simulate(body=made, **entries)
 
 
 def sag(simulation):
@@ -103,6 +101,7 @@ def test_a_thrown_block_with_patches_keeps_its_momentum(simulate, body_of, block
 
 def test_patches_leave_the_bulk_viscosity_to_elements(simulate, body_of, block):
     """A damped block of incompressible rubber, dropped, comes to the sag of an undamped one."""
+
     def make(damping, integration):
         foot = [{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, 1e-6]}}]
         body = body_of(block((0.02, 0.02, 0.02), (2, 2, 2), 0.0), "cube", 2e4, 0.5, fixed=foot,

@@ -4,49 +4,46 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation import Hold, Status
+from test.builder import builder
 
 STEP, ENDS = 0.01, ([0, -0.05, 0], [0, 0.05, 0])
 
 
-@pytest.fixture
-def wedged(scene_of, write_block):
+@builder
+def wedged(scene_of, write_block, /, integration, friction):
     """A block of 20 mm, its top on a guided plate, pressed into a gap of 16 mm.
 
     Gives the last result, the gaps of all steps, and whether each converged.
     """
-
-    def run(integration, friction):
-        simulation = scene_of(
-            gravity=[0, 0, 0], integration=integration,
-            body={
-                "name": "soft",
-                "mesh": {"file": write_block((0.02, 0.02, 0.04), (4, 4, 8)),
-                         "translation": [0.0005, 0, 0.03]},
-                "element": "linear",
-                "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0},
-                "damping": {"mass": 20.0},
-                "attached": [{"to": "plate", "box": {"minimum": [-1, -1, 0.0499],
-                                                     "maximum": [1, 1, 1]}}],
-            },
-            rigid_bodies=[{"name": "plate", "motion": "guided", "speed": 0.02,
-                           "position": [0, 0, 0.06], "box": {"size": [0.05, 0.05, 0.02]}}],
-            obstacles=[{"name": name, "position": [x, 0, 0],
-                        "cylinder": {"ends": ENDS, "radius": 0.01}}
-                       for name, x in (("left", -0.018), ("right", 0.018))],
-            contact={"friction": friction, "between": [{"pair": ["soft", "left"]},
-                                                       {"pair": ["soft", "right"]}]},
-            solver={"newton_iterations": 4},
-        )  # fmt: skip
-        simulation.model.guides.aim("plate", [0, 0, 0.05])
-        gaps, is_done = [], []
-        for _ in range(100):
-            result = simulation.step(Hold(STEP))
-            assert result.status in (Status.OK, Status.LINEARIZED, Status.NOT_CONVERGED)
-            gaps.append(_least_gaps(simulation))
-            is_done.append(result.status is not Status.NOT_CONVERGED)
-        return result, np.array(gaps), np.array(is_done)
-
-    return run
+    simulation = scene_of(
+        gravity=[0, 0, 0], integration=integration,
+        body={
+            "name": "soft",
+            "mesh": {"file": write_block((0.02, 0.02, 0.04), (4, 4, 8)),
+                     "translation": [0.0005, 0, 0.03]},
+            "element": "linear",
+            "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0},
+            "damping": {"mass": 20.0},
+            "attached": [{"to": "plate", "box": {"minimum": [-1, -1, 0.0499],
+                                                 "maximum": [1, 1, 1]}}],
+        },
+        rigid_bodies=[{"name": "plate", "motion": "guided", "speed": 0.02,
+                       "position": [0, 0, 0.06], "box": {"size": [0.05, 0.05, 0.02]}}],
+        obstacles=[{"name": name, "position": [x, 0, 0],
+                    "cylinder": {"ends": ENDS, "radius": 0.01}}
+                   for name, x in (("left", -0.018), ("right", 0.018))],
+        contact={"friction": friction, "between": [{"pair": ["soft", "left"]},
+                                                   {"pair": ["soft", "right"]}]},
+        solver={"newton_iterations": 4},
+    )  # fmt: skip
+    simulation.model.guides.aim("plate", [0, 0, 0.05])
+    gaps, is_done = [], []
+    for _ in range(100):
+        result = simulation.step(Hold(STEP))
+        assert result.status in (Status.OK, Status.LINEARIZED, Status.NOT_CONVERGED)
+        gaps.append(_least_gaps(simulation))
+        is_done.append(result.status is not Status.NOT_CONVERGED)
+    return result, np.array(gaps), np.array(is_done)
 
 
 def _least_gaps(simulation) -> list[float]:

@@ -10,6 +10,7 @@ import pytest
 from softrobot_twin.solvers.direct_problem import solve_direct
 from softrobot_twin.solvers.inverse_problem import Bounds, InverseSystem, build_inverse_problem
 from softrobot_twin.solvers.qpcc import QPCC
+from test.builder import builder
 
 ENERGY_WEIGHT = 1.0e-6
 
@@ -106,36 +107,30 @@ class RobotInContact(NamedTuple):
         return self._replace(contact_bounds=self.contact_bounds._replace(force_max=limit))
 
 
-@pytest.fixture
-def robot_in_contact() -> Callable[..., RobotInContact]:
+@builder
+def robot_in_contact(seed, contacts=10, actuators=8, moves=1, rows=3) -> RobotInContact:
     """Makes a robot among obstacles, with some contacts closed, and a target out of reach."""
-
-    def make(seed, contacts=10, actuators=8, moves=1, rows=3) -> RobotInContact:
-        rng = np.random.default_rng((seed, contacts))
-        first = actuators + rows
-        size = first + contacts
-        Q = np.linalg.qr(rng.standard_normal((size, size)))[0]
-        W = 1.0e-3 * (Q * np.logspace(0.0, -2.0, size)) @ Q.T
-        a, e, c = slice(actuators), slice(actuators, first), slice(first, size)
-        G = 0.5 * rng.standard_normal((size, moves))
-        tensions = rng.uniform(0.0, 4.0, actuators) * (rng.random(actuators) < 0.7)
-        target = W[e, a] @ tensions + 6.0e-3 * rng.standard_normal(rows)
-        system = Blocks(
-            W[e, a], W[e, c], W[a, a], W[a, c], W[c, c], G[e], G[a], G[c],
-            -target, np.zeros(actuators), 2.0e-3 * rng.standard_normal(contacts),
-        )  # fmt: skip
-        free = np.full(actuators, np.inf)
-        limits = MoveBounds(
-            np.full(moves, -1e-3), np.full(moves, 1e-3), np.full(contacts, np.inf)
-        )
-        bounds = Bounds(-free, free, np.zeros(actuators), np.full(actuators, 10.0))
-        robot = RobotInContact(system, bounds, limits, tensions)
-        held = robot.held
-        path = W[a, a] @ tensions + W[a, c] @ held[actuators + moves :]
-        bounds = bounds._replace(displacement_min=path - 3e-3, displacement_max=path + 3e-3)
-        return robot._replace(bounds=bounds)
-
-    return make
+    rng = np.random.default_rng((seed, contacts))
+    first = actuators + rows
+    size = first + contacts
+    Q = np.linalg.qr(rng.standard_normal((size, size)))[0]
+    W = 1.0e-3 * (Q * np.logspace(0.0, -2.0, size)) @ Q.T
+    a, e, c = slice(actuators), slice(actuators, first), slice(first, size)
+    G = 0.5 * rng.standard_normal((size, moves))
+    tensions = rng.uniform(0.0, 4.0, actuators) * (rng.random(actuators) < 0.7)
+    target = W[e, a] @ tensions + 6.0e-3 * rng.standard_normal(rows)
+    system = Blocks(
+        W[e, a], W[e, c], W[a, a], W[a, c], W[c, c], G[e], G[a], G[c],
+        -target, np.zeros(actuators), 2.0e-3 * rng.standard_normal(contacts),
+    )  # fmt: skip
+    free = np.full(actuators, np.inf)
+    limits = MoveBounds(np.full(moves, -1e-3), np.full(moves, 1e-3), np.full(contacts, np.inf))
+    bounds = Bounds(-free, free, np.zeros(actuators), np.full(actuators, 10.0))
+    robot = RobotInContact(system, bounds, limits, tensions)
+    held = robot.held
+    path = W[a, a] @ tensions + W[a, c] @ held[actuators + moves :]
+    bounds = bounds._replace(displacement_min=path - 3e-3, displacement_max=path + 3e-3)
+    return robot._replace(bounds=bounds)
 
 
 def plain_residual(problem: QPCC, z: np.ndarray) -> float:

@@ -182,9 +182,7 @@ def test_bounds_are_never_exceeded():
 
 def test_without_a_warm_start_the_given_solver_answers():
     solver = InverseSolver([OSQPSolver(), DAQPSolver()], uses_warm_start=False)
-    answered = {
-        solver.solve(problem, np.zeros(4)).solver for problem in circle_problems(4, 0)
-    }
+    answered = {solver.solve(problem, np.zeros(4)).solver for problem in circle_problems(4, 0)}
     assert answered <= {"OSQP", "DAQP"} and "OSQP" in answered
 
 

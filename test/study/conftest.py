@@ -13,6 +13,7 @@ import meshio
 import pytest
 
 from softrobot_twin.__main__ import main
+from test.builder import builder
 
 ROOT = Path(__file__).parents[2]
 
@@ -73,17 +74,13 @@ def stamp(tmp_path_factory, block) -> Path:
     return scene
 
 
-@pytest.fixture
-def command():
+@builder
+def command(*arguments) -> Finished:
     """Runs ``python -m softrobot_twin`` as a user would, piped."""
-
-    def run(*arguments) -> Finished:
-        done = subprocess.run(
-            [sys.executable, "-m", "softrobot_twin", *map(str, arguments)], cwd=ROOT,
-            env=dict(os.environ), capture_output=True, text=True, timeout=120)
-        return Finished(done.returncode, done.stdout, done.stderr)
-
-    return run
+    done = subprocess.run(
+        [sys.executable, "-m", "softrobot_twin", *map(str, arguments)], cwd=ROOT,
+        env=dict(os.environ), capture_output=True, text=True, timeout=120)
+    return Finished(done.returncode, done.stdout, done.stderr)
 
 
 _HELD_RUN = """
@@ -105,61 +102,51 @@ sys.exit(main(sys.argv[2:]))
 """
 
 
-@pytest.fixture
-def stop():
+@builder
+def stop(*arguments, after: int) -> Finished:
     """Runs a command that computes samples in a process of its own, and stops it by Ctrl-C when so
     many samples are done: the run waits there for it, on any machine.
     """
-
-    def run(*arguments, after: int) -> Finished:
-        words = [sys.executable, "-c", _HELD_RUN, str(after), *map(str, arguments)]
-        process = subprocess.Popen(words, cwd=ROOT, env=dict(os.environ), stdout=subprocess.DEVNULL,
-                                   stderr=subprocess.PIPE, text=True)
-        told = []
-        for line in process.stderr:
-            told.append(line)
-            if line.strip() == "held":
-                process.send_signal(signal.SIGINT)
-        return Finished(process.wait(timeout=60), "", "".join(told))
-
-    return run
+    words = [sys.executable, "-c", _HELD_RUN, str(after), *map(str, arguments)]
+    process = subprocess.Popen(words, cwd=ROOT, env=dict(os.environ), stdout=subprocess.DEVNULL,
+                               stderr=subprocess.PIPE, text=True)
+    told = []
+    for line in process.stderr:
+        told.append(line)
+        if line.strip() == "held":
+            process.send_signal(signal.SIGINT)
+    return Finished(process.wait(timeout=60), "", "".join(told))
 
 
-@pytest.fixture
-def call(capsys):
+@builder
+def call(capsys, /, *arguments) -> Finished:
     """Runs the same command within this process, which is faster."""
-
-    def run(*arguments) -> Finished:
-        try:
-            code = main([str(argument) for argument in arguments])
-        except SystemExit as end:  # how argparse ends
-            code = int(end.code or 0)
-        told = capsys.readouterr()
-        return Finished(code, told.out, told.err)
-
-    return run
+    try:
+        code = main([str(argument) for argument in arguments])
+    except SystemExit as end:  # how argparse ends
+        code = int(end.code or 0)
+    told = capsys.readouterr()
+    return Finished(code, told.out, told.err)
 
 
-@pytest.fixture
-def check_texts():
+@builder
+def check_texts(figure) -> None:
     """Checks that all visible texts of a figure lie within it and apart from each other."""
-    def check(figure) -> None:
-        from matplotlib.text import Text
-        figure.draw_without_rendering()
-        hidden = set()  # numbers beyond the ends of their axis exist, but are not drawn
-        for axis in (one for axes in figure.axes for one in (axes.xaxis, axes.yaxis)):
-            low, high = sorted(axis.get_view_interval())
-            for tick in (*axis.get_major_ticks(), *axis.get_minor_ticks()):
-                if not low - 1e-9 <= tick.get_loc() <= high + 1e-9:
-                    hidden |= {tick.label1, tick.label2}
-        extents = [(text.get_text(), text.get_window_extent()) for text in figure.findobj(Text)
-                   if text.get_visible() and text.get_text().strip() and text not in hidden]
-        assert len(extents) > 4
-        page = figure.bbox
-        for text, box in extents:
-            assert page.x0 <= box.x0 and box.x1 <= page.x1, text
-            assert page.y0 <= box.y0 and box.y1 <= page.y1, text
-        for index, (text, box) in enumerate(extents):
-            for other, beside in extents[index + 1:]:
-                assert not box.padded(-1.0).overlaps(beside.padded(-1.0)), (text, other)
-    return check
+    from matplotlib.text import Text
+    figure.draw_without_rendering()
+    hidden = set()  # numbers beyond the ends of their axis exist, but are not drawn
+    for axis in (one for axes in figure.axes for one in (axes.xaxis, axes.yaxis)):
+        low, high = sorted(axis.get_view_interval())
+        for tick in (*axis.get_major_ticks(), *axis.get_minor_ticks()):
+            if not low - 1e-9 <= tick.get_loc() <= high + 1e-9:
+                hidden |= {tick.label1, tick.label2}
+    extents = [(text.get_text(), text.get_window_extent()) for text in figure.findobj(Text)
+               if text.get_visible() and text.get_text().strip() and text not in hidden]
+    assert len(extents) > 4
+    page = figure.bbox
+    for text, box in extents:
+        assert page.x0 <= box.x0 and box.x1 <= page.x1, text
+        assert page.y0 <= box.y0 and box.y1 <= page.y1, text
+    for index, (text, box) in enumerate(extents):
+        for other, beside in extents[index + 1:]:
+            assert not box.padded(-1.0).overlaps(beside.padded(-1.0)), (text, other)

@@ -112,8 +112,7 @@ def test_a_reduced_model_is_found_by_its_mesh_and_element(path, element):
     along = body.mesh.node_positions[:, 0] / body.mesh.node_positions[:, 0].max()
     basis = np.concatenate([power[:, None, None] * np.eye(3) for power in (along, along**2)], 2)
     basis[body.fixed] = 0.0
-    reduction = BodyReduction(basis, 6, points, points,
-                              np.ones(6), np.full(2, np.nan), {})
+    reduction = BodyReduction(basis, 6, points, points, np.ones(6), np.full(2, np.nan), {})
     file = path.with_name("bar_reduced.npz")
     write_body_reduction(file, reduction, reduction_fingerprints(body))
     (model,) = reduced_models((file,), (), levels)

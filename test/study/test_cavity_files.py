@@ -21,6 +21,7 @@ from softrobot_twin.study.bench_measurement import (
 )
 from softrobot_twin.study.explain import effects
 from softrobot_twin.study.scene_picture import draw_snapshots, take_snapshot
+from test.builder import builder
 from test.scene_changes import LEFT_OUT, change_scene, changed
 
 
@@ -47,17 +48,13 @@ def springy(tmp_path_factory):
     return path
 
 
-@pytest.fixture
-def simulation_of(springy):
+@builder
+def simulation_of(springy, /, change=None, **cavity) -> Simulation:
     """Makes a simulation of that scene; a function may change it."""
-
-    def make(change=None, **cavity) -> Simulation:
-        content = written_out(yaml.safe_load(springy.read_text()))
-        content["cavities"][0].update(cavity)
-        change_scene(content, change)
-        return Simulation(scene_from_mapping(content, springy))
-
-    return make
+    content = written_out(yaml.safe_load(springy.read_text()))
+    content["cavities"][0].update(cavity)
+    change_scene(content, change)
+    return Simulation(scene_from_mapping(content, springy))
 
 
 def test_what_a_regulator_holds_is_written_once_and_its_volume_beside_it(simulation_of):
@@ -86,28 +83,20 @@ def test_what_a_syringe_holds_is_written_with_its_pressure(simulation_of):
     assert growth == pytest.approx(volume - rest)
 
 
-@pytest.fixture
-def targets(tmp_path):
+@builder
+def targets(tmp_path, /, simulation, text):
     """Reads a targets file for a simulation."""
-
-    def read(simulation, text):
-        path = tmp_path / "targets.csv"
-        path.write_text(text)
-        return read_targets(path, simulation)
-
-    return read
+    path = tmp_path / "targets.csv"
+    path.write_text(text)
+    return read_targets(path, simulation)
 
 
-@pytest.fixture
-def commands(tmp_path):
+@builder
+def commands(tmp_path, /, simulation, text):
     """Reads a commands file for a simulation."""
-
-    def read(simulation, text):
-        path = tmp_path / "commands.csv"
-        path.write_text(text)
-        return read_commands(path, simulation)
-
-    return read
+    path = tmp_path / "commands.csv"
+    path.write_text(text)
+    return read_commands(path, simulation)
 
 
 def test_lengths_of_cables_and_pressures_of_cavities_stand_in_one_table(
@@ -123,9 +112,7 @@ def test_lengths_of_cables_and_pressures_of_cavities_stand_in_one_table(
     np.testing.assert_allclose(command.setpoints, simulation.rest_setpoints + [-0.001, 150.0])
 
 
-def test_tensions_of_cables_and_pressures_of_cavities_are_efforts(
-    simulation_of, targets, commands
-):
+def test_tensions_of_cables_and_pressures_of_cavities_are_efforts(simulation_of, targets, commands):
     for control in ("pressure", "volume"):
         simulation = simulation_of(control=control)
         command = targets(simulation, "time_s,air_pressure_Pa,line_tension_N\n0,300,2\n").command(0)
@@ -277,5 +264,3 @@ def test_a_pressure_without_limit_cannot_be_timed(simulation_of):
     simulation = simulation_of(pressure=[0.0, float("inf")])
     with pytest.raises(NothingToFollowError, match="air.pressure has no upper limit"):
         swept_setpoints(simulation)
-
-

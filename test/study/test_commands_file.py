@@ -6,6 +6,7 @@ import pytest
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Hold, Simulation
 from softrobot_twin.simulation.runs.input_tables import TableFileError, read_commands
+from test.builder import builder
 
 
 @pytest.fixture(scope="module")
@@ -22,13 +23,11 @@ def robot(column):
     return Simulation(scene_from_mapping(content, column))
 
 
-@pytest.fixture
-def read(tmp_path, robot):
-    def reader(text):
-        path = tmp_path / "commands.csv"
-        path.write_text(text)
-        return read_commands(path, robot)
-    return reader
+@builder
+def read(tmp_path, robot, /, text):
+    path = tmp_path / "commands.csv"
+    path.write_text(text)
+    return read_commands(path, robot)
 
 
 REST = "c_shortening_m,d_shortening_m"
@@ -66,8 +65,7 @@ def test_a_guided_body_moves_straight_and_rotates_about_one_axis(read):
     table = read(text)
     position, quaternion = table.poses["gantry"].at(0.5)
     np.testing.assert_allclose(position, [0.6, 0.0, 0.1])
-    np.testing.assert_allclose(quaternion, [0, 0, np.sin(np.pi / 8), np.cos(np.pi / 8)],
-                               atol=1e-12)
+    np.testing.assert_allclose(quaternion, [0, 0, np.sin(np.pi / 8), np.cos(np.pi / 8)], atol=1e-12)
 
 
 def test_the_longest_hold_is_the_longest_time_without_a_change(read):

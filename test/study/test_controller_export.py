@@ -67,9 +67,7 @@ def in_polynomials(scene, every=1):
     reduction = BodyReduction(
         basis, count, points, points, np.full(count, 0.005), np.full(2, np.nan), {}
     )
-    write_body_reduction(
-        scene.with_suffix(".npz"), reduction, reduction_fingerprints(body)
-    )
+    write_body_reduction(scene.with_suffix(".npz"), reduction, reduction_fingerprints(body))
     reduced = reduced_by(scene, scene.with_suffix(".npz"))
     robot = scene.with_name(f"{scene.stem}_robot.npz")
     export_controller(load_scene(reduced), robot)

@@ -9,40 +9,31 @@ from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.study.effect_costs import EFFECTS, NOTHING, effect_costs, path_of
 from softrobot_twin.study.stiffness import ActuationError
-
+from test.builder import builder
 
 BOX = {"mesh": {"box": {"size": [0.1, 0.02, 0.02], "cells": [5, 1, 1]}}, "name": "beam",
        "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [1e-6, 1, 1]}}]}  # fmt: skip
 TIP = {"name": "tip", "points": [[0.1, 0.01, 0.01]]}
 
 
-@pytest.fixture
-def write(tmp_path):
+@builder
+def write(tmp_path, /, **mapping):
     """Writes a scene file, and loads it."""
-
-    def make(**mapping):
-        file = tmp_path / "scene.yaml"
-        file.write_text(yaml.safe_dump({"name": "scene", **mapping}))
-        return load_scene(file)
-
-    return make
+    file = tmp_path / "scene.yaml"
+    file.write_text(yaml.safe_dump({"name": "scene", **mapping}))
+    return load_scene(file)
 
 
-@pytest.fixture
-def beam(write):
+@builder
+def beam(write, /, law="neo_hookean", material=(), element="linear", cable=(), **entries):
     """Makes a cantilever with a cable along it."""
-
-    def make(law="neo_hookean", material=(), element="linear", cable=(), **entries):
-        material = {"law": law, "young_modulus": 1e5, "poisson_ratio": 0.45, "density": 1000.0,
-                    **dict(material)}  # fmt: skip
-        cable = {"name": "cable", "pull_point": [-0.01, 0.01, 0.02],
-                 "points": [[0.1, 0.01, 0.02]], "shortening": [0.0, 0.03], "rate": 0.1,
-                 **dict(cable)}  # fmt: skip
-        mapping = {"gravity": [0.0, 0.0, -9.81], "effectors": [TIP], **entries}
-        return write(body={**BOX, "element": element, "material": material}, cables=[cable],
-                     **mapping)  # fmt: skip
-
-    return make
+    material = {"law": law, "young_modulus": 1e5, "poisson_ratio": 0.45, "density": 1000.0,
+                **dict(material)}  # fmt: skip
+    cable = {"name": "cable", "pull_point": [-0.01, 0.01, 0.02],
+             "points": [[0.1, 0.01, 0.02]], "shortening": [0.0, 0.03], "rate": 0.1,
+             **dict(cable)}  # fmt: skip
+    mapping = {"gravity": [0.0, 0.0, -9.81], "effectors": [TIP], **entries}
+    return write(body={**BOX, "element": element, "material": material}, cables=[cable], **mapping)
 
 
 def costs(scene, given=()):

@@ -64,9 +64,7 @@ def test_every_scene_of_the_package_is_explained(scene, call):
     assert "sag by gravity" in done.output or scene.stem in without
 
 
-def test_a_too_small_energy_weight_is_reported_with_the_used_one(
-    column, tmp_path, call
-):
+def test_a_too_small_energy_weight_is_reported_with_the_used_one(column, tmp_path, call):
     told = {}
     for weight in (1e-12, 1e-6):
         scene = tmp_path / f"light_{weight}.yaml"

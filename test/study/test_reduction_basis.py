@@ -172,9 +172,7 @@ def test_of_many_points_the_drawn_ones_suffice(body, rng, monkeypatch):
     np.testing.assert_array_equal(work.points.cells, again.points.cells)
     # Gradients of some points are in single precision.
     np.testing.assert_allclose(work.total, again.total, atol=1e-6 * np.abs(work.total).max())
-    np.testing.assert_allclose(
-        work.columns, again.columns, atol=1e-6 * np.abs(work.columns).max()
-    )
+    np.testing.assert_allclose(work.columns, again.columns, atol=1e-6 * np.abs(work.columns).max())
 
 
 def test_sparse_weights_are_found_where_they_exist(rng):

@@ -8,19 +8,18 @@ import pytest
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.runs.input_tables import read_targets
 from softrobot_twin.study.offline_run import commands_of, unlikely_warning
+from test.builder import builder
 
 REACHED = (0.011, 0.0095, 0.097)
 TARGETS = ("time_s,tip_x_m,tip_y_m,tip_z_m\n0,0.0105,0.01,0.098\n0.02,0.011,0.01,0.0975\n"
            "0.04,0.011,0.0095,0.097\n")
 
 
-@pytest.fixture
-def targets(tmp_path):
-    def write(text=TARGETS):
-        path = tmp_path / "targets.csv"
-        path.write_text(text)
-        return path
-    return write
+@builder
+def targets(tmp_path, /, text=TARGETS):
+    path = tmp_path / "targets.csv"
+    path.write_text(text)
+    return path
 
 
 def rows_of(path):
@@ -66,8 +65,7 @@ def test_settling_runs_the_first_row_before_recording(tmp_path, column, targets,
     call("simulate", column, "--targets", targets(), "--output", tmp_path / "once.csv")
     repeated = TARGETS.replace("0,0.0105", "-0.04,0.0105,0.01,0.098\n-0.02,0.0105,0.01,0.098\n"
                                "0,0.0105", 1)
-    call("simulate", column, "--targets", targets(repeated), "--output",
-            tmp_path / "repeated.csv")
+    call("simulate", column, "--targets", targets(repeated), "--output", tmp_path / "repeated.csv")
     done = call("simulate", column, "--targets", targets(), "--settle", 2, "--output",
                    tmp_path / "settled.csv")
     assert done.code == 0, done.errors
@@ -112,8 +110,7 @@ def test_lengths_and_their_tensions_lead_to_the_same_state(tmp_path, column, tar
 def test_an_invalid_run_gives_one_line_and_exit_code_two(
     tmp_path, column, targets, call, text, words
 ):
-    done = call("simulate", column, "--targets", targets(text), "--output",
-                   tmp_path / "run.csv")
+    done = call("simulate", column, "--targets", targets(text), "--output", tmp_path / "run.csv")
     assert done.code == 2
     assert len(done.errors.splitlines()) == 1
     assert words in done.errors and "targets.csv" in done.errors
@@ -158,9 +155,7 @@ def test_a_run_of_a_reduced_body_ends_with_its_errors(tmp_path, half_trained, ca
     def run(*rows):
         path = tmp_path / "targets.csv"
         path.write_text("\n".join(["time_s,tip_x_m,tip_y_m,tip_z_m", *rows]) + "\n")
-        done = call(
-            "simulate", half_trained, "--targets", path, "--output", tmp_path / "run.csv"
-        )
+        done = call("simulate", half_trained, "--targets", path, "--output", tmp_path / "run.csv")
         assert done.code == 0, done.errors
         return " ".join(done.output.split()), " ".join(done.errors.split())
 

@@ -34,6 +34,7 @@ from softrobot_twin.study.superelement_fit import (
 from softrobot_twin.study.vertebrae_reduction import accuracy_of, brought_to, divisions
 
 from .conftest import ROOT
+from test.builder import builder
 from test.scene_changes import LEFT_OUT, change_scene, changed, repeat_step
 
 SCENE_FILE = ROOT / "config" / "scenes" / "fetch_reduced.yaml"
@@ -58,26 +59,18 @@ def workshop(tmp_path_factory):
     return path
 
 
-@pytest.fixture
-def scene(workshop):
+@builder
+def scene(workshop, /, change=None):
     """Makes the scene; a function may change its mapping first."""
-
-    def make(change=None):
-        mapping = copy.deepcopy(written_out(yaml.safe_load(workshop.read_text())))
-        change_scene(mapping, change)
-        return scene_from_mapping(mapping, workshop)
-
-    return make
+    mapping = copy.deepcopy(written_out(yaml.safe_load(workshop.read_text())))
+    change_scene(mapping, change)
+    return scene_from_mapping(mapping, workshop)
 
 
-@pytest.fixture
-def reduced(scene):
+@builder
+def reduced(scene, /, change=None) -> Simulation:
     """Makes the reduced simulation."""
-
-    def make(change=None) -> Simulation:
-        return Simulation(scene(change))
-
-    return make
+    return Simulation(scene(change))
 
 
 weightless = changed({"gravity": [0.0, 0.0, 0.0]})

@@ -21,9 +21,7 @@ def test_a_spring_between_two_points_of_one_rigid_body_has_no_effect(world):
 
 def test_a_spring_without_length_and_rest_length_is_a_linear_one(world):
     x = world.positions
-    term, matrix = world.springs(
-        world.nodes(1), None, 60.0, 0.0, offsets=x[[1]]
-    )
+    term, matrix = world.springs(world.nodes(1), None, 60.0, 0.0, offsets=x[[1]])
     np.testing.assert_array_equal(world.forces(term, x), 0.0)
     K = world.stiffness(term, matrix, x)
     np.testing.assert_array_equal(K[:3, :3], 60.0 * np.eye(3))

@@ -34,6 +34,7 @@ from softrobot_twin.simulation.runs.input_tables import TableFileError, read_com
 from softrobot_twin.simulation.runs.run_columns import RunColumns, actuator_cells
 from softrobot_twin.study.explain import effects
 from softrobot_twin.study.scene_picture import take_snapshot
+from test.builder import builder
 from test.scene_changes import change_scene, changed, repeat_step
 
 STEP = 0.02
@@ -178,19 +179,16 @@ def chamber(name: str, x: float) -> dict:
     }  # fmt: skip
 
 
-@pytest.fixture
-def inflated(chambers, beam):
+@builder
+def inflated(chambers, beam, /, change=None):
     """Makes the beam with its cables and two chambers; a function may change its scene."""
 
-    def make(change=None):
-        def add(mapping):
-            mapping["chambers"] = [chamber("left", 0.0), chamber("right", 0.02)]
-            mapping["solver"] = {"newton_iterations": 30, "residual_tolerance": 1e-9}
-            change_scene(mapping, change)
+    def add(mapping):
+        mapping["chambers"] = [chamber("left", 0.0), chamber("right", 0.02)]
+        mapping["solver"] = {"newton_iterations": 30, "residual_tolerance": 1e-9}
+        change_scene(mapping, change)
 
-        return beam(add)
-
-    return make
+    return beam(add)
 
 
 def test_a_kind_that_is_registered_twice_is_refused(chambers):
@@ -257,8 +255,7 @@ def test_its_rows_are_the_derivative_of_its_volume(inflated):
     move = np.zeros_like(x)
     move[free] = random.standard_normal((len(free), 3))
     by_rows = np.zeros(2)
-    np.add.at(by_rows, term.entry_rows,
-              np.sum(blocks * move[free][term.entry_nodes], axis=1))  # fmt: skip
+    np.add.at(by_rows, term.entry_rows, np.sum(blocks * move[free][term.entry_nodes], axis=1))
     h = 1e-6
     slopes = (term.volumes(x + h * move) - term.volumes(x - h * move)) / (2.0 * h)
     np.testing.assert_allclose(by_rows, slopes, rtol=1e-7)

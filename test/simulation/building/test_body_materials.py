@@ -9,6 +9,7 @@ from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import Hold
 from softrobot_twin.simulation.mesh_error import MeshErrorEstimator
 from softrobot_twin.study.explain import effects
+from test.builder import builder
 from test.scene_changes import repeat_step
 
 FOOT = [{"box": {"minimum": [-1, -1, -1], "maximum": [1e-6, 1, 1]}}]
@@ -16,23 +17,19 @@ LENGTH, SIDE = 0.2, 0.01
 BELOW = {"minimum": [-1, -1, -1], "maximum": [1, 1, SIDE / 2]}
 
 
-@pytest.fixture
-def beam_entry(tmp_path, block):
+@builder
+def beam_entry(tmp_path, block, /, cells=(12, 1, 2), element="quadratic", **entries) -> dict:
     """Makes the entry of a beam along x, held at its foot; its file names `below` and `above`."""
-
-    def make(cells=(12, 1, 2), element="quadratic", **entries) -> dict:
-        mesh = block(size=(LENGTH, SIDE, SIDE), cells=cells, shake=0.0)
-        below = mesh.node_positions[mesh.cells].mean(axis=1)[:, 2] < SIDE / 2
-        path = tmp_path / "beam.inp"
-        meshio.Mesh(
-            mesh.node_positions, [("tetra", mesh.cells)],
-            cell_sets={"below": [np.flatnonzero(below)], "above": [np.flatnonzero(~below)]},
-        ).write(path, file_format="abaqus")  # fmt: skip
-        material = {"young_modulus": 1e6, "poisson_ratio": 0.3, "density": 1000.0}
-        return {"name": "beam", "mesh": {"file": str(path)}, "element": element, "fixed": FOOT,
-                "material": material, **entries}  # fmt: skip
-
-    return make
+    mesh = block(size=(LENGTH, SIDE, SIDE), cells=cells, shake=0.0)
+    below = mesh.node_positions[mesh.cells].mean(axis=1)[:, 2] < SIDE / 2
+    path = tmp_path / "beam.inp"
+    meshio.Mesh(
+        mesh.node_positions, [("tetra", mesh.cells)],
+        cell_sets={"below": [np.flatnonzero(below)], "above": [np.flatnonzero(~below)]},
+    ).write(path, file_format="abaqus")  # fmt: skip
+    material = {"young_modulus": 1e6, "poisson_ratio": 0.3, "density": 1000.0}
+    return {"name": "beam", "mesh": {"file": str(path)}, "element": element, "fixed": FOOT,
+            "material": material, **entries}  # fmt: skip
 
 
 def tip(simulation) -> np.ndarray:

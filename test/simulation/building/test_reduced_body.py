@@ -27,6 +27,7 @@ from softrobot_twin.simulation.step.apparent_stiffness import ApparentStiffness
 from softrobot_twin.simulation.step.time_budget import StageClock
 
 from ..conftest import MAPPING, SCENE_FILE
+from test.builder import builder
 from test.scene_changes import repeat_step
 
 
@@ -67,17 +68,13 @@ def coarse(**body):
     return mapping
 
 
-@pytest.fixture(scope="module")
-def pair(tmp_path_factory):
+@builder(scope="module")
+def pair(tmp_path_factory, /, mapping):
     """A full and a reduced simulation of one scene, whose basis spans everything."""
-
-    def make(mapping):
-        path = tmp_path_factory.mktemp("reduced") / "body.npz"
-        scene = scene_from_mapping(saved(mapping, path), SCENE_FILE)
-        full = Simulation(without_reductions(scene), with_warnings=False)
-        return full, Simulation(scene, with_warnings=False)
-
-    return make
+    path = tmp_path_factory.mktemp("reduced") / "body.npz"
+    scene = scene_from_mapping(saved(mapping, path), SCENE_FILE)
+    full = Simulation(without_reductions(scene), with_warnings=False)
+    return full, Simulation(scene, with_warnings=False)
 
 
 def assert_same(full, reduced, command, steps=3):
@@ -259,9 +256,7 @@ def test_the_compliance_and_its_derivative_are_those_of_the_full_model(pair):
         newton, positions = simulation.newton, simulation.state.positions.copy()
         newton.linearize(positions, efforts, StageClock())
         stiffness = ApparentStiffness(simulation.model)
-        found.append(
-            stiffness.gradient(newton.linearized_state(positions, efforts), np.arange(3))
-        )
+        found.append(stiffness.gradient(newton.linearized_state(positions, efforts), np.arange(3)))
     full, reduced = found
     np.testing.assert_allclose(reduced.compliance, full.compliance, rtol=1e-8)
     scale = np.abs(full.by_multiplier).max()

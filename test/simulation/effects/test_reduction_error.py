@@ -24,8 +24,7 @@ def pair(half_trained):
     """The full and the reduced simulation, solved to balance without rates."""
     scene = load_scene(half_trained)
     cables = tuple(cable.model_copy(update={"rate": None}) for cable in scene.cables)
-    solver = scene.solver.model_copy(update={
-        "newton_iterations": 30, "residual_tolerance": 1.0e-8})  # fmt: skip
+    solver = scene.solver.model_copy(update={"newton_iterations": 30, "residual_tolerance": 1.0e-8})
     scene = scene.model_copy(update={"cables": cables, "solver": solver})
     return Simulation(without_reductions(scene), with_warnings=False), Simulation(
         scene, with_warnings=False

@@ -149,9 +149,7 @@ def test_its_derivatives_are_right_where_the_tangent_alone_is_indefinite():
             other = lengths.copy()
             other[cable] -= sign * step
             settle(simulation, other)
-            sides.append(
-                stiffness.gradient(linearized(simulation, other), ALL_AXES).compliance
-            )
+            sides.append(stiffness.gradient(linearized(simulation, other), ALL_AXES).compliance)
         expected[:, cable] = (sides[0] - sides[1]) / (2.0 * step)
     assert np.abs(found - expected).max() < 1e-4 * np.abs(expected).max()
 

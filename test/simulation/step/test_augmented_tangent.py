@@ -16,6 +16,7 @@ from softrobot_twin.simulation.step.augmented_tangent import (
 )
 from softrobot_twin.solvers.factorization import NodeRows
 from softrobot_twin.solvers.inverse_problem import Bounds
+from test.builder import builder
 from test.scene_changes import repeat_step
 
 SCENES = Path(__file__).resolve().parents[3] / "config" / "scenes"
@@ -42,9 +43,7 @@ def tangents(diamond):
             self.newton.assemble(self.positions, rows.multipliers(self.efforts), False)
             assert factorization.factor()
             self.b = self.newton.forces.copy()
-            self.H = NodeRows(
-                rows.row_index, rows.node_index, rows.blocks.copy(), rows.row_count
-            )
+            self.H = NodeRows(rows.row_index, rows.node_index, rows.blocks.copy(), rows.row_count)
             self.exact = factorization.condense(self.H, self.b)
 
         def augment(self, chosen):
@@ -170,19 +169,15 @@ def test_a_fine_mesh_converges_quadratically_where_its_tangent_is_indefinite(dia
     assert residuals[first + 1] < 1e-9 and residuals[first + 2] < 1e-11
 
 
-@pytest.fixture
-def leaning(beam, rod):
+@builder
+def leaning(beam, rod, /, element, wound):
     """Makes a beam that winds its cables beside a rod and leans on it, at rest."""
-
-    def make(element, wound):
-        simulation = beam(rod, {"body.element": element})
-        for _ in range(60):
-            lengths = simulation.rest_setpoints - wound
-            result = simulation.step(CommandSetpoints(lengths, 0.02))
-        assert result.report.contact_count
-        return simulation, result
-
-    return make
+    simulation = beam(rod, {"body.element": element})
+    for _ in range(60):
+        lengths = simulation.rest_setpoints - wound
+        result = simulation.step(CommandSetpoints(lengths, 0.02))
+    assert result.report.contact_count
+    return simulation, result
 
 
 def test_contacts_that_press_are_augmented_too(leaning):
@@ -195,9 +190,7 @@ def test_contacts_that_press_are_augmented_too(leaning):
     assert factorization.factor()
     H = NodeRows(rows.row_index, rows.node_index, rows.blocks.copy(), rows.row_count)
     exact = factorization.condense(H, newton.forces.copy())
-    augmented = AugmentedTangent(
-        rows, factorization, np.ones(4, bool), contacts=contacts
-    )
+    augmented = AugmentedTangent(rows, factorization, np.ones(4, bool), contacts=contacts)
     augmented.measure(exact.W[:4, :4])
     held = held_within(4, 40.0)
     assert augmented.choose(efforts, held)

@@ -7,6 +7,7 @@ import pytest
 
 from softrobot_twin.errors import CommandError
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Status
+from test.builder import builder
 from test.scene_changes import repeat_step
 
 EXACT = {"newton_iterations": 40, "residual_tolerance": 1e-11}
@@ -15,9 +16,7 @@ G = 9.81
 
 def by_alpha(radius=0.8) -> dict:
     """The entries of a scene that ask for the scheme."""
-    return {
-        "integration": "dynamic", "time_scheme": "generalized_alpha", "spectral_radius": radius,
-    }  # fmt: skip
+    return {"integration": "dynamic", "time_scheme": "generalized_alpha", "spectral_radius": radius}
 
 
 EULER = {"integration": "dynamic"}
@@ -36,22 +35,18 @@ MASS, STIFFNESS = 0.1, 40.0
 OMEGA = np.sqrt(STIFFNESS / MASS)
 
 
-@pytest.fixture
-def hanging(scene_of):
+@builder
+def hanging(scene_of, /, scheme, damping=0.0, stiffness=STIFFNESS, gravity=G):
     """A mass on a spring that its weight pulls from the spring's rest length."""
-
-    def make(scheme, damping=0.0, stiffness=STIFFNESS, gravity=G):
-        return scene_of(
-            gravity=[0, 0, -gravity], **scheme, solver=EXACT,
-            mass_springs=[{"name": "point", "points": [[0, 0, -1.0]], "masses": [MASS]}],
-            springs=[{
-                "name": "spring", "stiffness": stiffness, "damping": damping, "rest_length": 1.0,
-                "ends": [{"on": "point", "point": [0, 0, -1.0]},
-                         {"on": "world", "point": [0, 0, 0]}],
-            }],
-        )  # fmt: skip
-
-    return make
+    return scene_of(
+        gravity=[0, 0, -gravity], **scheme, solver=EXACT,
+        mass_springs=[{"name": "point", "points": [[0, 0, -1.0]], "masses": [MASS]}],
+        springs=[{
+            "name": "spring", "stiffness": stiffness, "damping": damping, "rest_length": 1.0,
+            "ends": [{"on": "point", "point": [0, 0, -1.0]},
+                     {"on": "world", "point": [0, 0, 0]}],
+        }],
+    )  # fmt: skip
 
 
 def heights(simulation, time_step, count) -> np.ndarray:
@@ -124,17 +119,12 @@ def test_steps_of_different_lengths_keep_the_second_order(hanging):
 HELD = [{"box": {"minimum": [-1, -1, -1e-6], "maximum": [1, 1, 1e-6]}}]
 
 
-@pytest.fixture
-def soft(simulate, body_of, block):
+@builder
+def soft(simulate, body_of, block, /, scheme, size=(0.03, 0.03, 0.06), cells=(1, 1, 2),
+         gravity=(5.0, 0, 0), **entries):  # fmt: skip
     """A soft column, held or free."""
-
-    def make(scheme, size=(0.03, 0.03, 0.06), cells=(1, 1, 2), gravity=(5.0, 0, 0), **entries):
-        mesh = block(size=size, cells=cells)
-        return simulate(
-            body=body_of(mesh, **entries), gravity=list(gravity), **scheme, solver=EXACT
-        )
-
-    return make
+    mesh = block(size=size, cells=cells)
+    return simulate(body=body_of(mesh, **entries), gravity=list(gravity), **scheme, solver=EXACT)
 
 
 @pytest.mark.parametrize(
@@ -202,9 +192,7 @@ def test_without_numerical_damping_the_energy_is_bounded(soft, energies):
     assert strays[200:].max() < 2.0 * strays[:200].max()
 
 
-def test_numerical_damping_takes_the_energy_of_fast_vibrations_and_leaves_slow_ones(
-    soft, energies
-):
+def test_numerical_damping_takes_the_energy_of_fast_vibrations_and_leaves_slow_ones(soft, energies):
     """A blow shakes a held column, whose first period is some 0.1 s."""
     left = {}
     for name, scheme in (("euler", EULER), ("alpha", by_alpha(0.5)), ("none", by_alpha(1.0))):
@@ -286,20 +274,16 @@ def test_a_beam_converges_at_the_second_order(simulate, damping):
 # --- rigid bodies ---------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def tumbling(scene_of):
+@builder
+def tumbling(scene_of, /, scheme, turning=(0.05, 8.0, 0.02), gravity=0.0):
     """A free box that turns about its middle axis, nearly."""
-
-    def make(scheme, turning=(0.05, 8.0, 0.02), gravity=0.0):
-        return scene_of(
-            gravity=[0, 0, -gravity], **scheme, solver=EXACT,
-            rigid_bodies=[{
-                "name": "box", "box": {"size": [0.02, 0.05, 0.09]}, "density": 1000.0,
-                "velocity": [0.3, -0.2, 0.1], "angular_velocity": list(turning),
-            }],
-        )  # fmt: skip
-
-    return make
+    return scene_of(
+        gravity=[0, 0, -gravity], **scheme, solver=EXACT,
+        rigid_bodies=[{
+            "name": "box", "box": {"size": [0.02, 0.05, 0.09]}, "density": 1000.0,
+            "velocity": [0.3, -0.2, 0.1], "angular_velocity": list(turning),
+        }],
+    )  # fmt: skip
 
 
 def test_a_tumbling_body_keeps_its_momenta_and_its_energy(tumbling):
@@ -357,21 +341,17 @@ def test_a_free_body_falls_as_in_theory_to_the_last_digit(tumbling):
 EDGE, FRICTION, STEP = 0.04, 0.5, 0.002
 
 
-@pytest.fixture
-def box(scene_of):
+@builder
+def box(scene_of, /, angle=0.0, height=0.0, scheme=None, **entries):
     """A rigid box over a level plane, gravity tilted by an angle."""
-
-    def make(angle=0.0, height=0.0, scheme=None, **entries):
-        return scene_of(
-            gravity=[G * np.sin(angle), 0.0, -G * np.cos(angle)],
-            **(by_alpha() if scheme is None else scheme),
-            obstacles=[{"name": "slope", "plane": {}}],
-            contact={"friction": FRICTION, "between": [{"pair": ["box", "slope"]}]},
-            rigid_bodies=[{"name": "box", "mass": 0.03, "position": [0, 0, EDGE / 2 + height],
-                           "box": {"size": [EDGE] * 3}, **entries}],
-        )  # fmt: skip
-
-    return make
+    return scene_of(
+        gravity=[G * np.sin(angle), 0.0, -G * np.cos(angle)],
+        **(by_alpha() if scheme is None else scheme),
+        obstacles=[{"name": "slope", "plane": {}}],
+        contact={"friction": FRICTION, "between": [{"pair": ["box", "slope"]}]},
+        rigid_bodies=[{"name": "box", "mass": 0.03, "position": [0, 0, EDGE / 2 + height],
+                       "box": {"size": [EDGE] * 3}, **entries}],
+    )  # fmt: skip
 
 
 def test_a_block_at_rest_on_a_plane_stays_at_rest(box):

@@ -131,9 +131,7 @@ def test_the_same_cable_twice_shares_its_load(diamond, circle):
 
 
 def test_more_actuators_than_directions_move_smoothly(diamond):
-    simulation = diamond(
-        lambda m: m["effectors"][0].update(directions=["x"])
-    )
+    simulation = diamond(lambda m: m["effectors"][0].update(directions=["x"]))
     lengths = []
     for x in np.linspace(0.0, 0.01, 60):
         targets = np.array([[x, np.nan, np.nan]])

@@ -147,9 +147,7 @@ def test_keeping_a_state_because_every_step_inverts_is_a_failure(diamond, monkey
     *itertools.product(["beam", "diamond"], [0.05, 0.5, 1.0]),
     *itertools.product(["beam beside a rod"], [0.2, 0.5, 1.0]),
 ])  # fmt: skip
-def test_an_energy_weight_that_keeps_the_tip_from_its_target_is_named(
-    request, rod, robot, weight
-):
+def test_an_energy_weight_that_keeps_the_tip_from_its_target_is_named(request, rod, robot, weight):
     def change(mapping):
         with_weight(weight)(mapping)
         if "rod" in robot:
@@ -194,9 +192,7 @@ def test_a_target_out_of_reach_is_not_attributed_to_a_small_energy_weight(reques
     assert not ends & {Status.OK, Status.LINEARIZED}
 
 
-def test_a_target_that_takes_several_steps_is_not_reported_as_unreachable(
-    diamond, monkeypatch
-):
+def test_a_target_that_takes_several_steps_is_not_reported_as_unreachable(diamond, monkeypatch):
     monkeypatch.setattr(inverse_actuation, "LONGEST_REACH", 0.01)
     simulation = diamond(without_rates)
     target = simulation.effector_positions() + [[0.01, 0.02, 0.012]]

@@ -10,6 +10,7 @@ import pytest
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
 from softrobot_twin.simulation.step.time_budget import TimeBudget
+from test.builder import builder
 from test.scene_changes import repeat_step
 
 
@@ -25,18 +26,14 @@ class FakeClock:
         return self.time
 
 
-@pytest.fixture
-def timed(diamond):
+@builder
+def timed(diamond, /) -> tuple[Simulation, FakeClock]:
     """The coarse Diamond on a fake clock; one linearization takes seven looks."""
-
-    def make() -> tuple[Simulation, FakeClock]:
-        model = diamond()
-        clock = FakeClock()
-        mapping = copy.deepcopy(model.scene.model_dump(mode="json"))
-        simulation = Simulation(scene_from_mapping(mapping, model.scene.path), now=clock)
-        return simulation, clock
-
-    return make
+    model = diamond()
+    clock = FakeClock()
+    mapping = copy.deepcopy(model.scene.model_dump(mode="json"))
+    simulation = Simulation(scene_from_mapping(mapping, model.scene.path), now=clock)
+    return simulation, clock
 
 
 def pull(simulation, wound=0.015):

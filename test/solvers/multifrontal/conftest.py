@@ -5,6 +5,7 @@ import pytest
 
 from softrobot_twin.solvers.factorization import NodeRows
 from softrobot_twin.solvers.multifrontal import Multifrontal
+from test.builder import builder
 
 
 def chain(count):
@@ -89,9 +90,7 @@ class System:
         self.solver.clear()
         for i in range(3):
             for j in range(3):
-                self.solver.storage[offsets + i + j * strides] = (
-                    blocks[r[lower], c[lower], j, i]
-                )
+                self.solver.storage[offsets + i + j * strides] = (blocks[r[lower], c[lower], j, i])
 
     def constraint_rows(self, row_count, entries=None):
         entries = 3 * row_count if entries is None else entries
@@ -108,11 +107,7 @@ def system(request):
     return System(PATTERNS[request.param])
 
 
-@pytest.fixture
-def make_system():
+@builder
+def make_system(name, seed=0, **options):
     """Makes a system on a pattern, given by name."""
-
-    def make(name, seed=0, **options):
-        return System(PATTERNS[name], seed, **options)
-
-    return make
+    return System(PATTERNS[name], seed, **options)
