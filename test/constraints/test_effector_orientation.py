@@ -44,17 +44,10 @@ def mesh(block):
     return block(cells=(2, 2, 2))
 
 
-@pytest.fixture
-def rng(request):
-    seed = int(np.random.SeedSequence().entropy % 2**32)
-    print(f"seed {seed}")
-    return np.random.default_rng(seed)
-
-
-def turned(positions, rotation, rng):
+def turned(positions, rotation, drawn_rng):
     """Positions that are turned, moved and deformed."""
-    deformed = positions + 0.02 * rng.standard_normal(positions.shape)
-    return deformed @ rotation.as_matrix().T + rng.standard_normal(3)
+    deformed = positions + 0.02 * drawn_rng.standard_normal(positions.shape)
+    return deformed @ rotation.as_matrix().T + drawn_rng.standard_normal(3)
 
 
 def rows_at(term, positions, points=None):
@@ -67,17 +60,17 @@ def rows_at(term, positions, points=None):
 
 
 @pytest.mark.parametrize("points", [PATCH, FLAT_PATCH], ids=["solid", "flat"])
-def test_a_rigid_motion_turns_a_patch_by_its_rotation(mesh, points, rng):
+def test_a_rigid_motion_turns_a_patch_by_its_rotation(mesh, points, drawn_rng):
     term = posed(mesh, points)
-    for rotation in Rotation.random(20, random_state=rng):
-        moved = mesh.node_positions @ rotation.as_matrix().T + rng.standard_normal(3)
+    for rotation in Rotation.random(20, random_state=drawn_rng):
+        moved = mesh.node_positions @ rotation.as_matrix().T + drawn_rng.standard_normal(3)
         np.testing.assert_allclose(term.rotations(moved)[0], rotation.as_matrix(), atol=1e-12)
 
 
-def test_the_rotation_of_a_patch_is_the_best_fit(mesh, rng):
+def test_the_rotation_of_a_patch_is_the_best_fit(mesh, drawn_rng):
     term, mapping = posed(mesh), carried(mesh, PATCH)
     rest = mapping.positions(mesh.node_positions)
-    moved = turned(mesh.node_positions, Rotation.random(random_state=rng), rng)
+    moved = turned(mesh.node_positions, Rotation.random(random_state=drawn_rng), drawn_rng)
     places = mapping.positions(moved)
     fitted, _ = Rotation.align_vectors(places - places.mean(axis=0), rest - rest.mean(axis=0))
     np.testing.assert_allclose(term.rotations(moved)[0], fitted.as_matrix(), atol=1e-10)
@@ -86,15 +79,15 @@ def test_the_rotation_of_a_patch_is_the_best_fit(mesh, rng):
 @pytest.mark.parametrize("points", [PATCH, FLAT_PATCH], ids=["solid", "flat"])
 @pytest.mark.parametrize("axis", [None, (0.0, 0.0, 1.0), (1.0, -2.0, 0.5)])
 @pytest.mark.parametrize("away", [0.0, 1e-9, 0.01, 1.0, 2.5, 3.1])
-def test_rows_are_the_derivative_of_the_error(mesh, points, axis, away, rng):
+def test_rows_are_the_derivative_of_the_error(mesh, points, axis, away, drawn_rng):
     term = posed(mesh, points, axis)
-    x = turned(mesh.node_positions, Rotation.random(random_state=rng), rng)
+    x = turned(mesh.node_positions, Rotation.random(random_state=drawn_rng), drawn_rng)
     about = np.array([1.0, 0, 0]) if axis is None else np.cross(axis, [0.3, 0.9, 0.1])
     off = Rotation.from_rotvec(away * about / np.linalg.norm(about))
     wanted = Rotation.from_matrix(term.rotations(x)[0]) * off
     term.aim(wanted.as_quat()[None], x)
     H, _ = rows_at(term, x)
-    move, step = rng.standard_normal(x.shape), 1e-7
+    move, step = drawn_rng.standard_normal(x.shape), 1e-7
     after, before = rows_at(term, x + step * move)[1], rows_at(term, x - step * move)[1]
     slopes = np.einsum("kni,ni->k", H[:, : len(x)], move[: H.shape[1]])
     np.testing.assert_allclose(
@@ -103,9 +96,9 @@ def test_rows_are_the_derivative_of_the_error(mesh, points, axis, away, rng):
 
 
 @pytest.mark.parametrize("axis", [None, (0.0, 1.0, 1.0)])
-def test_rows_on_a_rigid_frame_are_derivatives_by_its_unknowns(axis, rng):
+def test_rows_on_a_rigid_frame_are_derivatives_by_its_unknowns(axis, drawn_rng):
     frames = RigidFrames(0, [True], 0, 2)
-    pose = rng.standard_normal(3), Rotation.random(random_state=rng).as_matrix()
+    pose = drawn_rng.standard_normal(3), Rotation.random(random_state=drawn_rng).as_matrix()
     rest = frames.rest_nodes([pose])
     nodes, arms = frame_arms(0, rest)
     axis = None if axis is None else np.array(axis) / np.linalg.norm(axis)
@@ -114,11 +107,11 @@ def test_rows_on_a_rigid_frame_are_derivatives_by_its_unknowns(axis, rng):
     term = PosedEffectors((effector,), (orientation,), frames.free_index(), SIZE)
     points = CarriedPoints(2, (frames,))
     x = rest.copy()
-    frames.advance(x, rng.standard_normal((2, 3)), 1.0)
+    frames.advance(x, drawn_rng.standard_normal((2, 3)), 1.0)
     np.testing.assert_allclose(term.rotations(x)[0], frames.pose(x, 0)[1] @ pose[1].T, atol=1e-13)
-    term.aim(Rotation.random(random_state=rng).as_quat()[None], x)
+    term.aim(Rotation.random(random_state=drawn_rng).as_quat()[None], x)
     H, _ = rows_at(term, x, points)
-    move, step, values = rng.standard_normal((2, 3)), 1e-6, []
+    move, step, values = drawn_rng.standard_normal((2, 3)), 1e-6, []
     for sign in (1.0, -1.0):
         moved = x.copy()
         frames.advance(moved, sign * step * move, 1.0)
@@ -128,10 +121,10 @@ def test_rows_on_a_rigid_frame_are_derivatives_by_its_unknowns(axis, rng):
     np.testing.assert_allclose(H[:, 0], 0.0, atol=1e-14)
 
 
-def test_the_error_of_an_orientation_is_its_angle_times_the_length(mesh, rng):
+def test_the_error_of_an_orientation_is_its_angle_times_the_length(mesh, drawn_rng):
     term, x = posed(mesh), mesh.node_positions
     for angle in (0.0, 1e-6, 1.0, 3.0, np.pi - 1e-6):
-        about = rng.standard_normal(3)
+        about = drawn_rng.standard_normal(3)
         wanted = Rotation.from_rotvec(angle * about / np.linalg.norm(about))
         rows = term.aim(7.0 * wanted.as_quat()[None], x)
         values = rows_at(term, x)[1][3:]
@@ -140,9 +133,9 @@ def test_the_error_of_an_orientation_is_its_angle_times_the_length(mesh, rng):
 
 
 @pytest.mark.parametrize("axis", [None, (0.0, 0.0, 1.0)])
-def test_a_common_rotation_of_robot_and_target_changes_no_error(mesh, axis, rng):
-    x = turned(mesh.node_positions, Rotation.random(random_state=rng), rng)
-    wanted, common = Rotation.random(2, random_state=rng)
+def test_a_common_rotation_of_robot_and_target_changes_no_error(mesh, axis, drawn_rng):
+    x = turned(mesh.node_positions, Rotation.random(random_state=drawn_rng), drawn_rng)
+    wanted, common = Rotation.random(2, random_state=drawn_rng)
     lengths = []
     for turn in (Rotation.identity(), common):
         term = posed(mesh, axis=axis)

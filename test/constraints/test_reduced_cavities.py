@@ -19,13 +19,6 @@ SIZE = np.array([0.2, 0.3, 0.4])
 PLACES, NODE_COUNT = np.array([4, 1, 2]), 6
 
 
-@pytest.fixture
-def rng():
-    seed = np.random.SeedSequence().entropy
-    print(f"seed {seed}")
-    return np.random.default_rng(seed)
-
-
 @pytest.fixture(params=["nodes", "points of a quadratic mesh"])
 def carrier(request, block):
     """Nodes of a mesh, and a closed surface: of its own nodes, or of points between them."""
@@ -46,10 +39,10 @@ def carrier(request, block):
 
 
 @pytest.fixture
-def reduced(carrier, rng, bound_term):
+def reduced(carrier, drawn_rng, bound_term):
     """A cavity on a body in nine random modes, and the same on all nodes."""
     rest, surface = carrier
-    basis = rng.uniform(-1.0, 1.0, (len(rest), 3, 3 * len(PLACES)))
+    basis = drawn_rng.uniform(-1.0, 1.0, (len(rest), 3, 3 * len(PLACES)))
     term, matrix, free = bound_term(
         lambda entries, free_index, _: ReducedCavities(
             ["air"], [ReducedWalls(entries, rest, basis, PLACES)], free_index
@@ -88,9 +81,9 @@ def cones(surface, x):
 
 
 @pytest.mark.parametrize("amplitude", [1e-4, 1e-2, 0.1, 1.0])
-def test_volumes_and_rows_are_those_of_the_triangles(reduced, dense_rows, rng, amplitude):
+def test_volumes_and_rows_are_those_of_the_triangles(reduced, dense_rows, drawn_rng, amplitude):
     for _ in range(5):
-        q = amplitude * rng.standard_normal(3 * len(PLACES))
+        q = amplitude * drawn_rng.standard_normal(3 * len(PLACES))
         x = on_nodes(reduced.rest, reduced.basis, q)
         volume = reduced.whole.volumes(x)
         scale = cones(reduced.surface, x)
@@ -114,8 +107,8 @@ def test_volumes_at_rest_and_areas_are_those_of_the_triangles(reduced, dense_row
     assert growth[0] == 0.0
 
 
-def test_rows_are_the_derivative_of_the_volume(reduced, dense_rows, rng):
-    q, step = 0.02 * rng.standard_normal(9), 1e-5
+def test_rows_are_the_derivative_of_the_volume(reduced, dense_rows, drawn_rng):
+    q, step = 0.02 * drawn_rng.standard_normal(9), 1e-5
     H = by_coordinates(dense_rows(reduced.term, state(q), reduced.free)[0], reduced.free)
     for m, change in enumerate(step * np.eye(9)):
         ahead, behind = (reduced.term.volumes(state(q + s * change)) for s in (1.0, -1.0))
@@ -124,8 +117,8 @@ def test_rows_are_the_derivative_of_the_volume(reduced, dense_rows, rng):
         )
 
 
-def test_stiffness_is_minus_the_derivative_of_the_forces_of_pressure(reduced, dense_rows, rng):
-    q, step, pressure = 0.02 * rng.standard_normal(9), 1e-5, np.array([-1700.0])
+def test_stiffness_is_minus_the_derivative_of_the_forces_of_pressure(reduced, dense_rows, drawn_rng):
+    q, step, pressure = 0.02 * drawn_rng.standard_normal(9), 1e-5, np.array([-1700.0])
     forces = [
         [pressure @ by_coordinates(dense_rows(reduced.term, state(q + s * change), reduced.free)[0],
                                    reduced.free)
@@ -144,8 +137,8 @@ def test_stiffness_is_minus_the_derivative_of_the_forces_of_pressure(reduced, de
     np.testing.assert_allclose(own, -slopes, atol=1e-6 * np.abs(own).max())
 
 
-def test_stiffness_is_that_of_the_triangles_along_the_basis(reduced, bound_term, rng):
-    q, pressure = 0.1 * rng.standard_normal(9), np.array([300.0])
+def test_stiffness_is_that_of_the_triangles_along_the_basis(reduced, bound_term, drawn_rng):
+    q, pressure = 0.1 * drawn_rng.standard_normal(9), np.array([300.0])
     whole, matrix, _ = bound_term(Cavities, (reduced.surface,), reduced.rest)
     matrix.clear()
     whole.add_stiffness(on_nodes(reduced.rest, reduced.basis, q), pressure, matrix.storage)
@@ -167,11 +160,11 @@ def test_a_cavity_without_pressure_adds_no_stiffness(reduced):
     assert not reduced.matrix.storage.any()
 
 
-def test_a_move_is_valid_as_far_as_that_of_the_triangles(reduced, rng):
+def test_a_move_is_valid_as_far_as_that_of_the_triangles(reduced, drawn_rng):
     shares = []
     for amplitude in (1e-4, 0.1, 100.0):
-        q, move = 1e-4 * rng.standard_normal(9), np.full((len(reduced.free), 3), 3.0)
-        dq = amplitude * rng.standard_normal(9)
+        q, move = 1e-4 * drawn_rng.standard_normal(9), np.full((len(reduced.free), 3), 3.0)
+        dq = amplitude * drawn_rng.standard_normal(9)
         move[np.searchsorted(reduced.free, PLACES)] = dq.reshape(-1, 3)
         x = on_nodes(reduced.rest, reduced.basis, q)
         expected = reduced.whole.largest_share(x, reduced.basis @ dq)
@@ -252,7 +245,7 @@ def test_a_rigid_translation_changes_no_volume():
     assert np.abs(moved[0]).max() < 1e-12 * np.abs(own).max()
 
 
-def test_walls_behind_one_valve_sum_up_also_on_several_bodies(dense_rows, rng):
+def test_walls_behind_one_valve_sum_up_also_on_several_bodies(dense_rows, drawn_rng):
     first = balloon([along(0), lambda points: points, lambda points: points**3], nodes=[2])
     others = [balloon([lambda points, k=k: points**k for k in range(1, 7)], name, nodes=[1, 4])
               for name in ("air", "oil")]  # fmt: skip
@@ -261,7 +254,7 @@ def test_walls_behind_one_valve_sum_up_also_on_several_bodies(dense_rows, rng):
     both = ReducedCavities(["oil", "air"], [first, second], free_index)
     parts = [ReducedCavities([name], [walls], free_index) for name, walls in
              (("oil", others[1]), ("air", first), ("air", others[0]))]  # fmt: skip
-    x = 0.02 * rng.standard_normal((5, 3))
+    x = 0.02 * drawn_rng.standard_normal((5, 3))
     assert both.row_count == 2 and sorted(map(tuple, both.stencils())) == [(0, 2), (1, -1)]
     H, values = dense_rows(both, x, free)
     (oil, of_oil), (one, of_one), (two, of_two) = (dense_rows(part, x, free) for part in parts)
@@ -272,10 +265,10 @@ def test_walls_behind_one_valve_sum_up_also_on_several_bodies(dense_rows, rng):
     assert (np.abs(missed) <= 1e-14 * (both.rest_volumes + np.abs(values))).all()
 
 
-def test_stiffness_of_several_bodies_is_that_of_each(bound_term, rng):
+def test_stiffness_of_several_bodies_is_that_of_each(bound_term, drawn_rng):
     first = balloon([along(0), lambda points: points, lambda points: points**3], nodes=[2])
     second = balloon([lambda points, k=k: points**k for k in range(1, 7)], "oil", nodes=[1, 3])
-    x, pressures = 0.02 * rng.standard_normal((4, 3)), np.array([300.0, -500.0])
+    x, pressures = 0.02 * drawn_rng.standard_normal((4, 3)), np.array([300.0, -500.0])
 
     def stiffness(names, bodies, pressures):
         term, matrix, _ = bound_term(

@@ -119,30 +119,24 @@ def test_packets_are_those_of_the_public_description():
     assert crc16(b"") == 0
 
 
-def test_any_content_is_read_as_it_was_written_in_any_pieces():
-    seed = int(np.random.default_rng().integers(2**32))
-    print(f"seed {seed}")
-    random = np.random.default_rng(seed)
+def test_any_content_is_read_as_it_was_written_in_any_pieces(drawn_rng):
     choices = np.array([0xFF, 0xFF, 0xFD, 0x00, 0x55], np.uint8)
     for _ in range(200):
         # Mostly the bytes of the header, so that some must be stuffed.
-        contents = [random.choice(choices, random.integers(0, 20)).tobytes() for _ in range(3)]
+        contents = [drawn_rng.choice(choices, drawn_rng.integers(0, 20)).tobytes() for _ in range(3)]
         stream = b"".join(b"\x12" + packet(7, 0x55, content) for content in contents)
         reader, found, place = PacketReader(), [], 0
         while place < len(stream):
-            size = int(random.integers(1, 12))
+            size = int(drawn_rng.integers(1, 12))
             found += reader.feed(stream[place : place + size])
             place += size
         assert [one.parameters for one in found] == contents
 
 
-def test_random_bytes_are_no_packets_and_end_nothing():
-    seed = int(np.random.default_rng().integers(2**32))
-    print(f"seed {seed}")
-    random = np.random.default_rng(seed)
+def test_random_bytes_are_no_packets_and_end_nothing(drawn_rng):
     reader, good = PacketReader(), packet(3, 0x55, b"\0ab")
     for _ in range(500):
-        noise = random.choice(np.array([0xFF, 0xFD, 0, 3, 9], np.uint8), 30).tobytes()
+        noise = drawn_rng.choice(np.array([0xFF, 0xFD, 0, 3, 9], np.uint8), 30).tobytes()
         try:
             reader.feed(noise)
         except ChecksumError:
@@ -365,26 +359,23 @@ def test_a_torque_that_may_still_be_on_is_told(wired):
     assert not wired.servos[1].has_torque and not wired.servos[4].has_torque
 
 
-def test_any_answers_end_a_measurement_as_an_error_of_the_bus(wired):
+def test_any_answers_end_a_measurement_as_an_error_of_the_bus(wired, drawn_rng):
     device = wired.device()
     wired.follow(device, rest(device) - 0.002)
     device.bus.timeout, now = 0.01, wired.now  # it waits for what will not come
-    seed = int(np.random.default_rng().integers(2**32))
-    print(f"seed {seed}")
-    random = np.random.default_rng(seed)
     honest, count = wired.bus.answer, [0]
 
     def lie(content):
         answer = bytearray(honest(content))
-        kind = random.integers(4)
+        kind = drawn_rng.integers(4)
         if kind == 0:
             return bus_module.HEADER * 1000
         if kind == 1:
-            return random.bytes(int(random.integers(300)))
+            return drawn_rng.bytes(int(drawn_rng.integers(300)))
         if kind == 2 and answer:
-            del answer[int(random.integers(len(answer))) :]
+            del answer[int(drawn_rng.integers(len(answer))) :]
         elif answer:
-            answer[int(random.integers(len(answer)))] ^= 1 << int(random.integers(8))
+            answer[int(drawn_rng.integers(len(answer)))] ^= 1 << int(drawn_rng.integers(8))
         return bytes(answer)
 
     wired.bus.answer = lie

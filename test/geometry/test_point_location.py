@@ -105,14 +105,10 @@ def test_no_point_of_the_triangle_is_closer():
 def test_each_region_of_the_plane_has_its_closest_point():
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
     cases = {
-        (0.2, 0.2, 5): (0.6, 0.2, 0.2),
-        (0.5, -3, 1): (0.5, 0.5, 0),
-        (1, 1, 0): (0, 0.5, 0.5),
-        (-1, 0.25, 0): (0.75, 0, 0.25),
-        (-1, -1, 0): (1, 0, 0),
-        (3, -1, 0): (0, 1, 0),
+        (0.2, 0.2, 5): (0.6, 0.2, 0.2), (0.5, -3, 1): (0.5, 0.5, 0), (1, 1, 0): (0, 0.5, 0.5),
+        (-1, 0.25, 0): (0.75, 0, 0.25), (-1, -1, 0): (1, 0, 0), (3, -1, 0): (0, 1, 0),
         (-1, 3, 0): (0, 0, 1),
-    }
+    }  # fmt: skip
     weights = closest_on_triangles(np.array(list(cases), float), np.stack([corners] * len(cases)))
     np.testing.assert_allclose(weights, np.array(list(cases.values())), atol=1e-14)
 

@@ -52,15 +52,12 @@ def test_slope_is_the_derivative_of_the_place():
     Cylinder([[0.05, -0.1, 0.05], [0.1, 0.1, 0.04]], 0.01),
     Box([0.1, 0.0, 0.06], [0.05, 0.02, 0.03]),
 ], ids=lambda shape: type(shape).__name__)  # fmt: skip
-def test_place_nearest_to_a_shape_is_that_of_a_search(shape):
-    seed = int(np.random.default_rng().integers(2**32))
-    print(f"seed {seed}")
-    random = np.random.default_rng(seed)
+def test_place_nearest_to_a_shape_is_that_of_a_search(shape, drawn_rng):
     origin, axes = shape.frame()
     placed = np.vstack([origin, np.array(axes).T])
     one_dip_count = 0
     for _ in range(20):
-        axis = chain(random)
+        axis = chain(drawn_rng)
         for e in range(4):
             distances, _ = shape.signed_distances(points_of(axis, e))
             s = nearest_share(axis, e, shape.kind, np.array(shape.extents()), placed)
@@ -75,16 +72,13 @@ def test_place_nearest_to_a_shape_is_that_of_a_search(shape):
     assert one_dip_count >= 40
 
 
-def test_places_of_two_elements_nearest_to_each_other_are_those_of_a_search():
-    seed = int(np.random.default_rng().integers(2**32))
-    print(f"seed {seed}")
-    random = np.random.default_rng(seed)
+def test_places_of_two_elements_nearest_to_each_other_are_those_of_a_search(drawn_rng):
     one_dip_count = 0
     for _ in range(30):
-        first, second = chain(random, bend=0.05), chain(random, bend=0.05)
+        first, second = chain(drawn_rng, bend=0.05), chain(drawn_rng, bend=0.05)
         # As near as what touches is: farther apart, bent elements have several equal minima.
         shift = points_of(first, 1)[200] - points_of(second, 2)[200]
-        second = second._replace(places=second.places + shift + 0.005 * random.standard_normal(3))
+        second = second._replace(places=second.places + shift + 0.005 * drawn_rng.standard_normal(3))
         x, y = points_of(first, 1), points_of(second, 2)
         apart = np.linalg.norm(x[:, None] - y, axis=2)
         # Bent elements side by side may be near at two places: either may be found.

@@ -18,17 +18,10 @@ LAWS = ("corotational", "linear", "neo_hookean")
 MODES = 12
 
 
-@pytest.fixture
-def seeded():
-    seed = int(np.random.SeedSequence().entropy % 2**32)
-    print(f"seed {seed}")
-    return np.random.default_rng(seed)
-
-
-def smooth_basis(positions, modes, seeded):
+def smooth_basis(positions, modes, drawn_rng):
     """Random waves, as smooth as modes of a body, of largest displacement one."""
-    waves = 6.0 * seeded.standard_normal((3, modes, 3))
-    phases = 2.0 * np.pi * seeded.random((3, modes))
+    waves = 6.0 * drawn_rng.standard_normal((3, modes, 3))
+    phases = 2.0 * np.pi * drawn_rng.random((3, modes))
     basis = np.cos(np.einsum("ni,jmi->njm", positions, waves) + phases)
     return basis / np.linalg.norm(basis, axis=1).max(axis=0)
 
@@ -48,10 +41,10 @@ def forces_of(term, q):
 
 
 @pytest.mark.parametrize("name", LAWS)
-def test_all_points_give_the_projected_forces_and_the_energy_of_the_mesh(name, block, bind, seeded):
+def test_all_points_give_the_projected_forces_and_the_energy_of_the_mesh(name, block, bind, drawn_rng):
     mesh, law = block(), law_named(name).of_moduli(1.0e5, 0.4)
-    basis = smooth_basis(mesh.node_positions, MODES, seeded)
-    q = 0.01 * seeded.standard_normal(MODES)
+    basis = smooth_basis(mesh.node_positions, MODES, drawn_rng)
+    q = 0.01 * drawn_rng.standard_normal(MODES)
     term = reduced(mesh, law, basis)
     bound = bind((lambda mesh, free, lame: Elements(mesh, free, law), mesh, 1.0e5, 0.4))
     positions, (whole,) = mesh.node_positions + basis @ q, bound.terms
@@ -64,10 +57,10 @@ def test_all_points_give_the_projected_forces_and_the_energy_of_the_mesh(name, b
 
 
 @pytest.mark.parametrize("name", LAWS)
-def test_the_stiffness_is_the_derivative_of_the_forces(name, block, seeded):
+def test_the_stiffness_is_the_derivative_of_the_forces(name, block, drawn_rng):
     mesh, law = block(), law_named(name).of_moduli(1.0e5, 0.4)
-    term = reduced(mesh, law, smooth_basis(mesh.node_positions, MODES, seeded))
-    q, step = 0.005 * seeded.standard_normal(MODES), 1.0e-6
+    term = reduced(mesh, law, smooth_basis(mesh.node_positions, MODES, drawn_rng))
+    q, step = 0.005 * drawn_rng.standard_normal(MODES), 1.0e-6
     slopes = np.column_stack([
         (forces_of(term, q - step * e) - forces_of(term, q + step * e)) / (2.0 * step)
         for e in np.eye(MODES)
@@ -79,23 +72,23 @@ def test_the_stiffness_is_the_derivative_of_the_forces(name, block, seeded):
 
 
 @pytest.mark.parametrize("name", LAWS)
-def test_a_projected_stiffness_has_no_negative_eigenvalue(name, block, seeded):
+def test_a_projected_stiffness_has_no_negative_eigenvalue(name, block, drawn_rng):
     mesh, law = block(), law_named(name).of_moduli(1.0e5, 0.4)
-    basis = smooth_basis(mesh.node_positions, MODES, seeded)
+    basis = smooth_basis(mesh.node_positions, MODES, drawn_rng)
     term = reduced(mesh, law, basis)
     # Crushed to half its height, where the exact stiffness of turning laws is indefinite.
-    q = 0.05 * seeded.standard_normal(MODES)
+    q = 0.05 * drawn_rng.standard_normal(MODES)
     forces_of(term, q)
     eigenvalues = np.linalg.eigvalsh(term.stiffness(projected=True))
     assert eigenvalues[0] >= -1e-6 * eigenvalues[-1]
 
 
-def test_the_products_of_rows_are_those_of_the_whole_derivative(block, seeded):
+def test_the_products_of_rows_are_those_of_the_whole_derivative(block, drawn_rng):
     mesh, law = block(), law_named("corotational").of_moduli(1.0e5, 0.4)
-    term = reduced(mesh, law, smooth_basis(mesh.node_positions, MODES, seeded))
+    term = reduced(mesh, law, smooth_basis(mesh.node_positions, MODES, drawn_rng))
     changes = np.empty_like(term._gradients)
     for size in (1e-4, 1e-2, 1e-1):  # in the last state some points are inside out
-        forces_of(term, size * seeded.standard_normal(MODES))
+        forces_of(term, size * drawn_rng.standard_normal(MODES))
         for projected in (False, True):
             if projected and size > 0.05:
                 continue
@@ -105,7 +98,7 @@ def test_the_products_of_rows_are_those_of_the_whole_derivative(block, seeded):
 
 
 @pytest.mark.parametrize("name", ["corotational", "neo_hookean"])
-def test_sampled_points_store_the_same_energy_in_a_rotated_state(name, block, seeded):
+def test_sampled_points_store_the_same_energy_in_a_rotated_state(name, block, drawn_rng):
     """Objectivity does not need all points: every point is objective."""
     mesh, law = block(), law_named(name).of_moduli(1.0e5, 0.4)
     x = mesh.node_positions
@@ -115,14 +108,14 @@ def test_sampled_points_store_the_same_energy_in_a_rotated_state(name, block, se
         for j in range(3):
             affine[:, i, 3 * i + j] = x[:, j]
         affine[:, i, 9 + i] = 1.0
-    chosen = np.sort(seeded.choice(mesh.cell_count, 9, replace=False))
-    sampled = SampledPoints(chosen, np.zeros(9, np.int64), 1.0 + seeded.random(9))
+    chosen = np.sort(drawn_rng.choice(mesh.cell_count, 9, replace=False))
+    sampled = SampledPoints(chosen, np.zeros(9, np.int64), 1.0 + drawn_rng.random(9))
     term = reduced(mesh, law, affine, sampled)
-    F = np.eye(3) + 0.1 * seeded.standard_normal((3, 3))
-    R = Rotation.random(random_state=int(seeded.integers(2**31))).as_matrix()
+    F = np.eye(3) + 0.1 * drawn_rng.standard_normal((3, 3))
+    R = Rotation.random(random_state=int(drawn_rng.integers(2**31))).as_matrix()
 
     def energy(deformation):
-        q = np.concatenate([(deformation - np.eye(3)).ravel(), seeded.standard_normal(3)])
+        q = np.concatenate([(deformation - np.eye(3)).ravel(), drawn_rng.standard_normal(3)])
         return term.energy(q.reshape(-1, 3)), forces_of(term, q)
 
     assert energy(R @ F)[0] == pytest.approx(energy(F)[0], rel=1e-10)
@@ -131,9 +124,9 @@ def test_sampled_points_store_the_same_energy_in_a_rotated_state(name, block, se
     assert np.abs(forces).max() < 1e-9 * np.abs(energy(F)[1]).max()
 
 
-def test_points_of_other_cells_are_left_to_other_terms(block, seeded):
+def test_points_of_other_cells_are_left_to_other_terms(block, drawn_rng):
     mesh = block()
-    basis = smooth_basis(mesh.node_positions, 3, seeded)
+    basis = smooth_basis(mesh.node_positions, 3, drawn_rng)
     some = np.arange(0, mesh.cell_count, 2)
     (part,) = mesh.blocks(some)
     sampled = SampledPoints(np.array([1, 2, 4, 5]), np.zeros(4, np.int64), np.ones(4))

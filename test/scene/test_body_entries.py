@@ -11,12 +11,9 @@ from softrobot_twin.scene import scene_from_mapping
 BALL = {"name": "ball", "sphere": {"radius": 0.01}, "mass": 0.1, "position": [0, 0, 0.1]}
 FLOOR = {"name": "floor", "plane": {"normal": [0, 0, 1]}}
 GOOD = {
-    "name": "drop",
-    "integration": "dynamic",
-    "rigid_bodies": [BALL],
-    "obstacles": [FLOOR],
+    "name": "drop", "integration": "dynamic", "rigid_bodies": [BALL], "obstacles": [FLOOR],
     "contact": {"between": [{"pair": ["ball", "floor"]}], "friction": 0.5},
-}
+}  # fmt: skip
 
 
 def refused(change) -> SceneError:

@@ -308,9 +308,7 @@ def two_cavities(simulate, body_of, block, tmp_path, /, *changes):
     mesh = block(size=(0.02, 0.02, 0.06), cells=(4, 4, 6), shake=0.0)
     mapping = {
         "gravity": [0.0, 0.0, 0.0], "body": body_of(mesh, "block", fixed=foot), "cavities": [],
-        "effectors": [
-            {"name": "top", "points": [[0.01, 0.01, 0.06]], "directions": ["x"]}
-        ],
+        "effectors": [{"name": "top", "points": [[0.01, 0.01, 0.06]], "directions": ["x"]}],
     }  # fmt: skip
     box = block(size=(0.003, 0.016, 0.05), cells=(1, 4, 8), shake=0.0)
     for name, x in (("left", 0.003), ("right", 0.014)):

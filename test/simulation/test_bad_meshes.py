@@ -22,29 +22,19 @@ def column(block, tmp_path, /, spoil=None) -> Simulation:
         points, tets = spoil(points, tets)
     file = tmp_path / "column.vtk"
     meshio.Mesh(points, [("tetra", tets)]).write(file)
-    return Simulation(
-        scene_from_mapping(
-            {
-                "name": "column",
-                "body": {
-                    "mesh": {"file": str(file)},
-                    "element": "linear",
-                    "material": MATERIAL,
-                    "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, 0.001]}}],
-                },
-                "cables": [
-                    {
-                        "name": "pull",
-                        "pull_point": [0.0, 0.01, -0.01],
-                        "points": [[0.0, 0.01, 0.03], [0.0, 0.01, 0.09]],
-                        "shortening": [0.0, 0.03],
-                        "tension": [0.0, 10.0],
-                    }
-                ],
-                "effectors": [{"name": "tip", "points": [[0.01, 0.01, 0.095]]}],
-            }
-        )
-    )
+    return Simulation(scene_from_mapping({
+        "name": "column",
+        "body": {
+            "mesh": {"file": str(file)}, "element": "linear", "material": MATERIAL,
+            "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, 0.001]}}],
+        },
+        "cables": [{
+            "name": "pull", "pull_point": [0.0, 0.01, -0.01],
+            "points": [[0.0, 0.01, 0.03], [0.0, 0.01, 0.09]], "shortening": [0.0, 0.03],
+            "tension": [0.0, 10.0],
+        }],
+        "effectors": [{"name": "tip", "points": [[0.01, 0.01, 0.095]]}],
+    }))  # fmt: skip
 
 
 def bent(simulation) -> np.ndarray:
@@ -102,14 +92,12 @@ def test_eight_cables_for_one_direction_are_unique_and_smooth(block, tmp_path):
     scene = {
         "name": "column",
         "body": {
-            "mesh": {"file": str(file)},
-            "element": "linear",
-            "material": MATERIAL,
+            "mesh": {"file": str(file)}, "element": "linear", "material": MATERIAL,
             "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, 0.001]}}],
         },
         "cables": cables,
         "effectors": [{"name": "tip", "points": [[0.01, 0.01, 0.1]], "directions": ["x"]}],
-    }
+    }  # fmt: skip
 
     def run():
         simulation = Simulation(scene_from_mapping(scene))

@@ -235,10 +235,7 @@ def test_a_deep_overlap_is_pushed_out_no_faster_than_asked():
 
 
 @pytest.mark.parametrize("other", ["sphere", "beam", "itself"])
-def test_rows_are_the_finite_differences_of_gaps(other):
-    seed = int(np.random.default_rng().integers(2**32))
-    print(f"seed {seed}")
-    random = np.random.default_rng(seed)
+def test_rows_are_the_finite_differences_of_gaps(other, drawn_rng):
     ball = {"name": "thing", "sphere": {"centre": [0.103, 0.003, -0.0142], "radius": 0.01}}
     crossing = beam(name="thing", points=[[0.103, -0.1, -0.0085], [0.103, 0.1, -0.0085]],
                     elements=7)  # fmt: skip
@@ -251,7 +248,7 @@ def test_rows_are_the_finite_differences_of_gaps(other):
     model = sim.model
     contacts, nodes_of, x = model.contacts, model.nodes, model.nodes.rest_positions.copy()
     # Three directions: no gap may happen to change in none of them.
-    directions = 1e-3 * random.uniform(-1.0, 1.0, (3, nodes_of.free_node_count, 3))
+    directions = 1e-3 * drawn_rng.uniform(-1.0, 1.0, (3, nodes_of.free_node_count, 3))
     nodes_of.advance(x, directions[0], 0.05)
     contacts.begin_step(x, np.zeros((0, 3)), 0.0)
     contacts.detect(x)

@@ -24,25 +24,20 @@ def weightless(mesh, young_modulus, poisson_ratio, box, pull_point, points, tip)
     minimum, maximum = (1e-3 * np.array(box)).tolist()
     material = {"young_modulus": young_modulus, "poisson_ratio": poisson_ratio, "density": 1070.0}
     cable = {
-        "name": "cable",
-        "pull_point": (1e-3 * np.array(pull_point)).tolist(),
-        "points": (1e-3 * np.array(points)).tolist(),
-        "shortening": [0.0, 0.04],
+        "name": "cable", "pull_point": (1e-3 * np.array(pull_point)).tolist(),
+        "points": (1e-3 * np.array(points)).tolist(), "shortening": [0.0, 0.04],
         "tension": [0.0, 50.0],
-    }
+    }  # fmt: skip
     scene = {
-        "name": "curl",
-        "gravity": [0.0, 0.0, 0.0],
+        "name": "curl", "gravity": [0.0, 0.0, 0.0],
         "body": {
-            "mesh": {"file": str(MESHES / mesh)},
-            "element": "linear",
-            "material": material,
+            "mesh": {"file": str(MESHES / mesh)}, "element": "linear", "material": material,
             "fixed": [{"box": {"minimum": minimum, "maximum": maximum}}],
         },
         "cables": [cable],
         "effectors": [{"name": "tip", "points": [(1e-3 * np.array(tip)).tolist()]}],
         "solver": {"newton_iterations": 20},
-    }
+    }  # fmt: skip
     return Simulation(scene_from_mapping(scene))
 
 

@@ -167,16 +167,14 @@ def robot(beam, eight, rod, coarse_trunk, diamond):
         return coarse_trunk(change)
 
     makes = {
-        "beam": (lambda: beam(slender), 1.0),
-        "beam and rod": (lambda: beam(beside_a_rod), 1.0),
+        "beam": (lambda: beam(slender), 1.0), "beam and rod": (lambda: beam(beside_a_rod), 1.0),
         "eight cables and rod": (lambda: eight(change=beside_a_rod), 0.2),
         "eight cables and rod, further": (lambda: eight(change=beside_a_rod), 1.0),
         "Trunk": (lambda: trunk("obstacles", "contact", "slides"), 1.9),
         "Trunk with slide": (lambda: trunk("obstacles", "contact"), 1.9),
         "Trunk between cylinders": (lambda: trunk("slides"), 1.9),
-        "Trunk between cylinders with slide": (trunk, 1.9),
-        "Diamond": (diamond, 0.9),
-    }
+        "Trunk between cylinders with slide": (trunk, 1.9), "Diamond": (diamond, 0.9),
+    }  # fmt: skip
 
     def make(name: str) -> tuple[Simulation, float]:
         make_it, distance = makes[name]

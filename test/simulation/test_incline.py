@@ -13,12 +13,10 @@ STEP = 0.002
 def on_slope(scene_of, angle, **body):
     """A scene whose plane is level and whose gravity is tilted: the same, and easier to read."""
     return scene_of(
-        gravity=[G * np.sin(angle), 0.0, -G * np.cos(angle)],
-        integration="dynamic",
+        gravity=[G * np.sin(angle), 0.0, -G * np.cos(angle)], integration="dynamic",
         obstacles=[{"name": "slope", "plane": {}}],
-        contact={"friction": FRICTION, "between": [{"pair": ["box", "slope"]}]},
-        **body,
-    )
+        contact={"friction": FRICTION, "between": [{"pair": ["box", "slope"]}]}, **body
+    )  # fmt: skip
 
 
 def rigid(**more):

@@ -20,14 +20,11 @@ def scene_of(tmp_path, whole=None, **material):
 @builder
 def hung(simulate, write_block, /, gravity, **material):
     """Makes a bar that hangs by its end, under a multiple of its weight."""
-    return simulate(
-        gravity=[-gravity, 0.0, 0.0],
-        body={
-            "name": "bar", "mesh": {"file": write_block((0.06, 0.02, 0.02), (2, 1, 1))},
-            "element": "linear", "material": material,
-            "fixed": [{"box": {"minimum": [0.029, -1, -1], "maximum": [1, 1, 1]}}],
-        },
-    )  # fmt: skip
+    return simulate(gravity=[-gravity, 0.0, 0.0], body={
+        "name": "bar", "mesh": {"file": write_block((0.06, 0.02, 0.02), (2, 1, 1))},
+        "element": "linear", "material": material,
+        "fixed": [{"box": {"minimum": [0.029, -1, -1], "maximum": [1, 1, 1]}}],
+    })  # fmt: skip
 
 
 @pytest.mark.parametrize("name", MATERIAL_PRESETS)

@@ -17,7 +17,7 @@ from softrobot_twin.simulation.building.reduced_body import (
     write_body_reduction,
 )
 from test.builder import builder
-from test.scene_changes import change_scene, changed
+from test.scene_changes import changed
 
 STEP = 0.02
 BLOCK = {"size": (0.03, 0.03, 0.03), "cells": (3, 3, 3), "hole": ((1, 2), (1, 2), (1, 2))}
@@ -41,12 +41,7 @@ def pair(inflatable, tmp_path, /, change=None, **entries):
     full = inflatable(change, body=BLOCK, **entries)
     path = tmp_path / "block.npz"
     save_whole_basis(path, full.model.bodies[0])
-
-    def reduce(mapping):
-        change_scene(mapping, change)
-        mapping["body"]["reduced"] = {"file": str(path)}
-
-    return full, inflatable(reduce, body=BLOCK, **entries)
+    return full, inflatable(change, {"body.reduced": {"file": str(path)}}, body=BLOCK, **entries)
 
 
 turned = changed({"body.mesh.rotation": [0.0, 0.0, 0.7], "body.mesh.translation": [0.2, -0.1, 0.0]})

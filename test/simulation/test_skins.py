@@ -43,12 +43,7 @@ def fine_surface(tmp_path):
 @builder
 def dressed(diamond, /, path, scale=1.0, element="linear"):
     """Makes a Diamond that carries a surface file; also of quadratic elements."""
-
-    def change(mapping):
-        mapping["body"]["visual"] = {"file": str(path), "scale": scale}
-        mapping["body"]["element"] = element
-
-    return diamond(change)
+    return diamond({"body.visual": {"file": str(path), "scale": scale}, "body.element": element})
 
 
 def moved(simulation, rotation, shift):

@@ -59,15 +59,12 @@ def two_alike(request, diamond, coarse_trunk):
     return coarse_trunk(on_free_slide), coarse_trunk(on_free_slide)
 
 
-def test_a_run_with_rests_and_one_that_steps_are_the_same_to_the_bit(two_alike):
-    seed = np.random.SeedSequence().entropy
-    print(f"seed {seed}")
-    draw = np.random.default_rng(seed)
+def test_a_run_with_rests_and_one_that_steps_are_the_same_to_the_bit(two_alike, drawn_rng):
     stepping, resting = two_alike
     for _ in range(12):
-        command = draw_command(draw, stepping)
+        command = draw_command(drawn_rng, stepping)
         most = 250 if isinstance(command, FollowTargets) else 40
-        for _ in range(draw.integers(1, most)):
+        for _ in range(drawn_rng.integers(1, most)):
             stepped, stayed = stepping.step(command), resting.stay(command)
             assert same(stepped, stayed or resting.step(command))
     assert rests(resting).status.is_success

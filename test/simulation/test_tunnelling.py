@@ -32,11 +32,9 @@ def flying(scene_of, write_block, on, speed, step, kind) -> Simulation:
     if kind == "turned":
         body["rotation"] = [0.3, 0.2, 0.1]
     file = write_block((0.01, 0.01, 0.03), (2, 2, 6))
-    simulation = scene_of(
-        **scene,
-        body={"name": "tip", "mesh": {"file": file, **body}, "element": "linear",
-              "material": MATERIAL},
-    )
+    simulation = scene_of(**scene, body={
+        "name": "tip", "mesh": {"file": file, **body}, "element": "linear", "material": MATERIAL,
+    })  # fmt: skip
     velocities = np.zeros_like(simulation.state.velocities)
     velocities[:, 2] = -speed
     simulation.restore(replace(simulation.state, velocities=velocities))

@@ -314,12 +314,9 @@ def test_the_answer_is_that_of_least_energy_among_equal_ones(robot_in_contact):
     robot = robot_in_contact(5, contacts=1, moves=0)
     system = robot.system._replace(gaps=np.array([1.0]), effectors=robot.system.effectors * 0.05)
     wide = np.full(8, np.inf)
-    robot = robot._replace(
-        system=system, tensions=np.full(8, 3.0),
-        bounds=robot.bounds._replace(
-            displacement_min=-wide, displacement_max=wide, effort_min=-wide
-        ),
-    )  # fmt: skip
+    robot = robot._replace(system=system, tensions=np.full(8, 3.0), bounds=robot.bounds._replace(
+        displacement_min=-wide, displacement_max=wide, effort_min=-wide
+    ))  # fmt: skip
     tensions = solve(robot).unknowns[:8]
     _, _, directions = np.linalg.svd(system.W_ea)
     slope = directions[3:] @ (system.W_aa + 1e-3 * np.diag(np.diag(system.W_aa))) @ tensions

@@ -74,13 +74,6 @@ def in_polynomials(scene, every=1):
     return robot, reduced
 
 
-@pytest.fixture
-def rng():
-    seed = int(np.random.SeedSequence().entropy % 2**32)
-    print(f"seed {seed}")
-    return np.random.default_rng(seed)
-
-
 @pytest.fixture(scope="module")
 def page():
     """The lines of the page, run; and those that show how they are used."""
@@ -183,10 +176,10 @@ class Pair:
         )
 
 
-def test_given_lengths_lead_to_the_same_shape(page, diamond, rng):
+def test_given_lengths_lead_to_the_same_shape(page, diamond, drawn_rng):
     pair, moved = Pair(page, diamond), 0.0
     for _ in range(3):
-        drives = rng.uniform(0.0, 0.02, 4)
+        drives = drawn_rng.uniform(0.0, 0.02, 4)
         assert pair.settle(drives=drives).name == "OK"
         np.testing.assert_array_equal(pair.state[1], drives)
         pair.assert_same()
@@ -279,7 +272,7 @@ def test_targets_lead_to_the_same_pressures(page, air):
         assert np.nanmax(np.abs(pair.values()[1] - target)) < 1e-5
 
 
-def test_stiffness_is_the_derivative_of_the_forces(page, diamond, air, rng):
+def test_stiffness_is_the_derivative_of_the_forces(page, diamond, air, drawn_rng):
     lines, _ = page
     for file, efforts in ((diamond[0], [1.0, 0.0, 2.0, 3.0]), (air[0], [1.0, 2e3, -1e3, 5e3])):
         robot, efforts = lines["load"](file), np.array(efforts)
@@ -288,7 +281,7 @@ def test_stiffness_is_the_derivative_of_the_forces(page, diamond, air, rng):
             moved, H, _ = lines["rows"](robot, q, efforts)
             return lines["elastic"](robot, q)[0] + H.T @ efforts, moved
 
-        q, dq = (rng.uniform(-1.0, 1.0, len(robot["load"])) * robot["coordinate_ranges"]
+        q, dq = (drawn_rng.uniform(-1.0, 1.0, len(robot["load"])) * robot["coordinate_ranges"]
                  for _ in range(2))  # fmt: skip
         q, dq = 0.5 * q, 1e-4 * dq
         K = lines["elastic"](robot, q)[1] + lines["rows"](robot, q, efforts)[2]

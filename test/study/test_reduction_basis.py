@@ -30,14 +30,6 @@ MATERIALS = {
 }  # fmt: skip
 
 
-@pytest.fixture
-def rng():
-    """Draws from a seed that a failed test prints."""
-    seed = int(np.random.SeedSequence().entropy % 2**32)
-    print("seed", seed)
-    return np.random.default_rng(seed)
-
-
 @pytest.fixture(scope="module", params=list(MATERIALS))
 def body(request, column):
     """A column of two materials: straight tetrahedra, quadratic or smoothed rubber."""
@@ -53,7 +45,7 @@ def body(request, column):
     return lay_out(load_scene(scene), []).bodies[0]
 
 
-def bent(body, rng, count):
+def bent(body, drawn_rng, count):
     """Smooth displacements of a column that is held at its foot [m].
 
     They are drawn from a box, as a training draws its states: points found for some of them are
@@ -62,7 +54,7 @@ def bent(body, rng, count):
     points = body.mesh.node_positions
     height = points[:, 2:] / 0.1
     found = []
-    for a, b, c, d in rng.uniform(-1.5, 1.5, (count, 4)):
+    for a, b, c, d in drawn_rng.uniform(-1.5, 1.5, (count, 4)):
         turn = np.column_stack([-points[:, 1], points[:, 0], 0 * points[:, 0]])
         found.append(height**2 * [0.01 * a, 0.01 * b, 0.0] + d * height * turn
                      + height * [0.0, 0.0, 0.002 * c])  # fmt: skip
@@ -89,17 +81,17 @@ def forces_of(body, displacements):
     return forces
 
 
-def test_the_stiffness_at_rest_is_the_derivative_of_the_forces(body, rng):
-    (u,) = 1e-3 * bent(body, rng, 1)
+def test_the_stiffness_at_rest_is_the_derivative_of_the_forces(body, drawn_rng):
+    (u,) = 1e-3 * bent(body, drawn_rng, 1)
     step = 1e-2
     change = (forces_of(body, -step * u) - forces_of(body, step * u)) / (2.0 * step)
     found = (rest_stiffness(body) @ u.ravel()).reshape(-1, 3)
     np.testing.assert_allclose(found, change, atol=1e-5 * np.abs(change).max())
 
 
-def test_modes_are_orthogonal_in_the_stiffness_and_in_metres(body, rng):
+def test_modes_are_orthogonal_in_the_stiffness_and_in_metres(body, drawn_rng):
     K = rest_stiffness(body)
-    displacements = bent(body, rng, 8).astype(np.float32)
+    displacements = bent(body, drawn_rng, 8).astype(np.float32)
     modes = proper_modes(displacements, K, 6)
     flat = modes.basis.reshape(-1, modes.basis.shape[2])
     gram = flat.T @ (K @ flat)
@@ -110,8 +102,8 @@ def test_modes_are_orthogonal_in_the_stiffness_and_in_metres(body, rng):
     assert (np.diff(modes.shares[:7]) < 0.0).all()
 
 
-def test_as_many_modes_as_displacements_give_these_back(body, rng):
-    K, displacements = rest_stiffness(body), bent(body, rng, 4)
+def test_as_many_modes_as_displacements_give_these_back(body, drawn_rng):
+    K, displacements = rest_stiffness(body), bent(body, drawn_rng, 4)
     modes = proper_modes(displacements, K, 30)
     assert modes.basis.shape[2] <= 4 and modes.shares[4] < 1e-12
     coordinates = modes.coordinates(K, displacements)
@@ -132,8 +124,8 @@ def test_modes_by_energy_are_the_fewest_in_threes(energy, count):
     assert mode_count_of(np.array([1.0, 0.4, 0.2, 0.05, 0.01, 0.001]), energy) == count
 
 
-def test_work_of_all_points_is_that_of_the_elements(body, rng):
-    K, displacements = rest_stiffness(body), bent(body, rng, 6)
+def test_work_of_all_points_is_that_of_the_elements(body, drawn_rng):
+    K, displacements = rest_stiffness(body), bent(body, drawn_rng, 6)
     modes = leading(proper_modes(displacements, K, 3), 3)
     states = modes.coordinates(K, displacements)
     work = work_of(body, modes, states, np.random.default_rng(0))
@@ -145,8 +137,8 @@ def test_work_of_all_points_is_that_of_the_elements(body, rng):
         np.testing.assert_allclose(total, along, atol=1e-6 * np.abs(total).max())
 
 
-def test_few_points_do_the_work_of_all_at_other_states(body, rng):
-    K, displacements = rest_stiffness(body), bent(body, rng, 60)
+def test_few_points_do_the_work_of_all_at_other_states(body, drawn_rng):
+    K, displacements = rest_stiffness(body), bent(body, drawn_rng, 60)
     modes = leading(proper_modes(displacements[:40], K, 3), 3)
     states = modes.coordinates(K, displacements)
     found, error = sampled_points(body, modes, states[:40], 1e-2, np.random.default_rng(0))
@@ -161,8 +153,8 @@ def test_few_points_do_the_work_of_all_at_other_states(body, rng):
     assert left <= 3e-2 * np.linalg.norm(whole.total)
 
 
-def test_of_many_points_the_drawn_ones_suffice(body, rng, monkeypatch):
-    K, displacements = rest_stiffness(body), bent(body, rng, 20)
+def test_of_many_points_the_drawn_ones_suffice(body, drawn_rng, monkeypatch):
+    K, displacements = rest_stiffness(body), bent(body, drawn_rng, 20)
     modes = leading(proper_modes(displacements, K, 3), 3)
     states = modes.coordinates(K, displacements)
     work = work_of(body, modes, states, np.random.default_rng(0), 60)
@@ -175,8 +167,8 @@ def test_of_many_points_the_drawn_ones_suffice(body, rng, monkeypatch):
     np.testing.assert_allclose(work.columns, again.columns, atol=1e-6 * np.abs(work.columns).max())
 
 
-def test_sparse_weights_are_found_where_they_exist(rng):
-    columns = rng.normal(size=(60, 200)).astype(np.float32)
+def test_sparse_weights_are_found_where_they_exist(drawn_rng):
+    columns = drawn_rng.normal(size=(60, 200)).astype(np.float32)
     truth = np.zeros(200)
     truth[[3, 50, 120]] = 2.0, 0.5, 7.0
     found = sparse_weights(columns, columns.astype(float) @ truth, 1e-6)
@@ -186,8 +178,8 @@ def test_sparse_weights_are_found_where_they_exist(rng):
     assert found.error <= 1e-6
 
 
-def test_no_weight_is_negative_where_only_that_would_do(rng):
-    columns = rng.normal(size=(30, 10)).astype(np.float32)
+def test_no_weight_is_negative_where_only_that_would_do(drawn_rng):
+    columns = drawn_rng.normal(size=(30, 10)).astype(np.float32)
     total = columns.astype(float) @ np.array([1.0, -1.0, 2.0, -3.0, 1.0, 0, 0, 0, 0, 0])
     found = sparse_weights(columns, total, 1e-8)
     assert (found.weights > 0.0).all() and found.error > 0.05

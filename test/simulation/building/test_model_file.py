@@ -19,13 +19,6 @@ ROOT = Path(__file__).resolve().parents[3]
 FILES = {"diamond_reduced": "diamond_600_reduced", "fetch_reduced": "fetch_5586_vertebrae"}
 
 
-@pytest.fixture
-def rng():
-    seed = int(np.random.SeedSequence().entropy % 2**32)
-    print(f"seed {seed}")
-    return np.random.default_rng(seed)
-
-
 @pytest.fixture(params=list(FILES))
 def model(request, tmp_path):
     """Bytes of a file that is shipped, and a function that lays out its scene with other bytes."""
@@ -70,42 +63,42 @@ def refused(lay, content) -> str:
     return told
 
 
-def test_a_file_that_was_cut_or_whose_bits_changed_is_refused(model, rng):
+def test_a_file_that_was_cut_or_whose_bits_changed_is_refused(model, drawn_rng):
     whole, lay = model
     lay(whole)
-    damaged = [b"", b"hello", whole[: rng.integers(1, len(whole))]]
+    damaged = [b"", b"hello", whole[: drawn_rng.integers(1, len(whole))]]
     with zipfile.ZipFile(io.BytesIO(whole)) as archive:
-        for member in rng.choice(archive.infolist(), 3, replace=False):
+        for member in drawn_rng.choice(archive.infolist(), 3, replace=False):
             # Beyond the member's own header, which holds times that nobody reads.
             place = member.header_offset + 30 + len(member.filename) + 20
             changed = bytearray(whole)
             # Bits that fill up the last byte say nothing; others may say the same in another way.
             while unpacked(changed, member) == archive.read(member):
                 changed = bytearray(whole)
-                changed[int(place + rng.integers(member.compress_size))] ^= 1 << rng.integers(8)
+                changed[int(place + drawn_rng.integers(member.compress_size))] ^= 1 << drawn_rng.integers(8)
             damaged.append(changed)
     for content in damaged:
         refused(lay, bytes(content))
 
 
 @pytest.mark.parametrize("wrong", [np.nan, -np.inf])
-def test_each_array_of_numbers_is_refused_with_a_number_that_is_none(model, rng, wrong):
+def test_each_array_of_numbers_is_refused_with_a_number_that_is_none(model, drawn_rng, wrong):
     whole, lay = model
     arrays = arrays_of(whole)
     real = [name for name, array in arrays.items() if array.dtype.kind == "f"]
-    for name in rng.choice(real, 2, replace=False):
+    for name in drawn_rng.choice(real, 2, replace=False):
         if name == "measured" and np.isnan(wrong):
             continue  # NaN before it is judged
         changed = np.array(arrays[name])
-        changed.flat[rng.integers(changed.size)] = wrong
+        changed.flat[drawn_rng.integers(changed.size)] = wrong
         told = refused(lay, saved({**arrays, name: changed}))
         assert f" {name} are not between" in told
 
 
-def test_each_array_is_refused_missing_in_another_shape_or_of_another_kind(model, rng):
+def test_each_array_is_refused_missing_in_another_shape_or_of_another_kind(model, drawn_rng):
     whole, lay = model
     arrays = arrays_of(whole)
-    for name in rng.choice(list(arrays), 2, replace=False):
+    for name in drawn_rng.choice(list(arrays), 2, replace=False):
         array = arrays[name]
         assert f"no array {name}" in refused(lay, saved({k: arrays[k] for k in {*arrays} - {name}}))
         refused(lay, saved({**arrays, name: array[None]}))

@@ -277,13 +277,10 @@ def test_a_beam_converges_at_the_second_order(simulate, damping):
 @builder
 def tumbling(scene_of, /, scheme, turning=(0.05, 8.0, 0.02), gravity=0.0):
     """A free box that turns about its middle axis, nearly."""
-    return scene_of(
-        gravity=[0, 0, -gravity], **scheme, solver=EXACT,
-        rigid_bodies=[{
-            "name": "box", "box": {"size": [0.02, 0.05, 0.09]}, "density": 1000.0,
-            "velocity": [0.3, -0.2, 0.1], "angular_velocity": list(turning),
-        }],
-    )  # fmt: skip
+    return scene_of(gravity=[0, 0, -gravity], **scheme, solver=EXACT, rigid_bodies=[{
+        "name": "box", "box": {"size": [0.02, 0.05, 0.09]}, "density": 1000.0,
+        "velocity": [0.3, -0.2, 0.1], "angular_velocity": list(turning),
+    }])  # fmt: skip
 
 
 def test_a_tumbling_body_keeps_its_momenta_and_its_energy(tumbling):

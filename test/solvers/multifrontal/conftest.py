@@ -46,21 +46,15 @@ def side_by_side(*patterns):
 
 
 PATTERNS = {
-    "one node": chain(1),
-    "two nodes": chain(2),
-    "three nodes": chain(3),
-    "two nodes apart": (np.zeros(0, int), np.zeros(0, int), 2),
-    "chain": chain(40),
-    "star": star(30),
-    "complete": complete(23),
-    "grid": grid(5, 6, 7),
-    "slab": grid(2, 9, 11),
+    "one node": chain(1), "two nodes": chain(2), "three nodes": chain(3),
+    "two nodes apart": (np.zeros(0, int), np.zeros(0, int), 2), "chain": chain(40),
+    "star": star(30), "complete": complete(23), "grid": grid(5, 6, 7), "slab": grid(2, 9, 11),
     "two bodies": side_by_side(grid(3, 4, 5), grid(2, 3, 6)),
     "body, rod and isolated nodes": side_by_side(
         grid(3, 3, 3), chain(9), chain(1), random_graph(30, 7), chain(1)
     ),
     **{f"random {seed}": random_graph(10 + 17 * seed, seed, 2 + seed % 5) for seed in range(8)},
-}
+}  # fmt: skip
 
 
 class System:

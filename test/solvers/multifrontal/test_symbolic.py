@@ -44,13 +44,10 @@ def box(*shape):
 
 
 GRAPHS = {
-    "empty": node_graph([], [], 0),
-    "one node": node_graph([], [], 1),
-    "nodes apart": node_graph([], [], 5),
-    "box": box(4, 5, 6)[0],
-    "long box": box(3, 3, 40)[0],
+    "empty": node_graph([], [], 0), "one node": node_graph([], [], 1),
+    "nodes apart": node_graph([], [], 5), "box": box(4, 5, 6)[0], "long box": box(3, 3, 40)[0],
     **{f"random {seed}": random_graph(20 + 30 * seed, seed, 2 + seed) for seed in range(5)},
-}
+}  # fmt: skip
 
 
 @pytest.fixture(params=list(GRAPHS), ids=str)
