@@ -46,11 +46,18 @@ def test_a_contact_that_opened_is_new_when_it_closes_again(memory):
     np.testing.assert_array_equal(memory.guess, np.zeros(3))
 
 
-def test_after_forgetting_no_force_is_remembered(memory):
+@pytest.mark.parametrize("steps", [0, 1])
+@pytest.mark.parametrize("awaited", [0, 1])
+def test_after_forgetting_no_force_no_change_and_no_contact_is_remembered(memory, steps, awaited):
+    for _ in range(steps):
+        memory.begin_step()
     memory.forget()
     assert memory.known == [] and len(memory.guess) == 0
+    for _ in range(awaited):
+        memory.remember(np.zeros(0))
     recognise(memory, [0], [7])
     np.testing.assert_array_equal(memory.guess, np.zeros(3))
+    np.testing.assert_array_equal(memory.expected, np.zeros(3))
 
 
 def test_the_change_of_force_of_the_last_step_is_extrapolated(memory):
@@ -73,20 +80,6 @@ def test_the_change_of_force_counts_from_the_start_of_the_step(memory):
     memory.begin_step()
     recognise(memory, [0, 0, 1], [7, 9, 7])
     np.testing.assert_array_equal(memory.expected, memory.guess + 1.0)
-
-
-def test_after_forgetting_no_change_is_extrapolated(memory):
-    memory.begin_step()
-    memory.forget()
-    recognise(memory, [0], [7])
-    np.testing.assert_array_equal(memory.expected, np.zeros(3))
-
-
-def test_after_forgetting_no_contact_is_awaited(memory):
-    memory.forget()
-    memory.remember(np.zeros(0))
-    recognise(memory, [0], [7])
-    np.testing.assert_array_equal(memory.guess, np.zeros(3))
 
 
 def test_contacts_of_one_row_and_of_three_keep_their_own_forces():

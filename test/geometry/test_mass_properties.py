@@ -34,29 +34,16 @@ def test_a_moved_block_has_the_mass_properties_of_a_moved_block(block):
     np.testing.assert_allclose(found.inertia, turn @ inertia @ turn.T, atol=1e-12 * volume)
 
 
-def test_an_open_surface_is_refused():
-    with pytest.raises(MeshError, match="belongs to 1 triangles; in a closed"):
-        surface_mass_properties(np.vstack([np.zeros(3), np.eye(3)]), TET[:3])
+CORNERS = np.vstack([np.zeros(3), np.eye(3)])
 
 
-def test_a_flipped_triangle_is_refused():
-    flipped = TET.copy()
-    flipped[0] = flipped[0, ::-1]
-    with pytest.raises(MeshError, match="every edge belongs to two, with opposite directions"):
-        surface_mass_properties(np.vstack([np.zeros(3), np.eye(3)]), flipped)
-
-
-def test_a_surface_inside_out_is_refused():
-    with pytest.raises(MeshError, match="outwards"):
-        surface_mass_properties(np.vstack([np.zeros(3), np.eye(3)]), TET[:, ::-1])
-
-
-def test_a_flat_surface_is_refused():
-    points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0.3, 0.3, 0]], float)
-    with pytest.raises(MeshError, match="outwards"):
-        surface_mass_properties(points, TET)
-
-
-def test_no_triangles_are_refused():
-    with pytest.raises(MeshError, match="no triangles"):
-        surface_mass_properties(np.zeros((0, 3)), np.zeros((0, 3), int))
+@pytest.mark.parametrize("points, triangles, reason", [
+    (CORNERS, TET[:3], "belongs to 1 triangles; in a closed"),
+    (CORNERS, np.vstack([TET[:1, ::-1], TET[1:]]), "belongs to two, with opposite directions"),
+    (CORNERS, TET[:, ::-1], "outwards"),
+    (np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0.3, 0.3, 0]]), TET, "outwards"),
+    (np.zeros((0, 3)), np.zeros((0, 3), int), "no triangles"),
+], ids=["open", "flipped triangle", "inside out", "flat", "nothing"])  # fmt: skip
+def test_a_surface_that_encloses_nothing_is_refused(points, triangles, reason):
+    with pytest.raises(MeshError, match=reason):
+        surface_mass_properties(points, triangles)

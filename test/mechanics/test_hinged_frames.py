@@ -189,18 +189,6 @@ def test_rows_are_the_derivative_by_all_unknowns(joined):
     assert np.abs(H[:, OWN]).max() > 0.1
 
 
-def test_elements_have_the_forces_and_the_stiffness_of_their_energy(joined):
-    term = on_unknowns(joined.elastic(), joined.points)
-    matrix = bound([term])
-    forces = np.zeros((UNKNOWNS, 3))
-    term.add(joined.state, forces, matrix.storage, False)
-    np.testing.assert_allclose(forces.ravel(), -joined.slopes(term.energy)[0], atol=1e-6)
-    K = matrix.matrix().toarray()
-    expected = joined.second_slopes(term.energy)
-    np.testing.assert_allclose(K, expected, atol=1e-5 * np.abs(K).max())
-    assert np.abs(K[9:12, 12:18]).max() > 0.1
-
-
 class TwistEnergy(ForceTerm):
     """A force term on frames as a whole, by pairs of unknowns as those of a free body."""
 
@@ -252,17 +240,19 @@ class TwistEnergy(ForceTerm):
                     storage[offset[0] + j * stride[0] + i] += hessian[i, j]
 
 
-def test_forces_and_moments_on_whole_frames_have_the_stiffness_of_their_energy(joined):
+@pytest.mark.parametrize("whole, bars", [(False, (1e-6, 1e-5)), (True, (1e-8, 1e-6))])
+def test_elements_and_whole_frames_have_the_forces_and_the_stiffness_of_their_energy(
+    joined, whole, bars
+):
     twists = HingedTwists(joined.frames)
-    plain = TwistEnergy(joined, twists)
-    term = on_unknowns(plain, twists)
-    matrix = bound([term])
-    forces = np.zeros((UNKNOWNS, 3))
+    plain = TwistEnergy(joined, twists) if whole else joined.elastic()
+    term = on_unknowns(plain, twists if whole else joined.points)
+    energy = plain.energy if whole else term.energy
+    matrix, forces = bound([term]), np.zeros((UNKNOWNS, 3))
     term.add(joined.state, forces, matrix.storage, False)
-    np.testing.assert_allclose(forces.ravel(), -joined.slopes(plain.energy)[0], atol=1e-8)
+    np.testing.assert_allclose(forces.ravel(), -joined.slopes(energy)[0], atol=bars[0])
     K = matrix.matrix().toarray()
-    expected = joined.second_slopes(plain.energy)
-    np.testing.assert_allclose(K, expected, atol=1e-6 * np.abs(K).max())
+    np.testing.assert_allclose(K, joined.second_slopes(energy), atol=bars[1] * np.abs(K).max())
     assert np.abs(K[9:12, 12:15]).max() > 0.1
 
 

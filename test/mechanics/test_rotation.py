@@ -57,38 +57,23 @@ def test_an_invalid_quaternion_is_refused(wrong):
         rotation_from_quaternion(wrong)
 
 
-@pytest.mark.parametrize("angle", [0.0, 1e-6, 0.1, 0.199999, 0.200001, 1.0, 2.9])
-def test_the_inverse_jacobian_is_the_derivative_of_the_logarithm(axis, angle):
-    phi, step = angle * axis, 1e-6
-    jacobian = np.array(inverse_jacobian(tuple(phi)))
-    R = rotation_from_vector(phi)
-    for j in range(3):
-        ahead = vector_from_rotation(rotation_from_vector(step * np.eye(3)[j]) @ R)
-        behind = vector_from_rotation(rotation_from_vector(-step * np.eye(3)[j]) @ R)
-        np.testing.assert_allclose(jacobian[:, j], (ahead - behind) / (2 * step), atol=1e-9)
-
-
 @pytest.mark.parametrize("angle", [0.0, 1e-6, 0.1, 0.199999, 0.200001, 1.0, 2.9, 5.0])
-def test_the_left_jacobian_is_the_derivative_of_the_exponential(axis, angle):
-    theta, step = angle * axis, 1e-6
-    jacobian = np.array(left_jacobian(tuple(theta)))
-    R = rotation_from_vector(theta)
-    for j in range(3):
-        ahead = rotation_from_vector(theta + step * np.eye(3)[j]) @ R.T
-        behind = rotation_from_vector(theta - step * np.eye(3)[j]) @ R.T
-        slope = (vector_from_rotation(ahead) - vector_from_rotation(behind)) / (2 * step)
-        np.testing.assert_allclose(jacobian[:, j], slope, atol=1e-9)
+def test_jacobians_are_the_derivatives_of_logarithm_and_exponential(axis, angle):
+    phi, R = angle * axis, rotation_from_vector(angle * axis)
+    for step in 1e-6 * np.eye(3):
+        ahead, behind = (rotation_from_vector(phi + s * step) @ R.T for s in (1.0, -1.0))
+        slope = (vector_from_rotation(ahead) - vector_from_rotation(behind)) / 2.0
+        np.testing.assert_allclose(np.array(left_jacobian(tuple(phi))) @ step, slope, atol=1e-15)
+        if angle < 3.0:
+            ahead, behind = (vector_from_rotation(rotation_from_vector(s * step) @ R)
+                             for s in (1.0, -1.0))  # fmt: skip
+            found = np.array(inverse_jacobian(tuple(phi))) @ step
+            np.testing.assert_allclose(found, (ahead - behind) / 2.0, atol=1e-15)
 
 
-def test_the_left_jacobian_is_continuous_at_the_limit_of_its_series(axis):
-    below = left_jacobian(tuple((0.2 - 1e-15) * axis))
-    above = left_jacobian(tuple((0.2 + 1e-15) * axis))
-    np.testing.assert_allclose(below, above, atol=1e-14)
-
-
-def test_the_inverse_jacobian_is_continuous_at_the_limit_of_its_series(axis):
-    below = inverse_jacobian(tuple((0.2 - 1e-15) * axis))
-    above = inverse_jacobian(tuple((0.2 + 1e-15) * axis))
+@pytest.mark.parametrize("jacobian", [left_jacobian, inverse_jacobian])
+def test_a_jacobian_is_continuous_at_the_limit_of_its_series(jacobian, axis):
+    below, above = (jacobian(tuple((0.2 + off) * axis)) for off in (-1e-15, 1e-15))
     np.testing.assert_allclose(below, above, atol=1e-14)
 
 

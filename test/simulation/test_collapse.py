@@ -98,23 +98,14 @@ def test_a_collapsed_body_recovers_or_is_reported_as_inverted(tower, kind, eleme
     simulation, rest = tower(element)
     least = energies(simulation)[0]
     result = let_go(simulation, collapsed(simulation, kind, np.random.default_rng(seed)))
-    if is_loud(result):
+    if is_loud(result) and "plane" not in kind:
         return
+    # A flattened body always recovers.
     assert result.status is Status.OK
     if kind == "point" and np.abs(result.state.positions - rest).max() > 1e-5:
         check_other_equilibrium(simulation, result, energies, least)
     else:
         np.testing.assert_allclose(result.state.positions, rest, atol=1e-5)
-
-
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
-@pytest.mark.parametrize("kind", ["level plane", "oblique plane"])
-def test_a_flattened_body_recovers(tower, kind, element, seed):
-    simulation, rest = tower(element)
-    result = let_go(simulation, collapsed(simulation, kind, np.random.default_rng(seed)))
-    assert result.status is Status.OK
-    np.testing.assert_allclose(result.state.positions, rest, atol=1e-5)
 
 
 @pytest.mark.parametrize("seed", range(2))

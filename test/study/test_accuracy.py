@@ -242,16 +242,31 @@ def test_choose_studies_a_refined_mesh_and_keeps_its_files(lonely, tmp_path, mon
     assert simulation.node_count > 24
 
 
-def test_rows_of_other_meshes_are_refused_by_name(lonely, study, tmp_path):
-    write_rows(tmp_path / "rows.csv", study.rows)
-    with pytest.raises(AccuracyError, match="none of the meshes of this scene: column"):
-        choose(lonely, 100.0, tmp_path / "rows.csv", tmp_path / "chosen.yaml", fake_clock)
+def as_written(rows):
+    return rows
 
 
-def test_a_file_that_accuracy_did_not_write_is_refused(family, tmp_path):
-    (tmp_path / "rows.csv").write_text("a,b\n1,2\n")
-    with pytest.raises(AccuracyError, match="lacks knob"):
-        choose(family, 100.0, tmp_path / "rows.csv", tmp_path / "chosen.yaml", fake_clock)
+@pytest.mark.parametrize("scene, rows, output, words", [
+    ("lonely", as_written, "chosen.yaml", "none of the meshes of this scene: column"),
+    ("family", None, "chosen.yaml", "lacks knob"),
+    ("family", as_written, "no/chosen.yaml", "chosen.yaml"),
+    ("family", lambda rows: [replace(row, node_count=row.node_count + 1) for row in rows],
+     "chosen.yaml", "is of another mesh column_10"),
+    ("family", lambda rows: [replace(row, uncertainty_lengths=0.9) for row in rows],
+     "chosen.yaml", "an uncertainty of 90 %"),
+], ids=["other meshes", "another file", "no folder", "another mesh", "uncertain"])  # fmt: skip
+def test_what_cannot_be_chosen_from_is_refused_by_name(
+    request, study, tmp_path, scene, rows, output, words
+):
+    if rows is None:
+        (tmp_path / "rows.csv").write_text("a,b\n1,2\n")
+    else:
+        write_rows(tmp_path / "rows.csv", rows(study.rows))
+    # Nothing is timed of what is too uncertain.
+    clock = None if "uncertainty" in words else fake_clock
+    with pytest.raises(OutputError if "/" in output else AccuracyError, match=words):
+        choose(request.getfixturevalue(scene), 500.0, tmp_path / "rows.csv", tmp_path / output, clock)
+    assert not (tmp_path / output).exists()
 
 
 def test_a_scene_without_effector_is_refused(family, tmp_path, call):
@@ -269,12 +284,6 @@ def test_too_few_meshes_for_a_reference_are_refused(family, tmp_path):
         study_meshes(levels, Limits(100, 100), lambda words: None)
 
 
-def test_an_output_that_cannot_be_written_is_refused(family, study, tmp_path):
-    write_rows(tmp_path / "rows.csv", study.rows)
-    with pytest.raises(OutputError, match="chosen.yaml"):
-        choose(family, 500.0, tmp_path / "rows.csv", tmp_path / "no" / "chosen.yaml", fake_clock)
-
-
 @pytest.mark.parametrize("rate", ["0", "-5", "nan", "abc"])
 def test_an_invalid_rate_is_refused(family, rate, call):
     assert call("choose", family, "--rate", rate).code == 2
@@ -288,22 +297,19 @@ def left_out_of(scene_file, tmp_path):
 
 
 @pytest.mark.parametrize("size, reason", [
-    ((0.02, 0.022, 0.1), "volume differs by"), ((0.02, 0.0196, 0.1035), "bounds differ by")])
-def test_a_mesh_of_another_body_is_excluded_by_name(tmp_path, size, reason):
-    write_mesh(tmp_path / "arm_1.vtk", column_mesh((0.02, 0.02, 0.1), (1, 1, 5)))
-    write_mesh(tmp_path / "arm_2.vtk", column_mesh(size, (1, 1, 7)))
-    write_mesh(tmp_path / "arm_3.vtk", column_mesh((0.02, 0.02, 0.1), (1, 1, 8)))
+    ((0.02, 0.022, 0.1), "volume differs by"), ((0.02, 0.0196, 0.1035), "bounds differ by"),
+    (None, ""),
+])  # fmt: skip
+def test_a_mesh_of_another_body_or_that_cannot_be_read_is_excluded_by_name(tmp_path, size, reason):
+    for number, layers in ((1, 5), (3, 8)):
+        write_mesh(tmp_path / f"arm_{number}.vtk", column_mesh((0.02, 0.02, 0.1), (1, 1, layers)))
+    if size is None:
+        (tmp_path / "arm_2.vtk").write_text("not a mesh")
+    else:
+        write_mesh(tmp_path / "arm_2.vtk", column_mesh(size, (1, 1, 7)))
     names, said = left_out_of(column_scene(tmp_path, "arm_1.vtk"), tmp_path)
     assert names == ["arm_1", "arm_3"]
     assert len(said) == 1 and said[0].startswith("arm_2.vtk is left out") and reason in said[0]
-
-
-def test_a_mesh_that_cannot_be_read_is_excluded_by_name(tmp_path):
-    write_mesh(tmp_path / "arm_1.vtk", column_mesh((0.02, 0.02, 0.1), (1, 1, 5)))
-    write_mesh(tmp_path / "arm_3.vtk", column_mesh((0.02, 0.02, 0.1), (1, 1, 8)))
-    (tmp_path / "arm_2.vtk").write_text("not a mesh")
-    names, said = left_out_of(column_scene(tmp_path, "arm_1.vtk"), tmp_path)
-    assert names == ["arm_1", "arm_3"] and said[0].startswith("arm_2.vtk is left out")
 
 
 def test_versions_of_a_robot_are_not_a_mesh_family(tmp_path):
@@ -311,21 +317,6 @@ def test_versions_of_a_robot_are_not_a_mesh_family(tmp_path):
         write_mesh(tmp_path / f"arm_v{version}.vtk", column_mesh((0.02, 0.02, 0.1), (1, 1, 4)))
     names, said = left_out_of(column_scene(tmp_path, "arm_v1.vtk"), tmp_path)
     assert names == ["arm_v1", "arm_v1_refined_1", "arm_v1_refined_2"] and said == []
-
-
-def test_rows_of_another_mesh_of_the_same_name_are_refused(family, study, tmp_path):
-    rows = [replace(row, node_count=row.node_count + 1) for row in study.rows]
-    write_rows(tmp_path / "rows.csv", rows)
-    with pytest.raises(AccuracyError, match="is of another mesh column_10"):
-        choose(family, 500.0, tmp_path / "rows.csv", tmp_path / "chosen.yaml", fake_clock)
-
-
-def test_an_uncertain_reference_is_refused_before_timing(family, study, tmp_path):
-    rows = [replace(row, uncertainty_lengths=0.9) for row in study.rows]
-    write_rows(tmp_path / "rows.csv", rows)
-    with pytest.raises(AccuracyError, match="an uncertainty of 90 %"):
-        choose(family, 500.0, tmp_path / "rows.csv", tmp_path / "chosen.yaml", None)
-    assert not (tmp_path / "chosen.yaml").exists()
 
 
 def test_a_choice_with_a_large_error_is_warned_of_on_the_terminal_and_in_the_scene(

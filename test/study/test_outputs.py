@@ -3,7 +3,6 @@
 import csv
 import os
 
-import numpy as np
 import pytest
 
 from softrobot_twin.simulation import Simulation
@@ -142,22 +141,15 @@ def test_a_folder_is_refused_as_output(tmp_path):
         pytest.fail("nothing may be run for it")
 
 
-def test_a_run_states_shortenings_and_lengths_at_rest(column, targets, output, call):
-    assert call("simulate", column, "--targets", targets, "--output", output).code == 0
+@pytest.mark.parametrize("follows", [True, False])
+def test_a_run_states_shortenings_and_lengths_at_rest(column, targets, output, call, follows):
+    asked = ("--targets", targets) if follows else ("--steps", 2)
+    assert call("simulate", column, *asked, "--output", output).code == 0
     rest = dict(zip("abcd", Simulation.from_scene_file(column).rest_setpoints, strict=True))
     for row in rows_of(output):
         for name, length in rest.items():
             assert float(row[f"{name}_rest_length_m"]) == length
             assert float(row[f"{name}_shortening_m"]) == length - float(row[f"{name}_length_m"])
-
-
-def test_a_direct_run_states_shortenings_and_lengths_at_rest(column, output, call):
-    assert call("simulate", column, "--steps", 2, "--output", output).code == 0
-    rest = Simulation.from_scene_file(column).rest_setpoints
-    row = rows_of(output)[-1]
-    assert float(row["a_rest_length_m"]) == rest[0]
-    np.testing.assert_allclose(
-        float(row["a_shortening_m"]), rest[0] - float(row["a_length_m"]), atol=1e-15)
 
 
 def test_an_error_of_the_run_is_not_reported_as_a_file_error(tmp_path):

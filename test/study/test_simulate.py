@@ -117,21 +117,17 @@ def test_an_invalid_run_gives_one_line_and_exit_code_two(
     assert not (tmp_path / "run.csv").exists()
 
 
-def test_a_missing_scene_gives_one_line_and_exit_code_two(tmp_path, targets, call):
-    done = call("simulate", tmp_path / "none.yaml", "--targets", targets(), "--output",
-                   tmp_path / "run.csv")
-    assert done.code == 2
-    assert len(done.errors.splitlines()) == 1 and "none.yaml" in done.errors
-
-
-def test_an_output_that_cannot_be_written_gives_one_line_and_exit_code_two(
-    tmp_path, column, targets, call
+@pytest.mark.parametrize("scene, output, words", [
+    ("none.yaml", "run.csv", "none.yaml"), (None, "file/run.csv", "cannot be written"),
+])  # fmt: skip
+def test_a_file_that_cannot_be_read_or_written_gives_one_line_and_exit_code_two(
+    tmp_path, column, targets, call, scene, output, words
 ):
     (tmp_path / "file").write_text("")
-    done = call("simulate", column, "--targets", targets(), "--output",
-                   tmp_path / "file" / "run.csv")
+    scene = column if scene is None else tmp_path / scene
+    done = call("simulate", scene, "--targets", targets(), "--output", tmp_path / output)
     assert done.code == 2
-    assert len(done.errors.splitlines()) == 1 and "cannot be written" in done.errors
+    assert len(done.errors.splitlines()) == 1 and words in done.errors
 
 
 def test_a_picture_of_the_last_state_is_drawn(tmp_path, column, targets, call):
