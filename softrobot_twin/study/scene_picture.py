@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -696,13 +696,11 @@ def _square(point: np.ndarray, normal: np.ndarray, box) -> tuple[np.ndarray, lis
     # A level plane is aligned with the scene's axes.
     along = np.cross(normal, across)
     half = 0.6 * (high - low)[:2].max()
-    places = np.linspace(-half, half, _PLANE_CELLS + 1)
-    lines = [[middle + a * across - half * along, middle + a * across + half * along]
-             for a in places]
-    lines += [[middle - half * across + a * along, middle + half * across + a * along]
-              for a in places]
-    corners = np.array([middle + a * across + b * along
-                        for a, b in ((-half, -half), (half, -half), (half, half), (-half, half))])
+    lines = [[middle + place * one - half * other, middle + place * one + half * other]
+             for one, other in ((across, along), (along, across))
+             for place in np.linspace(-half, half, _PLANE_CELLS + 1)]
+    corners = middle + half * np.array([-across - along, across - along, across + along,
+                                        along - across])  # fmt: skip
     return corners, lines
 
 
@@ -872,30 +870,30 @@ def _add_labels(axes, sheet: _Sheet) -> None:
 def _add_scale_bar(figure, sheet: _Sheet, camera: Camera) -> None:
     """Adds a scale bar below the first state, with the directions of the axes."""
     from matplotlib.lines import Line2D
-    wide, high = figure.get_size_inches()
+    whole = figure.get_size_inches()
+
+    def line(ends: np.ndarray, **look: Any) -> None:
+        figure.add_artist(Line2D(*(ends / whole).T, **look))
+
     longest = 0.45 * (sheet.window[1] - sheet.window[0])
     length = 10.0 ** np.floor(np.log10(longest))
     length *= next(factor for factor in (5.0, 2.0, 1.0) if factor * length <= longest)
-    y = (sheet.bottom - 0.16) / high
-    text = f"{length:g} mm"
+    y, text = sheet.bottom - 0.16, f"{length:g} mm"
     # In a narrow panel the bar is moved aside for the directions.
     half = 0.5 * max(length * sheet.scale, _width(figure, text))
     middle = max(sheet.left + 0.5 * sheet.width, 0.8 + half)
     ends = np.array([-0.5, 0.5]) * length * sheet.scale + middle
-    figure.add_artist(Line2D(ends / wide, [y, y], color="#444444", linewidth=2.0,
-                             solid_capstyle="butt"))
-    figure.text(middle / wide, y - 0.06 / high, text, ha="center", va="top", fontsize=9,
+    line(np.column_stack([ends, [y, y]]), color="#444444", linewidth=2.0, solid_capstyle="butt")
+    figure.text(*([middle, y - 0.06] / whole), text, ha="center", va="top", fontsize=9,
                 color="#444444")
     origin = np.array([middle - half - 0.5, sheet.bottom - 0.22])
     for name, arm, colour in zip("xyz", np.eye(3), AXIS_COLOURS, strict=True):
         to = camera.project(arm)[:2]
-        if np.linalg.norm(to) < 0.15:
-            continue
-        tip, at = origin + 0.2 * to, origin + 0.2 * to + 0.09 * to / np.linalg.norm(to)
-        figure.add_artist(Line2D(*np.array([origin / (wide, high), tip / (wide, high)]).T,
-                                 color=colour, linewidth=1.3))
-        figure.text(*(at / (wide, high)), name, ha="center", va="center", fontsize=7,
-                    color=colour, gid="number")
+        if np.linalg.norm(to) >= 0.15:
+            tip = origin + 0.2 * to
+            line(np.array([origin, tip]), color=colour, linewidth=1.3)
+            figure.text(*((tip + 0.09 * to / np.linalg.norm(to)) / whole), name, ha="center",
+                        va="center", fontsize=7, color=colour, gid="number")
 
 
 def _add_legend(figure, kinds: set[str], most: float, wide: float) -> float:
