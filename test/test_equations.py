@@ -42,8 +42,7 @@ def rows() -> list[Row]:
 def citations(path: Path) -> list[int]:
     """Numbers of all equations that a file cites; a range counts by its ends."""
     text = re.sub(r"\s*\n[\s#]*", " ", path.read_text())
-    return [int(number) for cited in CITATION.findall(text)
-            for number in re.findall(r"\d+", cited)]
+    return [int(number) for cited in CITATION.findall(text) for number in re.findall(r"\d+", cited)]
 
 
 def sources() -> list[Path]:

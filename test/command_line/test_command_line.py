@@ -11,6 +11,7 @@ import pytest
 
 from softrobot_twin.__main__ import main
 from softrobot_twin.command_line.commands import program
+from test.builder import builder
 
 ROOT = Path(__file__).parents[2]
 
@@ -33,18 +34,14 @@ class Finished(NamedTuple):
     stderr: str
 
 
-@pytest.fixture
-def typed(capsys):
+@builder
+def typed(capsys, /, *arguments) -> Finished:
     """Runs a command within this process."""
-
-    def run(*arguments) -> Finished:
-        try:
-            code = main(list(arguments))
-        except SystemExit as end:  # how argparse ends
-            code = int(end.code or 0)
-        return Finished(code, *capsys.readouterr())
-
-    return run
+    try:
+        code = main(list(arguments))
+    except SystemExit as end:  # how argparse ends
+        code = int(end.code or 0)
+    return Finished(code, *capsys.readouterr())
 
 
 def test_without_a_command_the_usage_is_shown():
@@ -164,8 +161,7 @@ def test_an_impossible_run_gives_one_line_and_exit_code_two(capsys, arguments, w
 
 
 def test_one_blas_thread_is_chosen_before_numpy_is_imported():
-    environment = {key: value for key, value in os.environ.items()
-                   if key != "OPENBLAS_NUM_THREADS"}
+    environment = {key: value for key, value in os.environ.items() if key != "OPENBLAS_NUM_THREADS"}
     code = ("import sys, os\n"
             "class Watch:\n"
             "    def find_spec(self, name, path=None, target=None):\n"
@@ -178,8 +174,7 @@ def test_one_blas_thread_is_chosen_before_numpy_is_imported():
 
 
 def test_products_take_one_thread_also_where_numpy_was_imported_before_the_package():
-    environment = {key: value for key, value in os.environ.items()
-                   if key != "OPENBLAS_NUM_THREADS"}
+    environment = {key: value for key, value in os.environ.items() if key != "OPENBLAS_NUM_THREADS"}
     code = ("import ctypes, numpy, scipy.linalg, softrobot_twin\n"
             "lines = open('/proc/self/maps').read().splitlines()\n"
             "for path in {line.split()[-1] for line in lines if 'openblas' in line}:\n"

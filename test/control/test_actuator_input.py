@@ -38,20 +38,17 @@ def test_a_message_may_give_tensions_alone(cables):
     assert cables.efforts.tolist() == [4.0, 5.0, 6.0]
 
 
-@pytest.mark.parametrize(
-    ("names", "lengths", "tensions", "refusal"),
-    [
-        (NAMES, [1.0, math.nan, 3.0], [], Refusal.NOT_FINITE),
-        (NAMES, [1.0, 2.0, 3.0], [1.0, math.inf, 1.0], Refusal.NOT_FINITE),
-        (NAMES, [1.0, 2.0], [], Refusal.WRONG_SIZE),
-        (NAMES, [], [1.0] * 4, Refusal.WRONG_SIZE),
-        (NAMES, [], [], Refusal.WRONG_SIZE),
-        (NAMES[:2], [1.0, 2.0], [], Refusal.WRONG_NAMES),
-        (("north", "west", "east"), [1.0, 2.0, 3.0], [], Refusal.WRONG_NAMES),
-        (("north", "north", "west"), [1.0, 2.0, 3.0], [], Refusal.WRONG_NAMES),
-        ((), [1.0, 2.0, 3.0], [], Refusal.WRONG_NAMES),
-    ],
-)
+@pytest.mark.parametrize("names, lengths, tensions, refusal", [
+    (NAMES, [1.0, math.nan, 3.0], [], Refusal.NOT_FINITE),
+    (NAMES, [1.0, 2.0, 3.0], [1.0, math.inf, 1.0], Refusal.NOT_FINITE),
+    (NAMES, [1.0, 2.0], [], Refusal.WRONG_SIZE),
+    (NAMES, [], [1.0] * 4, Refusal.WRONG_SIZE),
+    (NAMES, [], [], Refusal.WRONG_SIZE),
+    (NAMES[:2], [1.0, 2.0], [], Refusal.WRONG_NAMES),
+    (("north", "west", "east"), [1.0, 2.0, 3.0], [], Refusal.WRONG_NAMES),
+    (("north", "north", "west"), [1.0, 2.0, 3.0], [], Refusal.WRONG_NAMES),
+    ((), [1.0, 2.0, 3.0], [], Refusal.WRONG_NAMES),
+])  # fmt: skip
 def test_a_message_that_does_not_fit_is_refused_and_counted(
     cables, names, lengths, tensions, refusal
 ):
@@ -75,8 +72,7 @@ def with_slide():
 
 
 @pytest.mark.parametrize(
-    ("names", "tensions"),
-    [(("a", "b"), [1.0, 2.0]), (("z", "b", "a"), [math.nan, 2.0, 1.0])],
+    "names, tensions", [(("a", "b"), [1.0, 2.0]), (("z", "b", "a"), [math.nan, 2.0, 1.0])]
 )
 def test_a_message_of_tensions_keeps_slides_in_place(with_slide, names, tensions):
     assert with_slide.accept(names, [], tensions, at(0.0)) is None
@@ -120,17 +116,14 @@ def test_a_message_without_names_releases_all_actuators(selected):
     assert selected.setpoints is None
 
 
-@pytest.mark.parametrize(
-    ("names", "lengths", "tensions", "refusal"),
-    [
-        (("z",), [], [1.0], Refusal.WRONG_FIELDS),
-        (("z",), [], [], Refusal.WRONG_SIZE),
-        (("z",), [math.nan], [], Refusal.NOT_FINITE),
-        (("x",), [0.1], [], Refusal.WRONG_NAMES),
-        (("both", "a"), [0.1, 0.1], [], Refusal.WRONG_NAMES),
-        ((), [0.1], [], Refusal.WRONG_SIZE),
-    ],
-)
+@pytest.mark.parametrize("names, lengths, tensions, refusal", [
+    (("z",), [], [1.0], Refusal.WRONG_FIELDS),
+    (("z",), [], [], Refusal.WRONG_SIZE),
+    (("z",), [math.nan], [], Refusal.NOT_FINITE),
+    (("x",), [0.1], [], Refusal.WRONG_NAMES),
+    (("both", "a"), [0.1, 0.1], [], Refusal.WRONG_NAMES),
+    ((), [0.1], [], Refusal.WRONG_SIZE),
+])  # fmt: skip
 def test_a_command_that_is_invalid_beside_targets_changes_nothing(
     selected, names, lengths, tensions, refusal
 ):

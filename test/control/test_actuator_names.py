@@ -33,11 +33,9 @@ def test_a_length_named_by_cable_is_used_unchanged(known):
     assert order.offsets.tolist() == [0.0, 0.0, 0.0]
 
 
-@pytest.mark.parametrize(
-    "names",
-    [("all", "a"), ("grip", "b", "a"), ("a", "a", "b", "c"), ("a", "b", "x"),
-     ("grip", "grip", "a")],
-)
+@pytest.mark.parametrize("names", [
+    ("all", "a"), ("grip", "b", "a"), ("a", "a", "b", "c"), ("a", "b", "x"), ("grip", "grip", "a"),
+])  # fmt: skip
 def test_unknown_names_and_duplicate_cables_are_refused(known, names):
     assert known.order_of(names) is None
 

@@ -26,19 +26,16 @@ def check():
     return header_check("base_link", 0.5)
 
 
-@pytest.mark.parametrize(
-    ("arrival", "refusal"),
-    [
-        (arrived(), None),
-        (arrived(age=0.49), None),
-        (arrived(age=0.51), Refusal.STALE),
-        (arrived(age=-0.09), None),
-        (arrived(age=-0.11), Refusal.FROM_THE_FUTURE),
-        (arrived(frame_id="map"), Refusal.WRONG_FRAME),
-        (arrived(frame_id=""), Refusal.WRONG_FRAME),
-        (arrived(stamp=0), None),
-    ],
-)
+@pytest.mark.parametrize("arrival, refusal", [
+    (arrived(), None),
+    (arrived(age=0.49), None),
+    (arrived(age=0.51), Refusal.STALE),
+    (arrived(age=-0.09), None),
+    (arrived(age=-0.11), Refusal.FROM_THE_FUTURE),
+    (arrived(frame_id="map"), Refusal.WRONG_FRAME),
+    (arrived(frame_id=""), Refusal.WRONG_FRAME),
+    (arrived(stamp=0), None),
+])  # fmt: skip
 def test_a_header_is_refused_for_its_frame_and_its_age(check, arrival, refusal):
     assert check.refusal(arrival) is refusal
 

@@ -94,23 +94,20 @@ def test_a_pressure_commands_a_cavity_beside_targets(drive_air):
 
 
 @pytest.mark.parametrize("mode", list(Mode))
-@pytest.mark.parametrize(
-    ("name", "pressure", "header", "refusal"),
-    [
-        ("low", np.nan, {}, Refusal.NOT_FINITE),
-        ("low", np.inf, {}, Refusal.NOT_FINITE),
-        ("low", -np.inf, {}, Refusal.NOT_FINITE),
-        ("low", -1000.0, {}, Refusal.BELOW_VACUUM),
-        ("low", 0.0, {}, Refusal.BELOW_VACUUM),
-        ("low", AIR + 1e3, {"age": 2.0}, Refusal.STALE),
-        ("low", AIR + 1e3, {"age": -2.0}, Refusal.FROM_THE_FUTURE),
-        ("low", AIR + 1e3, {"age": 0.1}, Refusal.OUT_OF_ORDER),
-        ("low", AIR + 1e3, {"frame_id": "map"}, Refusal.WRONG_FRAME),
-        ("middle", AIR + 1e3, {}, Refusal.WRONG_NAMES),
-        ("east", AIR + 1e3, {}, Refusal.WRONG_NAMES),
-        ("syringe", AIR + 1e3, {}, Refusal.VOLUME_CONTROLLED),
-    ],
-)
+@pytest.mark.parametrize("name, pressure, header, refusal", [
+    ("low", np.nan, {}, Refusal.NOT_FINITE),
+    ("low", np.inf, {}, Refusal.NOT_FINITE),
+    ("low", -np.inf, {}, Refusal.NOT_FINITE),
+    ("low", -1000.0, {}, Refusal.BELOW_VACUUM),
+    ("low", 0.0, {}, Refusal.BELOW_VACUUM),
+    ("low", AIR + 1e3, {"age": 2.0}, Refusal.STALE),
+    ("low", AIR + 1e3, {"age": -2.0}, Refusal.FROM_THE_FUTURE),
+    ("low", AIR + 1e3, {"age": 0.1}, Refusal.OUT_OF_ORDER),
+    ("low", AIR + 1e3, {"frame_id": "map"}, Refusal.WRONG_FRAME),
+    ("middle", AIR + 1e3, {}, Refusal.WRONG_NAMES),
+    ("east", AIR + 1e3, {}, Refusal.WRONG_NAMES),
+    ("syringe", AIR + 1e3, {}, Refusal.VOLUME_CONTROLLED),
+])  # fmt: skip
 def test_an_invalid_pressure_is_refused_and_changes_nothing(
     drive_air, mode, name, pressure, header, refusal
 ):
@@ -317,18 +314,11 @@ def test_a_return_without_the_model_keeps_the_rates(drive_air, monkeypatch):
 
 
 @pytest.mark.parametrize("at_rest", [False, True])
-@pytest.mark.parametrize(
-    ("index", "value", "word"),
-    [
-        (LOW, np.nan, "low.not_finite"),
-        (LOW, 1e6, "low.pressure_max"),
-        (LOW, -100.0, "low.pressure_min"),
-        (HIGH, -6e3, "high.pressure_min"),
-        (LOW, 5e3, "low.rate"),
-        (SYRINGE, 5e-6, "syringe.growth_max"),
-        (SYRINGE, 2.1e-6, "syringe.rate"),
-    ],
-)
+@pytest.mark.parametrize("index, value, word", [
+    (LOW, np.nan, "low.not_finite"), (LOW, 1e6, "low.pressure_max"),
+    (LOW, -100.0, "low.pressure_min"), (HIGH, -6e3, "high.pressure_min"), (LOW, 5e3, "low.rate"),
+    (SYRINGE, 5e-6, "syringe.growth_max"), (SYRINGE, 2.1e-6, "syringe.rate"),
+])  # fmt: skip
 def test_an_invalid_result_of_a_step_is_not_published(
     drive_air, monkeypatch, index, value, word, at_rest
 ):
@@ -498,9 +488,7 @@ def _built_stiffer_air(air_scene):
     return simulation
 
 
-def test_the_loop_closes_over_valves_with_lag_limited_flow_and_noise(
-    drive_air, _built_stiffer_air
-):
+def test_the_loop_closes_over_valves_with_lag_limited_flow_and_noise(drive_air, _built_stiffer_air):
     flaws = DeviceFlaws(delay=0.02, marker_noise=1e-6, seed=1, valve_lag=0.1, flow_limit=1e-5,
                         pressure_noise=20.0)  # fmt: skip
     device = SimulatedDevice(_built_stiffer_air, flaws)

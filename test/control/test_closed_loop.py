@@ -83,10 +83,9 @@ def test_the_misfit_compares_the_same_moment(drive):
     assert now.misfit.rms < 1e-6
 
 
-@pytest.mark.parametrize(
-    ("policy", "activity"),
-    [(WhenLost.OPEN_LOOP, Activity.FOLLOWING), (WhenLost.HOLD, Activity.HOLDING)],
-)
+@pytest.mark.parametrize("policy, activity", [
+    (WhenLost.OPEN_LOOP, Activity.FOLLOWING), (WhenLost.HOLD, Activity.HOLDING),
+])  # fmt: skip
 def test_lost_markers_freeze_the_correction_and_hold_if_asked_to(drive, robot, policy, activity):
     driver = drive(closed_loop=True, on_lost_markers=policy, marker_timeout=0.2)
     track(driver, robot, standing, 20)

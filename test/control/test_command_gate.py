@@ -37,18 +37,15 @@ def test_a_command_within_all_limits_passes_unchanged(gate):
     assert passage.command.efforts.tolist() == TENSIONS.tolist()
 
 
-@pytest.mark.parametrize(
-    ("lengths", "tensions", "violated"),
-    [
-        (REST - [np.nan, 0.0], TENSIONS, "a.not_finite"),
-        (REST, [1.0, np.inf], "b.not_finite"),
-        (REST - [0.0, 0.051], TENSIONS, "b.shortening_max"),
-        (REST + [0.0, 0.001], TENSIONS, "b.shortening_min"),
-        (REST - [0.02, 0.0], TENSIONS, "a.rate"),
-        (REST, [10.1, 2.0], "a.tension_max"),
-        (REST, [1.0, -0.1], "b.tension_min"),
-    ],
-)
+@pytest.mark.parametrize("lengths, tensions, violated", [
+    (REST - [np.nan, 0.0], TENSIONS, "a.not_finite"),
+    (REST, [1.0, np.inf], "b.not_finite"),
+    (REST - [0.0, 0.051], TENSIONS, "b.shortening_max"),
+    (REST + [0.0, 0.001], TENSIONS, "b.shortening_min"),
+    (REST - [0.02, 0.0], TENSIONS, "a.rate"),
+    (REST, [10.1, 2.0], "a.tension_max"),
+    (REST, [1.0, -0.1], "b.tension_min"),
+])  # fmt: skip
 def test_a_command_outside_a_limit_is_blocked_and_named(gate, lengths, tensions, violated):
     safe = gate.pass_on(REST - 0.001, TENSIONS, STEP).command
     passage = gate.pass_on(np.array(lengths), np.array(tensions), STEP)
@@ -125,14 +122,11 @@ def scaled_gate(length, force):
 
 @pytest.mark.parametrize("length", [1e-3, 1.0, 1e2])
 @pytest.mark.parametrize("force", [1e-6, 1.0, 1e4])
-@pytest.mark.parametrize(
-    ("beyond", "stronger", "violated"),
-    [
-        (0.9 * SETPOINT_SHARE, 0.9 * EFFORT_SHARE, ()),
-        (1.1 * SETPOINT_SHARE, 0.0, ("b.shortening_min",)),
-        (0.0, 1.1 * EFFORT_SHARE, ("b.tension_max",)),
-    ],
-)
+@pytest.mark.parametrize("beyond, stronger, violated", [
+    (0.9 * SETPOINT_SHARE, 0.9 * EFFORT_SHARE, ()),
+    (1.1 * SETPOINT_SHARE, 0.0, ("b.shortening_min",)),
+    (0.0, 1.1 * EFFORT_SHARE, ("b.tension_max",)),
+])  # fmt: skip
 def test_a_robot_of_another_scale_has_the_same_limits(length, force, beyond, stronger, violated):
     travel, greatest = LIMITS.displacement_max[1], LIMITS.effort_max[1]
     setpoints = length * (REST + [0.0, beyond * travel])

@@ -38,13 +38,10 @@ def take(device, *lengths, time=0.0):
     return device.accept(NAMES, lengths, [], Arrival("", now, now, time))
 
 
-@pytest.mark.parametrize(
-    "lengths",
-    [
-        (0.1, 0.2, 0.0), (0.06, 0.2, 0.05), (0.0561, 5.0, -0.0049), (0.1039, 0.0, 0.0549),
-        (0.08, 1e4, 0.02),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("lengths", [
+    (0.1, 0.2, 0.0), (0.06, 0.2, 0.05), (0.0561, 5.0, -0.0049), (0.1039, 0.0, 0.0549),
+    (0.08, 1e4, 0.02),
+])  # fmt: skip
 def test_measured_values_up_to_a_tenth_of_the_travel_beyond_the_limits_are_accepted(
     device, lengths
 ):
@@ -52,18 +49,11 @@ def test_measured_values_up_to_a_tenth_of_the_travel_beyond_the_limits_are_accep
     assert device.implausible is None and device.setpoints.tolist() == list(lengths)
 
 
-@pytest.mark.parametrize(
-    ("lengths", "name", "value"),
-    [
-        ((1e6, 0.2, 0.0), "a", 1e6),
-        ((-5.0, 0.2, 0.0), "a", -5.0),
-        ((0.1041, 0.2, 0.0), "a", 0.1041),
-        ((0.0559, 0.2, 0.0), "a", 0.0559),
-        ((0.1, -0.001, 0.0), "b", -0.001),
-        ((0.1, 0.2, -0.0051), "lift", -0.0051),
-        ((0.1, 0.2, 0.0551), "lift", 0.0551),
-    ],
-)
+@pytest.mark.parametrize("lengths, name, value", [
+    ((1e6, 0.2, 0.0), "a", 1e6), ((-5.0, 0.2, 0.0), "a", -5.0), ((0.1041, 0.2, 0.0), "a", 0.1041),
+    ((0.0559, 0.2, 0.0), "a", 0.0559), ((0.1, -0.001, 0.0), "b", -0.001),
+    ((0.1, 0.2, -0.0051), "lift", -0.0051), ((0.1, 0.2, 0.0551), "lift", 0.0551),
+])  # fmt: skip
 def test_impossible_measured_values_are_refused_and_named(device, lengths, name, value):
     take(device, *REST)
     assert take(device, *lengths, time=0.1) is Refusal.OUT_OF_RANGE

@@ -137,16 +137,13 @@ def test_a_return_continues_when_a_step_does_not_converge(drive, monkeypatch):
     assert len(driver.outcomes) > 3
 
 
-@pytest.mark.parametrize(
-    ("fields", "word"),
-    [
-        ({"setpoints": np.full(4, np.nan)}, "north.not_finite"),
-        ({"efforts": np.array([1.0, np.inf, 1.0, 1.0])}, "west.not_finite"),
-        ({"efforts": np.full(4, 25.0)}, "north.tension_max"),
-        ({"setpoints": np.full(4, 0.04)}, "east.shortening_max"),
-        ({"setpoints": np.full(4, 0.06)}, "south.rate"),
-    ],
-)
+@pytest.mark.parametrize("fields, word", [
+    ({"setpoints": np.full(4, np.nan)}, "north.not_finite"),
+    ({"efforts": np.array([1.0, np.inf, 1.0, 1.0])}, "west.not_finite"),
+    ({"efforts": np.full(4, 25.0)}, "north.tension_max"),
+    ({"setpoints": np.full(4, 0.04)}, "east.shortening_max"),
+    ({"setpoints": np.full(4, 0.06)}, "south.rate"),
+])  # fmt: skip
 def test_an_invalid_result_of_a_step_is_not_published(drive, monkeypatch, fields, word):
     driver = drive()
     driver.target(*INSIDE)
@@ -184,13 +181,10 @@ def test_a_model_moved_from_outside_is_brought_back_before_a_command_is_released
     assert driver.tick(30).tracking_errors[0] < 2e-5
 
 
-@pytest.mark.parametrize(
-    ("settings", "corner"),
-    [
-        ({"workspace_max": (1.0, 1.0, 0.1)}, "workspace_max"),
-        ({"workspace_min": (0.001, -1.0, -1.0)}, "workspace_min"),
-    ],
-)
+@pytest.mark.parametrize("settings, corner", [
+    ({"workspace_max": (1.0, 1.0, 0.1)}, "workspace_max"),
+    ({"workspace_min": (0.001, -1.0, -1.0)}, "workspace_min"),
+])  # fmt: skip
 def test_a_workspace_that_excludes_the_robot_at_rest_is_refused(drive, settings, corner):
     with pytest.raises(ParameterError, match="tip is outside the workspace at rest") as raised:
         drive(**settings)

@@ -8,20 +8,11 @@ from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.errors import ParameterError
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("rate", 0.0),
-        ("rate", math.inf),
-        ("target_timeout", -1.0),
-        ("speed_limit", math.nan),
-        ("correction_gain", -0.1),
-        ("marker_timeout", 0.0),
-        ("workspace_max", (1.0, math.nan, 1.0)),
-        ("workspace_min", (1.0, 1.0)),
-        ("workspace_min", (2.0, 0.0, 0.0)),
-    ],
-)
+@pytest.mark.parametrize("name, value", [
+    ("rate", 0.0), ("rate", math.inf), ("target_timeout", -1.0), ("speed_limit", math.nan),
+    ("correction_gain", -0.1), ("marker_timeout", 0.0), ("workspace_max", (1.0, math.nan, 1.0)),
+    ("workspace_min", (1.0, 1.0)), ("workspace_min", (2.0, 0.0, 0.0)),
+])  # fmt: skip
 def test_an_invalid_setting_is_refused_by_name_and_value(name, value):
     with pytest.raises(ParameterError) as raised:
         LoopSettings(**{name: value})

@@ -50,9 +50,7 @@ PERIOD = 0.02
 NOISE = 2.0e-4
 SEEDS = [0, 1, 2, 3]
 TARGET = np.array([0.0, 0.0, 0.132])
-CLOSED = {
-    "rate": 1.0 / PERIOD, "approach_speed": 0.03, "closed_loop": True, "correction_gain": 8.0,
-}  # fmt: skip
+CLOSED = {"rate": 1.0 / PERIOD, "approach_speed": 0.03, "closed_loop": True, "correction_gain": 8.0}
 
 
 class Frames:
@@ -152,9 +150,7 @@ def test_cyclically_exchanged_ids_are_all_rejected(simulation):
     assert frames.show(100, added=added) == {4, 5, 6, 7}
 
 
-def test_a_common_displacement_is_accepted_once_the_robot_could_have_made_it(
-    simulation,
-):
+def test_a_common_displacement_is_accepted_once_the_robot_could_have_made_it(simulation):
     """2 cm at one size (29 cm) in a second: within a tenth of a second."""
     frames = Frames(simulation)
     frames.show(100)

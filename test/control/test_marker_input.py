@@ -46,19 +46,14 @@ def test_an_unknown_id_is_ignored_and_counted(markers):
     assert np.isnan(markers.positions[[0, 2]]).all()
 
 
-@pytest.mark.parametrize(
-    ("numbers", "positions", "arrival", "refusal"),
-    [
-        (ids(3, 5, 7), HERE, at(0.0, "camera"), Refusal.WRONG_FRAME),
-        (ids(3, 5), HERE, at(0.0), Refusal.WRONG_SIZE),
-        (ids(3, 5, 3), HERE, at(0.0), Refusal.DUPLICATE_ID),
-        (ids(3, 5, 7), np.where(HERE == 4.0, np.inf, HERE), at(0.0), Refusal.NOT_FINITE),
-        (ids(3, 5, 7), HERE, at(-2.0)._replace(ros_time=1000 * NANOSECONDS), Refusal.STALE),
-    ],
-)
-def test_a_message_is_refused_as_a_whole_and_counted(
-    markers, numbers, positions, arrival, refusal
-):
+@pytest.mark.parametrize("numbers, positions, arrival, refusal", [
+    (ids(3, 5, 7), HERE, at(0.0, "camera"), Refusal.WRONG_FRAME),
+    (ids(3, 5), HERE, at(0.0), Refusal.WRONG_SIZE),
+    (ids(3, 5, 3), HERE, at(0.0), Refusal.DUPLICATE_ID),
+    (ids(3, 5, 7), np.where(HERE == 4.0, np.inf, HERE), at(0.0), Refusal.NOT_FINITE),
+    (ids(3, 5, 7), HERE, at(-2.0)._replace(ros_time=1000 * NANOSECONDS), Refusal.STALE),
+])  # fmt: skip
+def test_a_message_is_refused_as_a_whole_and_counted(markers, numbers, positions, arrival, refusal):
     assert markers.accept(numbers, positions, arrival) is refusal
     assert markers.refusals.by_word() == {refusal.value: 1}
     assert np.isnan(markers.positions).all()

@@ -16,6 +16,7 @@ from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandSetpoints, Simulation
 from softrobot_twin.simulation.mesh_error import ActuatorLoads, MeshErrorEstimator
+from test.builder import builder
 
 ROOT = Path(__file__).resolve().parents[2]
 PATIENCE = 120.0
@@ -26,18 +27,14 @@ def discretization_error(simulation, forces_given=False):
     return MeshErrorEstimator(simulation.scene).at(ActuatorLoads.of(simulation, forces_given))
 
 
-@pytest.fixture
-def diamond(small_scene_mapping):
+@builder
+def diamond(small_scene_mapping, /, change=None) -> Simulation:
     """Makes the Diamond on its coarsest mesh; a function may change its scene first."""
-
-    def make(change=None) -> Simulation:
-        mapping = copy.deepcopy(small_scene_mapping)
-        mapping["body"]["mesh"]["file"] = str(ROOT / "meshes/diamond_150.vtk")
-        if change is not None:
-            change(mapping)
-        return Simulation(scene_from_mapping(mapping))
-
-    return make
+    mapping = copy.deepcopy(small_scene_mapping)
+    mapping["body"]["mesh"]["file"] = str(ROOT / "meshes/diamond_150.vtk")
+    if change is not None:
+        change(mapping)
+    return Simulation(scene_from_mapping(mapping))
 
 
 @pytest.fixture

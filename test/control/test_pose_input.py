@@ -34,22 +34,17 @@ def test_the_newest_pose_of_each_body_wins(poses):
     assert poses.age(0.5) == pytest.approx(0.3)
 
 
-@pytest.mark.parametrize(
-    ("name", "position", "quaternion", "header", "refusal"),
-    [
-        ("palm", (math.nan, 0.0, 0.0), UPRIGHT, {}, Refusal.NOT_FINITE),
-        ("palm", HERE, (0.0, 0.0, math.inf, 1.0), {}, Refusal.NOT_FINITE),
-        ("palm", HERE, (0.0, 0.0, 0.0, 0.0), {}, Refusal.NO_ROTATION),
-        ("palm", HERE, UPRIGHT, {"frame_id": "map"}, Refusal.WRONG_FRAME),
-        ("palm", HERE, UPRIGHT, {"frame_id": ""}, Refusal.WRONG_FRAME),
-        ("palm", HERE, UPRIGHT, {"age": 2.0}, Refusal.STALE),
-        ("palm", HERE, UPRIGHT, {"age": -2.0}, Refusal.FROM_THE_FUTURE),
-        ("cube", HERE, UPRIGHT, {}, Refusal.WRONG_NAMES),
-    ],
-)
-def test_an_invalid_pose_is_refused_and_counted(
-    poses, name, position, quaternion, header, refusal
-):
+@pytest.mark.parametrize("name, position, quaternion, header, refusal", [
+    ("palm", (math.nan, 0.0, 0.0), UPRIGHT, {}, Refusal.NOT_FINITE),
+    ("palm", HERE, (0.0, 0.0, math.inf, 1.0), {}, Refusal.NOT_FINITE),
+    ("palm", HERE, (0.0, 0.0, 0.0, 0.0), {}, Refusal.NO_ROTATION),
+    ("palm", HERE, UPRIGHT, {"frame_id": "map"}, Refusal.WRONG_FRAME),
+    ("palm", HERE, UPRIGHT, {"frame_id": ""}, Refusal.WRONG_FRAME),
+    ("palm", HERE, UPRIGHT, {"age": 2.0}, Refusal.STALE),
+    ("palm", HERE, UPRIGHT, {"age": -2.0}, Refusal.FROM_THE_FUTURE),
+    ("cube", HERE, UPRIGHT, {}, Refusal.WRONG_NAMES),
+])  # fmt: skip
+def test_an_invalid_pose_is_refused_and_counted(poses, name, position, quaternion, header, refusal):
     assert poses.accept(name, position, quaternion, at(0.0, **header)) is refusal
     assert poses.refusals.of(refusal) == 1
     assert poses.newest == {} and np.isinf(poses.age(0.0))

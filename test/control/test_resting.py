@@ -12,6 +12,7 @@ from softrobot_twin.control.loop_settings import LoopSettings, Mode
 from softrobot_twin.control.twin_loop import TickOutcome, TwinLoop, owner_of
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import Simulation
+from test.builder import builder
 
 RATE = 100.0
 
@@ -50,14 +51,11 @@ class Clocked:
         raise AssertionError("it does not rest")
 
 
-@pytest.fixture
-def clocked(small_scene_mapping):
-    def make(explores=False, **options):
-        mapping = copy.deepcopy(small_scene_mapping)
-        mapping.setdefault("solver", {})["exploration"] = explores
-        return Clocked(scene_from_mapping(mapping), **options)
-
-    return make
+@builder
+def clocked(small_scene_mapping, /, explores=False, **options):
+    mapping = copy.deepcopy(small_scene_mapping)
+    mapping.setdefault("solver", {})["exploration"] = explores
+    return Clocked(scene_from_mapping(mapping), **options)
 
 
 def equal(one, other):

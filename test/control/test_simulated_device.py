@@ -84,17 +84,14 @@ def test_a_step_of_zero_or_negative_time_moves_nothing(simulation, rest):
     assert device.read(0.5).setpoints.tolist() == rest.tolist()
 
 
-@pytest.mark.parametrize(
-    ("flaws", "name"),
-    [
-        ({"delay": -0.1}, "device_delay"),
-        ({"servo_rate": 0.0}, "device_servo_rate"),
-        ({"marker_noise": float("nan")}, "device_marker_noise"),
-        ({"valve_lag": -0.1}, "device_valve_lag"),
-        ({"flow_limit": 0.0}, "device_flow_limit"),
-        ({"pressure_noise": float("inf")}, "device_pressure_noise"),
-    ],
-)
+@pytest.mark.parametrize("flaws, name", [
+    ({"delay": -0.1}, "device_delay"),
+    ({"servo_rate": 0.0}, "device_servo_rate"),
+    ({"marker_noise": float("nan")}, "device_marker_noise"),
+    ({"valve_lag": -0.1}, "device_valve_lag"),
+    ({"flow_limit": 0.0}, "device_flow_limit"),
+    ({"pressure_noise": float("inf")}, "device_pressure_noise"),
+])  # fmt: skip
 def test_impossible_flaws_are_refused_by_parameter(flaws, name):
     with pytest.raises(ParameterError) as raised:
         DeviceFlaws(**flaws)
@@ -124,11 +121,10 @@ def test_a_guided_body_moves_to_its_pose_after_the_delay(grasper):
     assert heights[-1] == pytest.approx(0.01, abs=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("name", "position", "quaternion"),
-    [("cube", [0, 0, 0], [0, 0, 0, 1]), ("palm", [0, 0, np.nan], [0, 0, 0, 1]),
-     ("palm", [0, 0, 0.1], [0, 0, 0, 0])],
-)
+@pytest.mark.parametrize("name, position, quaternion", [
+    ("cube", [0, 0, 0], [0, 0, 0, 1]), ("palm", [0, 0, np.nan], [0, 0, 0, 1]),
+    ("palm", [0, 0, 0.1], [0, 0, 0, 0]),
+])  # fmt: skip
 def test_an_invalid_pose_moves_nothing_and_is_counted(grasper, name, position, quaternion):
     device = SimulatedDevice(grasper, DeviceFlaws())
     device.read(0.0)

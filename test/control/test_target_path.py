@@ -73,16 +73,13 @@ def test_paths_alternate_without_a_jump():
     )
 
 
-@pytest.mark.parametrize(
-    ("arguments", "name"),
-    [
-        (((0.0, 0.0, math.nan), 0.02, 10.0), "target_center"),
-        (((0.0, 0.0), 0.02, 10.0), "target_center"),
-        (((0.0, 0.0, 0.0), 0.0, 10.0), "target_radius"),
-        (((0.0, 0.0, 0.0), 0.02, -1.0), "target_period"),
-        (((0.0, 0.0, 0.0), 0.02, 10.0, "zz"), "target_plane"),
-    ],
-)
+@pytest.mark.parametrize("arguments, name", [
+    (((0.0, 0.0, math.nan), 0.02, 10.0), "target_center"),
+    (((0.0, 0.0), 0.02, 10.0), "target_center"),
+    (((0.0, 0.0, 0.0), 0.0, 10.0), "target_radius"),
+    (((0.0, 0.0, 0.0), 0.02, -1.0), "target_period"),
+    (((0.0, 0.0, 0.0), 0.02, 10.0, "zz"), "target_plane"),
+])  # fmt: skip
 def test_an_invalid_path_is_refused_by_parameter(arguments, name):
     with pytest.raises(ParameterError) as raised:
         ClosedCurve(*arguments)
@@ -114,18 +111,15 @@ def test_a_file_is_followed_in_straight_lines_and_kept_at_its_end(tmp_path):
     assert path.position(100.0) == pytest.approx([0.02, 0.0, 0.1])
 
 
-@pytest.mark.parametrize(
-    ("text", "reason"),
-    [
-        ("time_s,tip_x_m,tip_y_m\n0,0,0\n", "tip_z_m: the header lacks"),
-        (f"{HEADER}\n", "no row"),
-        ("", "is empty"),
-        (f"{HEADER}\n0,0,0,zero,0\n", "row 2: tip_z_m = 'zero' m: must be a number"),
-        (f"{HEADER}\n0,0\n", "has 2 cells"),
-        (f"{HEADER}\n0,0,0,nan,0\n", "must be finite"),
-        (f"{HEADER}\n1,0,0,0,0\n1,0,0,0,0\n", "must be later"),
-    ],
-)
+@pytest.mark.parametrize("text, reason", [
+    ("time_s,tip_x_m,tip_y_m\n0,0,0\n", "tip_z_m: the header lacks"),
+    (f"{HEADER}\n", "no row"),
+    ("", "is empty"),
+    (f"{HEADER}\n0,0,0,zero,0\n", "row 2: tip_z_m = 'zero' m: must be a number"),
+    (f"{HEADER}\n0,0\n", "has 2 cells"),
+    (f"{HEADER}\n0,0,0,nan,0\n", "must be finite"),
+    (f"{HEADER}\n1,0,0,0,0\n1,0,0,0,0\n", "must be later"),
+])  # fmt: skip
 def test_an_invalid_path_file_is_refused_with_the_reason(tmp_path, text, reason):
     with pytest.raises(ParameterError, match=reason):
         read_file(tmp_path, text)

@@ -82,16 +82,13 @@ def test_a_touch_ends_without_messages_and_is_counted(touches):
     assert touches.read(0.5) is None and touches.timed_out == 1
 
 
-@pytest.mark.parametrize(
-    ("force", "arrival", "refusal"),
-    [
-        ((0.0, math.inf, 0.0), at(0.1), Refusal.NOT_FINITE),
-        ((0.0, 0.0), at(0.1), Refusal.WRONG_SIZE),
-        ((0.0, 0.0, -2.1), at(0.1), Refusal.OUT_OF_RANGE),
-        ((0.0, 0.0, -1.5), at(0.1, "other"), Refusal.WRONG_FRAME),
-        ((0.0, 0.0, -1.5), at(-0.1), Refusal.OUT_OF_ORDER),
-    ],
-)
+@pytest.mark.parametrize("force, arrival, refusal", [
+    ((0.0, math.inf, 0.0), at(0.1), Refusal.NOT_FINITE),
+    ((0.0, 0.0), at(0.1), Refusal.WRONG_SIZE),
+    ((0.0, 0.0, -2.1), at(0.1), Refusal.OUT_OF_RANGE),
+    ((0.0, 0.0, -1.5), at(0.1, "other"), Refusal.WRONG_FRAME),
+    ((0.0, 0.0, -1.5), at(-0.1), Refusal.OUT_OF_ORDER),
+])  # fmt: skip
 def test_a_force_that_cannot_be_used_is_refused_and_the_touch_stays(
     touches, force, arrival, refusal
 ):

@@ -24,36 +24,31 @@ def test_a_small_error_has_no_cause(error):
     assert tracking_cause(FAR._replace(error=error, late=50, worst=Status.DIVERGED)) == ""
 
 
-@pytest.mark.parametrize(
-    ("signs", "cause"),
-    [
-        ({"holding": "device lost"}, "device lost"),
-        ({"kept_back": ("north.rate",)}, "commands kept back: north.rate"),
-        ({"worst": Status.DIVERGED}, "step diverged"),
-        ({"late": 30, "worst": Status.UNREACHABLE}, "step unreachable"),
-        ({"late": 30, "worst": Status.SATURATED, "limits": ("a.reach",)}, "limit: a.reach"),
-        ({"late": 30}, "late: 30 of 80 ticks"),
-        ({"overloaded": 20}, "overload: 20 of 50 ticks with a stale factor"),
-        (
-            {"limits": ("a.rate", "contact.force_limit"), "worst": Status.SATURATED},
-            "limit: contact.force_limit",
-        ),
-        ({"limits": ("a.shortening_min", "b.rate")}, "rate limit: b.rate"),
-        ({"limits": ("a.rate",)}, "rate limit: a.rate"),
-        ({"approaching": True}, "approaching at approach_speed"),
-        ({"approaching": True, "worst": Status.RATE_LIMITED}, "approaching at approach_speed"),
-        ({"approaching": True, "worst": Status.UNREACHABLE}, "step unreachable"),
-        ({"approaching": True, "worst": Status.NOT_CONVERGED}, "step not_converged"),
-        ({"device_lag": 0.02}, "the device differs from its command by 20.0 mm"),
-        ({"device_off": "a by 3e+03 Pa"}, "the device differs from its command: a by 3e+03 Pa"),
-        ({"closed_loop": True, "left_out": (4, 6)}, "markers left out: 4, 6"),
-        ({"closed_loop": True, "markers_lost": True}, "markers lost"),
-        ({"closed_loop": True, "correction_at_limit": True}, "the correction is at"),
-        ({"misfit": 0.02}, "the model differs from the markers by 20.0 mm, and closed_loop is off"),
-        ({"worst": Status.UNREACHABLE}, "step unreachable"),
-        ({}, "not settled yet"),
-    ],
-)
+@pytest.mark.parametrize("signs, cause", [
+    ({"holding": "device lost"}, "device lost"),
+    ({"kept_back": ("north.rate",)}, "commands kept back: north.rate"),
+    ({"worst": Status.DIVERGED}, "step diverged"),
+    ({"late": 30, "worst": Status.UNREACHABLE}, "step unreachable"),
+    ({"late": 30, "worst": Status.SATURATED, "limits": ("a.reach",)}, "limit: a.reach"),
+    ({"late": 30}, "late: 30 of 80 ticks"),
+    ({"overloaded": 20}, "overload: 20 of 50 ticks with a stale factor"),
+    ({"limits": ("a.rate", "contact.force_limit"), "worst": Status.SATURATED},
+     "limit: contact.force_limit"),
+    ({"limits": ("a.shortening_min", "b.rate")}, "rate limit: b.rate"),
+    ({"limits": ("a.rate",)}, "rate limit: a.rate"),
+    ({"approaching": True}, "approaching at approach_speed"),
+    ({"approaching": True, "worst": Status.RATE_LIMITED}, "approaching at approach_speed"),
+    ({"approaching": True, "worst": Status.UNREACHABLE}, "step unreachable"),
+    ({"approaching": True, "worst": Status.NOT_CONVERGED}, "step not_converged"),
+    ({"device_lag": 0.02}, "the device differs from its command by 20.0 mm"),
+    ({"device_off": "a by 3e+03 Pa"}, "the device differs from its command: a by 3e+03 Pa"),
+    ({"closed_loop": True, "left_out": (4, 6)}, "markers left out: 4, 6"),
+    ({"closed_loop": True, "markers_lost": True}, "markers lost"),
+    ({"closed_loop": True, "correction_at_limit": True}, "the correction is at"),
+    ({"misfit": 0.02}, "the model differs from the markers by 20.0 mm, and closed_loop is off"),
+    ({"worst": Status.UNREACHABLE}, "step unreachable"),
+    ({}, "not settled yet"),
+])  # fmt: skip
 def test_each_cause_is_named(signs, cause):
     assert tracking_cause(FAR._replace(**signs)).startswith(cause)
 

@@ -16,6 +16,7 @@ from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import Simulation, Status
+from test.builder import builder
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 PLATFORM = "platform_z"
@@ -28,21 +29,17 @@ def platform(outcome):
     return outcome.command.setpoints[-1]
 
 
-@pytest.fixture
-def settled(drive_trunk):
+@builder
+def settled(drive_trunk, /, **settings):
     """Makes a driver whose tip hangs still at a target beside where it sags to."""
-
-    def make(**settings):
-        driver = drive_trunk(**settings)
-        driver.tick(5)
-        tip = driver.loop.simulation.effector_positions()[0]
-        driver.aim = tip + [0.004, 0.006, 0.0]
-        assert driver.target(*driver.aim) is None
-        driver.tick(40)
-        assert driver.outcomes[-1].tracking_errors[0] < 1e-4
-        return driver
-
-    return make
+    driver = drive_trunk(**settings)
+    driver.tick(5)
+    tip = driver.loop.simulation.effector_positions()[0]
+    driver.aim = tip + [0.004, 0.006, 0.0]
+    assert driver.target(*driver.aim) is None
+    driver.tick(40)
+    assert driver.outcomes[-1].tracking_errors[0] < 1e-4
+    return driver
 
 
 def follow(driver, path, ticks, ramp=60):

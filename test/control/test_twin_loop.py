@@ -76,18 +76,15 @@ def test_nothing_accumulates_while_a_target_is_unreachable(drive):
     assert outcome.tracking_errors[0] < 1e-3
 
 
-@pytest.mark.parametrize(
-    ("position", "header", "refusal"),
-    [
-        ((np.nan, 0.0, 0.13), {}, Refusal.NOT_FINITE),
-        ((0.0, -np.inf, 0.13), {}, Refusal.NOT_FINITE),
-        ((0.0, 0.13), {}, Refusal.WRONG_SIZE),
-        ((0.02, 0.0, 0.14), {"age": 1.0}, Refusal.STALE),
-        ((0.02, 0.0, 0.14), {"age": -1.0}, Refusal.FROM_THE_FUTURE),
-        ((0.02, 0.0, 0.14), {"age": 0.2}, Refusal.OUT_OF_ORDER),
-        ((0.02, 0.0, 0.14), {"frame_id": "map"}, Refusal.WRONG_FRAME),
-    ],
-)
+@pytest.mark.parametrize("position, header, refusal", [
+    ((np.nan, 0.0, 0.13), {}, Refusal.NOT_FINITE),
+    ((0.0, -np.inf, 0.13), {}, Refusal.NOT_FINITE),
+    ((0.0, 0.13), {}, Refusal.WRONG_SIZE),
+    ((0.02, 0.0, 0.14), {"age": 1.0}, Refusal.STALE),
+    ((0.02, 0.0, 0.14), {"age": -1.0}, Refusal.FROM_THE_FUTURE),
+    ((0.02, 0.0, 0.14), {"age": 0.2}, Refusal.OUT_OF_ORDER),
+    ((0.02, 0.0, 0.14), {"frame_id": "map"}, Refusal.WRONG_FRAME),
+])  # fmt: skip
 def test_a_bad_target_is_refused_and_the_commands_are_as_without_it(
     drive, position, header, refusal
 ):

@@ -22,6 +22,7 @@ from softrobot_twin.ros.device_node import DeviceNode
 from softrobot_twin.ros.messages import pose_message
 from softrobot_twin.ros.twin_node import TwinNode
 from softrobot_twin.scene.loading import written_out
+from test.builder import builder
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -150,15 +151,11 @@ class World:
         rclpy.try_shutdown(context=self.context)
 
 
-@pytest.fixture
-def make_twin(world, small_scene_file):
+@builder
+def make_twin(world, small_scene_file, /, **parameters):
     """Makes a twin of the small Diamond in the world."""
-
-    def make(**parameters):
-        defaults = {"scene_file": str(small_scene_file), "rate": 50.0}
-        return world.add(TwinNode, **{**defaults, **parameters})
-
-    return make
+    defaults = {"scene_file": str(small_scene_file), "rate": 50.0}
+    return world.add(TwinNode, **{**defaults, **parameters})
 
 
 @pytest.fixture

@@ -124,19 +124,16 @@ def test_a_replay_compares_it(recorded):
     assert found.first.place.endswith("along [N]")
 
 
-@pytest.mark.parametrize(
-    ("changes", "refusal"),
-    [
-        ({"values": {"along": 1.0}}, Refusal.WRONG_NAMES),
-        ({"values": {"along": 1.0, "up": 2.0}}, Refusal.WRONG_NAMES),
-        ({"values": {"along": 51.0, "across": 0.0}}, Refusal.OUT_OF_RANGE),
-        ({"values": {"along": np.nan, "across": 0.0}}, Refusal.NOT_FINITE),
-        ({"effort": [1.0, 1.0]}, Refusal.WRONG_FIELDS),
-        ({"frame": "elsewhere"}, Refusal.WRONG_FRAME),
-        ({"age": 10**10}, Refusal.STALE),
-        ({"age": -(10**10)}, Refusal.FROM_THE_FUTURE),
-    ],
-)
+@pytest.mark.parametrize("changes, refusal", [
+    ({"values": {"along": 1.0}}, Refusal.WRONG_NAMES),
+    ({"values": {"along": 1.0, "up": 2.0}}, Refusal.WRONG_NAMES),
+    ({"values": {"along": 51.0, "across": 0.0}}, Refusal.OUT_OF_RANGE),
+    ({"values": {"along": np.nan, "across": 0.0}}, Refusal.NOT_FINITE),
+    ({"effort": [1.0, 1.0]}, Refusal.WRONG_FIELDS),
+    ({"frame": "elsewhere"}, Refusal.WRONG_FRAME),
+    ({"age": 10**10}, Refusal.STALE),
+    ({"age": -(10**10)}, Refusal.FROM_THE_FUTURE),
+])  # fmt: skip
 def test_a_measured_number_that_cannot_be_used_is_refused(
     force, world, make_twin, changes, refusal
 ):

@@ -14,16 +14,14 @@ from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.device_node import DeviceNode
 from softrobot_twin.ros.messages import cables_message, read_markers
 from softrobot_twin.ros.twin_node import TwinNode
+from test.builder import builder
 
 
-@pytest.fixture
-def make_device(world, small_scene_file):
-    def make(**parameters):
-        defaults = {"device_scene_file": str(small_scene_file), "device_rate": 50.0,
-                    "device_marker_noise": 0.0}
-        return world.add(DeviceNode, **{**defaults, **parameters})
-
-    return make
+@builder
+def make_device(world, small_scene_file, /, **parameters):
+    defaults = {"device_scene_file": str(small_scene_file), "device_rate": 50.0,
+                "device_marker_noise": 0.0}
+    return world.add(DeviceNode, **{**defaults, **parameters})
 
 
 def command(world, device, lengths):
@@ -71,18 +69,13 @@ def test_the_topics_follow_the_name_of_the_twin(world, make_device):
     world.until(lambda: cables)
 
 
-@pytest.mark.parametrize(
-    ("change", "refusal"),
-    [
-        ({"position": [math.nan] * 4}, Refusal.NOT_FINITE),
-        ({"position": [0.08] * 3}, Refusal.WRONG_SIZE),
-        ({"position": []}, Refusal.WRONG_SIZE),
-        ({"name": ["north", "west", "south", "up"]}, Refusal.WRONG_NAMES),
-    ],
-)
-def test_an_invalid_command_is_refused_and_moves_nothing(
-    world, make_device, change, refusal
-):
+@pytest.mark.parametrize("change, refusal", [
+    ({"position": [math.nan] * 4}, Refusal.NOT_FINITE),
+    ({"position": [0.08] * 3}, Refusal.WRONG_SIZE),
+    ({"position": []}, Refusal.WRONG_SIZE),
+    ({"name": ["north", "west", "south", "up"]}, Refusal.WRONG_NAMES),
+])  # fmt: skip
+def test_an_invalid_command_is_refused_and_moves_nothing(world, make_device, change, refusal):
     device = make_device()
     rest = rest_of(device)
     cables = world.speaker(JointState, "/twin/cables")

@@ -109,9 +109,7 @@ def test_impossible_lengths_are_reported_with_actuator_value_and_limits(diamond)
     assert level == ERROR and "device lost, north measures 1e+06 m" in message
 
 
-@pytest.mark.parametrize(
-    ("late", "cause"), [(0, "rate limit: "), (5, "late: 5 of 6 ticks")]
-)  # fmt: skip
+@pytest.mark.parametrize("late, cause", [(0, "rate limit: "), (5, "late: 5 of 6 ticks")])
 def test_a_large_tracking_error_is_a_warning_with_its_cause(diamond, late, cause):
     watched = Watched(diamond)
     watched.tick()

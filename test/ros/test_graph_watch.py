@@ -22,16 +22,13 @@ def test_a_twin_alone_on_its_topics_reports_it(world, make_twin, diagnostics):
     assert graph.level == OK and graph.message == "no other publisher on its topics"
 
 
-@pytest.mark.parametrize(
-    ("kind", "topic", "level"),
-    [
-        (JointState, "/twin/measured_cables", ERROR),
-        (PointCloud2, "/twin/markers", ERROR),
-        (PointStamped, "/twin/target/tip", WARN),
-        (Twist, "/twin/target_velocity", WARN),
-        (JointState, "/twin/command/cables", WARN),
-    ],
-)
+@pytest.mark.parametrize("kind, topic, level", [
+    (JointState, "/twin/measured_cables", ERROR),
+    (PointCloud2, "/twin/markers", ERROR),
+    (PointStamped, "/twin/target/tip", WARN),
+    (Twist, "/twin/target_velocity", WARN),
+    (JointState, "/twin/command/cables", WARN),
+])  # fmt: skip
 def test_a_second_publisher_is_reported_and_keeps_the_twin_disabled(
     world, make_twin, diagnostics, kind, topic, level
 ):
@@ -86,9 +83,7 @@ def test_twin_device_and_commands_side_by_side_do_not_clash(
     assert enable(world).success
 
 
-def test_a_running_twin_reports_a_second_device_and_continues(
-    world, make_twin, diagnostics
-):
+def test_a_running_twin_reports_a_second_device_and_continues(world, make_twin, diagnostics):
     twin = make_twin(use_device=True, device_timeout=20.0)
     first = world.speaker(JointState, "/twin/measured_cables")
     simulation = twin.loop.simulation

@@ -18,21 +18,18 @@ from softrobot_twin.ros.messages import contacts_message
 from softrobot_twin.ros.topics import STREAM
 from softrobot_twin.ros.twin_node import TwinNode
 from softrobot_twin.view.recording import CAN_SERVE
+from test.builder import builder
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 GIVEN = yaml.safe_load((CONFIG / "grasper.yaml").read_text())["/**"]["ros__parameters"]
 GRIP = 0.015
 
 
-@pytest.fixture
-def make_grasper(world):
+@builder
+def make_grasper(world, /, **changes):
     """Makes the Grasper's twin from its parameter file, some of them replaced."""
-
-    def make(**changes):
-        twin = world.add(TwinNode, **{**GIVEN, **changes})
-        return twin
-
-    return make
+    twin = world.add(TwinNode, **{**GIVEN, **changes})
+    return twin
 
 
 def pose_message(world, position, quaternion=(0.0, 0.0, 0.0, 1.0), **header):
@@ -59,9 +56,7 @@ def run_ticks(world, tick, count):
             world.executor.spin_once(0.0)
 
 
-def test_a_motor_closes_the_fingers_and_a_pose_lifts_palm_and_cube(
-    world, make_grasper
-):
+def test_a_motor_closes_the_fingers_and_a_pose_lifts_palm_and_cube(world, make_grasper):
     twin = make_grasper(rate=100.0)
     tick = world.ticks_of(twin)
     cube = world.hear(PoseStamped, "/twin/bodies/cube")
@@ -138,9 +133,7 @@ def test_invalid_poses_and_lengths_are_refused_counted_and_move_nothing(
     assert simulation.state.setpoints == pytest.approx(simulation.rest_setpoints)
 
 
-def test_diagnostics_report_contacts_and_their_accuracy(
-    world, make_grasper, diagnostics
-):
+def test_diagnostics_report_contacts_and_their_accuracy(world, make_grasper, diagnostics):
     make_grasper(rate=50.0)
     account = diagnostics("contact", lambda account: account.values.get("count", "0") != "0")
     assert int(account.values["count"]) >= 3
@@ -155,9 +148,7 @@ def test_targets_in_contact_with_friction_are_refused_at_start_up(make_grasper):
 
 
 @pytest.mark.skipif(not CAN_SERVE, reason="this rerun cannot read its files")
-def test_a_recording_shows_fingers_rigid_bodies_floor_and_contacts(
-    world, make_grasper, tmp_path
-):
+def test_a_recording_shows_fingers_rigid_bodies_floor_and_contacts(world, make_grasper, tmp_path):
     file = tmp_path / "run.rrd"
     twin = make_grasper(rate=100.0, record_file=str(file), record_every=1, view_every=1)
     twin.stop()

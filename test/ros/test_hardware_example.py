@@ -24,6 +24,7 @@ sys.path.insert(0, str(FOLDER))
 from hardware_node import HardwareNode, NoServos  # noqa: E402
 from mocap_node import MocapFrame, MocapNode, fit_frame, quaternion_of, rotation_of  # noqa: E402
 from simulated_servos import SimulatedBus, SimulatedServo, Terminal  # noqa: E402
+from test.builder import builder
 
 NAMES = ["north", "west", "south", "east"]
 NUMBERS = (0.0, -0.0, math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, 1e-3, 1e6, -1.0)
@@ -165,15 +166,12 @@ def pose_at(position):
     return pose
 
 
-@pytest.fixture
-def make_mocap(world):
-    def make(kind, **parameters):
-        node = world.add(MocapNode, mocap_type=kind, mocap_topic="/mocap", **parameters)
-        heard = world.hear(PointCloud2, "/twin/markers")
-        world.until(lambda: node.count_subscribers("/twin/markers"))
-        return node, heard
-
-    return make
+@builder
+def make_mocap(world, /, kind, **parameters):
+    node = world.add(MocapNode, mocap_type=kind, mocap_topic="/mocap", **parameters)
+    heard = world.hear(PointCloud2, "/twin/markers")
+    world.until(lambda: node.count_subscribers("/twin/markers"))
+    return node, heard
 
 
 @pytest.mark.parametrize("kind", ["PoseArray", "PoseStamped", "PointCloud2"])

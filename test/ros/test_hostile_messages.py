@@ -36,6 +36,7 @@ from softrobot_twin.ros.process import spin
 from softrobot_twin.ros.target_node import TargetNode
 from softrobot_twin.ros.topics import largest_message
 from softrobot_twin.ros.twin_node import TwinNode
+from test.builder import builder
 
 UNNUMBERED = {"publication_sequence_number": None}
 """What rclpy tells of a message: by this, all are of one publisher."""
@@ -320,33 +321,28 @@ def assert_no_tick_failed(node):
     assert node.failed_ticks == 0, node.failure
 
 
-@pytest.fixture
-def parameters(tmp_path, air_scene, posed_scene_file):
+@builder
+def parameters(tmp_path, air_scene, posed_scene_file, /, robot):
     """Parameters of a robot, its scene on a coarse mesh; of the block with cavities, `air`, and of
     the Diamond whose tip has an orientation, `posed`.
     """
-
-    def read(robot):
-        if robot == "air":
-            file = tmp_path / "air.yaml"
-            file.write_text(yaml.safe_dump(air_scene))
-            return {"scene_file": str(file), "device_scene_file": str(file)}
-        if robot == "posed":
-            return {"scene_file": str(posed_scene_file)}
-        given = yaml.safe_load((ROOT / f"config/{robot}.yaml").read_text())["/**"][
-            "ros__parameters"]
-        mesh = MESHES.get(robot)
-        for name in ("scene_file", "device_scene_file"):
-            text = (ROOT / "config" / given[name]).read_text().replace(
-                "../../meshes", str(ROOT / "meshes"))
-            if mesh:
-                text = re.sub(rf"{robot}_\d+\.vtk", f"{mesh}.vtk", text)
-            file = tmp_path / f"{robot}_{name}.yaml"
-            file.write_text(text)
-            given[name] = str(file)
-        return {name: value for name, value in given.items() if value != [""]}
-
-    return read
+    if robot == "air":
+        file = tmp_path / "air.yaml"
+        file.write_text(yaml.safe_dump(air_scene))
+        return {"scene_file": str(file), "device_scene_file": str(file)}
+    if robot == "posed":
+        return {"scene_file": str(posed_scene_file)}
+    given = yaml.safe_load((ROOT / f"config/{robot}.yaml").read_text())["/**"]["ros__parameters"]
+    mesh = MESHES.get(robot)
+    for name in ("scene_file", "device_scene_file"):
+        text = (ROOT / "config" / given[name]).read_text().replace(
+            "../../meshes", str(ROOT / "meshes"))
+        if mesh:
+            text = re.sub(rf"{robot}_\d+\.vtk", f"{mesh}.vtk", text)
+        file = tmp_path / f"{robot}_{name}.yaml"
+        file.write_text(text)
+        given[name] = str(file)
+    return {name: value for name, value in given.items() if value != [""]}
 
 
 @pytest.fixture(autouse=True)
@@ -535,8 +531,7 @@ def test_hostile_messages_over_the_network_leave_the_twin_ticking(world, paramet
     seed = draw_seed() if seed is None else seed
     twin = world.add(TwinNode, **{**parameters("diamond"), "use_device": False, "rate": 50.0})
     hostile, witness = hostile_to(twin, seed), Witness(twin)
-    speakers = [(end.msg_type, world.speaker(end.msg_type, end.topic_name))
-                for end in inputs(twin)]
+    speakers = [(end.msg_type, world.speaker(end.msg_type, end.topic_name)) for end in inputs(twin)]
     left = [800]
 
     def send():

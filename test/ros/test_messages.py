@@ -52,19 +52,15 @@ VALUES = [{"x": 0.5 * i, "y": 1.0 * i, "z": 2.0 * i, "id": 7 + i, "intensity": 9
           for i in range(4)]
 
 
-@pytest.mark.parametrize(
-    ("dtype", "options"),
-    [
-        ([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("id", "<u4")], {}),
-        ([("id", "<u4"), ("z", "<f8"), ("y", "<f8"), ("x", "<f8")], {}),
-        ([("x", ">f4"), ("y", ">f4"), ("z", ">f4"), ("id", ">u4")], {"bigendian": True}),
-        ([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("id", "<u4")], {}),
-        ({"names": ["x", "y", "z", "id"], "formats": ["<f4", "<f4", "<f4", "<u4"],
-          "offsets": [0, 4, 8, 16], "itemsize": 32}, {}),
-        ([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("id", "<u4")],
-         {"rows": 2, "row_padding": 3}),
-    ],
-)
+@pytest.mark.parametrize("dtype, options", [
+    ([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("id", "<u4")], {}),
+    ([("id", "<u4"), ("z", "<f8"), ("y", "<f8"), ("x", "<f8")], {}),
+    ([("x", ">f4"), ("y", ">f4"), ("z", ">f4"), ("id", ">u4")], {"bigendian": True}),
+    ([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("id", "<u4")], {}),
+    ({"names": ["x", "y", "z", "id"], "formats": ["<f4", "<f4", "<f4", "<u4"],
+      "offsets": [0, 4, 8, 16], "itemsize": 32}, {}),
+    ([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("id", "<u4")], {"rows": 2, "row_padding": 3}),
+])  # fmt: skip
 def test_any_layout_of_an_array_message_is_read(dtype, options):
     ids, places = read_markers(cloud(dtype, VALUES, **options))
     assert ids.tolist() == [7, 8, 9, 10] and ids.dtype == np.uint32
@@ -97,26 +93,23 @@ def renamed(index, **fields):
     return message
 
 
-@pytest.mark.parametrize(
-    ("message", "refusal"),
-    [
-        (spoiled(data=array.array("B", bytes(47))), Refusal.WRONG_SIZE),
-        (spoiled(data=array.array("B", bytes(64))), Refusal.WRONG_SIZE),
-        (spoiled(width=4), Refusal.WRONG_SIZE),
-        (spoiled(width=2**32 - 1), Refusal.WRONG_SIZE),
-        (spoiled(height=2), Refusal.WRONG_SIZE),
-        (spoiled(point_step=12), Refusal.WRONG_SIZE),
-        (spoiled(point_step=0), Refusal.WRONG_SIZE),
-        (spoiled(row_step=0), Refusal.WRONG_SIZE),
-        (spoiled(fields=[]), Refusal.WRONG_FIELDS),
-        (renamed(0, name="a"), Refusal.WRONG_FIELDS),
-        (renamed(0, datatype=PointField.INT32), Refusal.WRONG_FIELDS),
-        (renamed(3, datatype=PointField.FLOAT32), Refusal.WRONG_FIELDS),
-        (renamed(0, count=3), Refusal.WRONG_FIELDS),
-        (renamed(1, name="x"), Refusal.WRONG_FIELDS),
-        (renamed(3, offset=2**32 - 1), Refusal.WRONG_SIZE),
-    ],
-)
+@pytest.mark.parametrize("message, refusal", [
+    (spoiled(data=array.array("B", bytes(47))), Refusal.WRONG_SIZE),
+    (spoiled(data=array.array("B", bytes(64))), Refusal.WRONG_SIZE),
+    (spoiled(width=4), Refusal.WRONG_SIZE),
+    (spoiled(width=2**32 - 1), Refusal.WRONG_SIZE),
+    (spoiled(height=2), Refusal.WRONG_SIZE),
+    (spoiled(point_step=12), Refusal.WRONG_SIZE),
+    (spoiled(point_step=0), Refusal.WRONG_SIZE),
+    (spoiled(row_step=0), Refusal.WRONG_SIZE),
+    (spoiled(fields=[]), Refusal.WRONG_FIELDS),
+    (renamed(0, name="a"), Refusal.WRONG_FIELDS),
+    (renamed(0, datatype=PointField.INT32), Refusal.WRONG_FIELDS),
+    (renamed(3, datatype=PointField.FLOAT32), Refusal.WRONG_FIELDS),
+    (renamed(0, count=3), Refusal.WRONG_FIELDS),
+    (renamed(1, name="x"), Refusal.WRONG_FIELDS),
+    (renamed(3, offset=2**32 - 1), Refusal.WRONG_SIZE),
+])  # fmt: skip
 def test_an_inconsistent_layout_is_refused(message, refusal):
     assert read_markers(message) is refusal
 

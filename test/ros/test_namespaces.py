@@ -58,8 +58,7 @@ def test_every_topic_and_service_of_a_robot_is_below_its_namespace(world, two_ro
 
 
 def test_two_robots_follow_their_own_targets(world, two_robots):
-    tips = {side: world.hear(PointStamped, f"/lab/{side}/twin/effectors/tip", 10)
-            for side in SIDES}  # fmt: skip
+    tips = {side: world.hear(PointStamped, f"/lab/{side}/twin/effectors/tip", 10) for side in SIDES}
     statuses = {side: world.hear(DiagnosticStatus, f"/lab/{side}/twin/status", LATCHED)
                 for side in SIDES}  # fmt: skip
     diagnostics = world.hear(DiagnosticArray, "/diagnostics", 10)

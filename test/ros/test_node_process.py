@@ -240,8 +240,7 @@ def test_a_non_ros_argument_is_refused(node, answers):
                            "follow --ros-args; see --help\n")
 
 
-@pytest.mark.parametrize(("node", "table"), [("twin", TWIN), ("device", DEVICE),
-                                             ("target", TARGET)])
+@pytest.mark.parametrize("node, table", [("twin", TWIN), ("device", DEVICE), ("target", TARGET)])
 def test_help_names_topics_and_every_parameter_with_its_default(node, table, answers):
     done = answers[f"{node} --help"]
     assert done.returncode == 0 and done.stderr == ""

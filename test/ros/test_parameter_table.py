@@ -76,17 +76,15 @@ def test_a_switch_takes_the_truth_values_that_yaml_makes_of_on_and_off(world, gi
     assert declare(node, TABLE)["switch"] == word
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "reason"),
-    [
-        ("gain", 3, "must be of the type of 1.0"),
-        ("gain", 11.0, "range"),
-        ("gain", "fast", "must be of the type"),
-        ("count", 6, "range"),
-        ("word", "c", "must be one of"),
-        ("switch", "no", "must be one of"), ("switch", 1, "must be one of"),
-    ],
-)
+@pytest.mark.parametrize("name, value, reason", [
+    ("gain", 3, "must be of the type of 1.0"),
+    ("gain", 11.0, "range"),
+    ("gain", "fast", "must be of the type"),
+    ("count", 6, "range"),
+    ("word", "c", "must be one of"),
+    ("switch", "no", "must be one of"),
+    ("switch", 1, "must be one of"),
+])  # fmt: skip
 def test_an_invalid_value_is_refused_by_name_and_value(world, name, value, reason):
     node = world.add(rclpy.create_node, "some", **{name: value})
     with pytest.raises(ParameterError, match=reason) as raised:

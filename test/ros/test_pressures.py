@@ -17,6 +17,7 @@ from softrobot_twin.ros.device_node import DeviceNode
 from softrobot_twin.ros.node_help import help_of
 from softrobot_twin.ros.twin_node import TwinNode
 from softrobot_twin.view.recording import CAN_SERVE
+from test.builder import builder
 
 UNNUMBERED = {"publication_sequence_number": None}
 """What rclpy tells of a message: by this, all are of one publisher."""
@@ -34,24 +35,17 @@ def air_file(air_scene, tmp_path_factory):
     return file
 
 
-@pytest.fixture
-def make_air(world, air_file):
+@builder
+def make_air(world, air_file, /, **parameters):
     """Makes a twin of the block with cavities."""
-
-    def make(**parameters):
-        defaults = {"scene_file": str(air_file), "rate": 50.0, "mode": "direct"}
-        return world.add(TwinNode, **{**defaults, **parameters})
-
-    return make
+    defaults = {"scene_file": str(air_file), "rate": 50.0, "mode": "direct"}
+    return world.add(TwinNode, **{**defaults, **parameters})
 
 
-@pytest.fixture
-def make_device(world, air_file):
-    def make(**parameters):
-        defaults = {"device_scene_file": str(air_file), "device_rate": 50.0}
-        return world.add(DeviceNode, **{**defaults, **parameters})
-
-    return make
+@builder
+def make_device(world, air_file, /, **parameters):
+    defaults = {"device_scene_file": str(air_file), "device_rate": 50.0}
+    return world.add(DeviceNode, **{**defaults, **parameters})
 
 
 def pressure_of(world, pressure, seconds_ago=0.0, frame_id="base_link"):

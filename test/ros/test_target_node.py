@@ -13,19 +13,17 @@ from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.target_node import TargetNode
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.runs.input_tables import TableFileError
+from test.builder import builder
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 CENTRE = [0.0, 0.0, 0.13]
 
 
-@pytest.fixture
-def make_target(world):
-    def make(**parameters):
-        defaults = {"target_center": CENTRE, "target_radius": 0.02, "target_period": 2.0,
-                    "target_ramp_time": 0.5, "target_rate": 100.0}
-        return world.add(TargetNode, **{**defaults, **parameters})
-
-    return make
+@builder
+def make_target(world, /, **parameters):
+    defaults = {"target_center": CENTRE, "target_radius": 0.02, "target_period": 2.0,
+                "target_ramp_time": 0.5, "target_rate": 100.0}
+    return world.add(TargetNode, **{**defaults, **parameters})
 
 
 def heard_from(world, position):
@@ -91,17 +89,14 @@ def test_a_file_of_targets_is_played(world, make_target, tmp_path):
     assert places(targets)[-1] == pytest.approx([0.01, 0.0, 0.13])
 
 
-@pytest.mark.parametrize(
-    ("parameters", "name"),
-    [
-        ({"target_path": "spiral"}, "target_path"),
-        ({"target_path": "/nowhere.csv"}, "target_path"),
-        ({"target_center": [0.0, 0.0]}, "target_center"),
-        ({"target_radius": -0.1}, "target_radius"),
-        ({"target_plane": "zz"}, "target_plane"),
-        ({"target_sequence": ["circle", "x"]}, "target_path"),
-    ],
-)
+@pytest.mark.parametrize("parameters, name", [
+    ({"target_path": "spiral"}, "target_path"),
+    ({"target_path": "/nowhere.csv"}, "target_path"),
+    ({"target_center": [0.0, 0.0]}, "target_center"),
+    ({"target_radius": -0.1}, "target_radius"),
+    ({"target_plane": "zz"}, "target_plane"),
+    ({"target_sequence": ["circle", "x"]}, "target_path"),
+])  # fmt: skip
 def test_an_invalid_path_is_refused_at_start_up(make_target, parameters, name):
     with pytest.raises(ParameterError) as raised:
         make_target(**parameters)

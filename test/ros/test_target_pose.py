@@ -46,17 +46,14 @@ def test_a_target_pose_moves_and_turns_the_effector(world, twin):
     assert np.linalg.norm(read_pose(poses[-1])[1]) == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize(
-    ("position", "quaternion", "header", "refusal"),
-    [
-        ((0.0, 0.0, HEIGHT), (0.0, 0.0, 0.0, 0.0), {}, Refusal.NO_ROTATION),
-        ((0.0, 0.0, HEIGHT), (0.0, 0.0, 1.0, 1.0), {}, Refusal.NO_ROTATION),
-        ((0.0, 0.0, HEIGHT), (0.0, 0.0, math.nan, 1.0), {}, Refusal.NOT_FINITE),
-        ((0.0, math.inf, HEIGHT), TURN, {}, Refusal.NOT_FINITE),
-        ((0.0, 0.0, HEIGHT), TURN, {"seconds_ago": 5.0}, Refusal.STALE),
-        ((0.0, 0.0, HEIGHT), TURN, {"frame_id": "map"}, Refusal.WRONG_FRAME),
-    ],
-)
+@pytest.mark.parametrize("position, quaternion, header, refusal", [
+    ((0.0, 0.0, HEIGHT), (0.0, 0.0, 0.0, 0.0), {}, Refusal.NO_ROTATION),
+    ((0.0, 0.0, HEIGHT), (0.0, 0.0, 1.0, 1.0), {}, Refusal.NO_ROTATION),
+    ((0.0, 0.0, HEIGHT), (0.0, 0.0, math.nan, 1.0), {}, Refusal.NOT_FINITE),
+    ((0.0, math.inf, HEIGHT), TURN, {}, Refusal.NOT_FINITE),
+    ((0.0, 0.0, HEIGHT), TURN, {"seconds_ago": 5.0}, Refusal.STALE),
+    ((0.0, 0.0, HEIGHT), TURN, {"frame_id": "map"}, Refusal.WRONG_FRAME),
+])  # fmt: skip
 def test_a_bad_target_pose_is_refused_and_moves_nothing(
     world, twin, position, quaternion, header, refusal
 ):

@@ -156,9 +156,7 @@ def test_the_base_is_not_below_itself(with_tf2):
 
 
 @pytest.mark.parametrize(("wanted", "warnings"), [("auto", 0), ("on", 1), ("off", 0)])
-def test_without_tf2_msgs_there_is_nothing_and_only_who_asks_is_told(
-    without_tf2, wanted, warnings
-):
+def test_without_tf2_msgs_there_is_nothing_and_only_who_asks_is_told(without_tf2, wanted, warnings):
     node = Node()
     output = output_of(node, tf=wanted)
     output.publish(outcome_of([[0.0, 0.0, 0.2]]), lambda: HEADER)

@@ -18,6 +18,7 @@ from softrobot_twin.ros.topics import STREAM
 from softrobot_twin.ros.twin_node import TwinNode
 from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import Status
+from test.builder import builder
 
 ROOT = Path(__file__).resolve().parents[2]
 GIVEN = yaml.safe_load((ROOT / "config/trunk.yaml").read_text())["/**"]["ros__parameters"]
@@ -33,18 +34,14 @@ def mapping():
     return scene
 
 
-@pytest.fixture
-def make_trunk(world, mapping, tmp_path):
+@builder
+def make_trunk(world, mapping, tmp_path, /, contact=None, **changes):
     """Makes the Trunk's twin from its parameter file, some of them and of the scene replaced."""
-
-    def make(contact=None, **changes):
-        scene = {**mapping, "contact": {**mapping["contact"], **(contact or {})}}
-        file = tmp_path / "trunk.yaml"
-        file.write_text(yaml.safe_dump(scene))
-        given = {"scene_file": str(file), "use_device": False, "message_timeout": 20.0}
-        return world.add(TwinNode, **{**GIVEN, **given, **changes})
-
-    return make
+    scene = {**mapping, "contact": {**mapping["contact"], **(contact or {})}}
+    file = tmp_path / "trunk.yaml"
+    file.write_text(yaml.safe_dump(scene))
+    given = {"scene_file": str(file), "use_device": False, "message_timeout": 20.0}
+    return world.add(TwinNode, **{**GIVEN, **given, **changes})
 
 
 def lead(world, twin, tick, targets, position):
@@ -93,9 +90,7 @@ def test_the_tip_follows_the_demo_s_path_between_the_cylinders(world, make_trunk
     assert {"programs_max"} <= {pair.key for status in told for pair in status.values}
 
 
-def test_a_platform_commanded_beside_targets_stays_at_its_command(
-    world, make_trunk, diagnostics
-):
+def test_a_platform_commanded_beside_targets_stays_at_its_command(world, make_trunk, diagnostics):
     twin = make_trunk()
     cables = world.hear(JointState, "/twin/cables")
     targets = world.speaker(PointStamped, "/twin/target/tip")

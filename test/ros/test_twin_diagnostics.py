@@ -91,9 +91,7 @@ def test_a_target_that_times_out_is_a_warning(world, make_twin, diagnostics):
     assert target.level == WARN and target.message.startswith("holding")
 
 
-def test_a_failed_step_and_a_blocked_command_are_errors(
-    world, make_twin, diagnostics, monkeypatch
-):
+def test_a_failed_step_and_a_blocked_command_are_errors(world, make_twin, diagnostics, monkeypatch):
     twin = make_twin()
     honest = twin.loop.simulation.step
     monkeypatch.setattr(
@@ -105,9 +103,7 @@ def test_a_failed_step_and_a_blocked_command_are_errors(
     assert diagnostics("solver", lambda status: status.level == ERROR)
 
 
-def test_an_overrun_is_skipped_reported_and_not_queued(
-    world, make_twin, diagnostics, monkeypatch
-):
+def test_an_overrun_is_skipped_reported_and_not_queued(world, make_twin, diagnostics, monkeypatch):
     """Hard case 38: every step takes five periods."""
     twin = make_twin(rate=50.0)
     honest, begun = twin.loop.tick, []
@@ -227,9 +223,7 @@ def test_statuses_carry_the_full_name_of_the_node(world, small_scene_file):
 def test_a_parameter_is_described_with_unit_and_range(world, make_twin):
     make_twin()
     request = DescribeParameters.Request(names=["speed_limit", "scene_file"])
-    speed, scene = world.ask(
-        DescribeParameters, "/twin/describe_parameters", request
-    ).descriptors
+    speed, scene = world.ask(DescribeParameters, "/twin/describe_parameters", request).descriptors
     assert "[m/s]" in speed.description and speed.floating_point_range
     assert scene.read_only
 
@@ -287,9 +281,7 @@ def test_every_status_has_its_level_and_a_residual_above_the_tolerance_is_report
 ):
     twin = make_twin()
     outcome = twin.loop.tick(0.0, 0)
-    report = replace(
-        outcome.result.report, residual=0.0125, active_limits=("east.shortening_max",)
-    )
+    report = replace(outcome.result.report, residual=0.0125, active_limits=("east.shortening_max",))
     result = replace(outcome.result, status=status, report=report)
     twin.window.clear()
     twin.window.add(outcome._replace(result=result))
@@ -314,9 +306,7 @@ def test_a_deadline_without_time_for_a_linearization_is_a_warning(make_twin, lat
     report = replace(outcome.result.report, is_late=late, factor_age=0 if late else 3)
     twin.window.clear()
     twin.window.add(outcome._replace(result=replace(outcome.result, report=report)))
-    solver = next(
-        part for part in twin.diagnostics.statuses(0.0) if part.name.endswith("solver")
-    )
+    solver = next(part for part in twin.diagnostics.statuses(0.0) if part.name.endswith("solver"))
     values = {value.key: value.value for value in solver.values}
     assert solver.level == DiagnosticStatus.WARN and "overload" in solver.message
     assert values["overloaded"] == "1" and values["late"] == str(int(late))

@@ -151,16 +151,13 @@ def test_a_view_can_be_recorded(world, make_twin, diagnostics, tmp_path):
     assert file.stat().st_size > 10_000
 
 
-@pytest.mark.parametrize(
-    ("parameters", "error", "reason"),
-    [
-        ({"scene_file": "/nowhere.yaml"}, ParameterError, "no such file"),
-        ({"mode": "sideways"}, ParameterError, "must be one of"),
-        ({"velocity_effector": "elbow"}, ParameterError, "elbow"),
-        ({"workspace_min": [1.0, 2.0]}, ParameterError, "three finite numbers"),
-        ({"rate": 30}, ParameterError, "type"),
-    ],
-)
+@pytest.mark.parametrize("parameters, error, reason", [
+    ({"scene_file": "/nowhere.yaml"}, ParameterError, "no such file"),
+    ({"mode": "sideways"}, ParameterError, "must be one of"),
+    ({"velocity_effector": "elbow"}, ParameterError, "elbow"),
+    ({"workspace_min": [1.0, 2.0]}, ParameterError, "three finite numbers"),
+    ({"rate": 30}, ParameterError, "type"),
+])  # fmt: skip
 def test_impossible_parameters_are_refused_at_start_up(world, make_twin, parameters, error, reason):
     with pytest.raises(error, match=reason):
         make_twin(**parameters)

@@ -75,17 +75,14 @@ def test_a_marker_that_does_not_come_to_rest_is_reported():
         )
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "",
-        "t_s,A_x_m,A_y_m\n0,1,2\n",
-        "t_s,A_x_m,A_y_m,A_z_m\n0,1,2\n",
-        "t_s,A_x_m,A_y_m,A_z_m\n0,1,2,nan\n",
-        "t_s,A_x_m,A_y_m,A_z_m\n0,1,2,3\n0,1,2,3\n",
-        "t_s,A_x_m,A_y_m,A_z_m\n",
-    ],
-)
+@pytest.mark.parametrize("text", [
+    "",
+    "t_s,A_x_m,A_y_m\n0,1,2\n",
+    "t_s,A_x_m,A_y_m,A_z_m\n0,1,2\n",
+    "t_s,A_x_m,A_y_m,A_z_m\n0,1,2,nan\n",
+    "t_s,A_x_m,A_y_m,A_z_m\n0,1,2,3\n0,1,2,3\n",
+    "t_s,A_x_m,A_y_m,A_z_m\n",
+])  # fmt: skip
 def test_an_invalid_recording_is_refused(tmp_path, text):
     path = tmp_path / "beam.csv"
     path.write_text(text)

@@ -79,10 +79,9 @@ NOT_CLOSED = pytest.mark.xfail(
 )
 
 
-@pytest.mark.parametrize(
-    "level, shortening",
-    [(20, 22.0), (40, 42.6), (60, 58.8), pytest.param(80, 70.1, marks=NOT_CLOSED)],
-)
+@pytest.mark.parametrize("level, shortening", [
+    (20, 22.0), (40, 42.6), (60, 58.8), pytest.param(80, 70.1, marks=NOT_CLOSED),
+])  # fmt: skip
 def test_a_block_is_compressed(compressed_block, level, shortening):
     assert compressed_block[level] == pytest.approx(shortening, abs=0.5)
 

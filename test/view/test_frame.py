@@ -8,13 +8,10 @@ from softrobot_twin.view import Drawn, Entity, Plot, ViewError
 TRIANGLE = np.array([[0, 1, 2]])
 
 
-@pytest.mark.parametrize(("triangles", "points"), [
-    (np.zeros((4, 3)), None),
-    (np.zeros((4, 2), int), None),
-    (np.array([[0, 1, -1]]), None),
-    (TRIANGLE, np.zeros((2, 3))),
-    (TRIANGLE, np.zeros((3, 2))),
-])
+@pytest.mark.parametrize("triangles, points", [
+    (np.zeros((4, 3)), None), (np.zeros((4, 2), int), None), (np.array([[0, 1, -1]]), None),
+    (TRIANGLE, np.zeros((2, 3))), (TRIANGLE, np.zeros((3, 2))),
+])  # fmt: skip
 def test_an_invalid_surface_is_refused_by_its_path(triangles, points):
     with pytest.raises(ViewError, match="of /obstacles/cube"):
         Entity("/obstacles/cube", "solid", triangles=triangles, points=points)

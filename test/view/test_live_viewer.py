@@ -125,8 +125,7 @@ def test_a_frozen_viewer_of_an_ordinary_robot_has_no_effect(tmp_path, join):
 
 
 @pytest.mark.slow
-def test_a_frozen_viewer_blocks_large_frames_but_nothing_else(
-        tmp_path, join, read_recording):
+def test_a_frozen_viewer_blocks_large_frames_but_nothing_else(tmp_path, join, read_recording):
     stage, make = heavy_stage_and_frames(node_count=100_000)
     ready = [make(step) for step in range(20)]
     with RerunMirror(stage, serve=True, port=0, live_rate=100.0, memory_limit="16MiB",
