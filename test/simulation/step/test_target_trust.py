@@ -204,30 +204,24 @@ def test_a_target_that_is_reached_loosens_and_begins_a_new_path(trust):
     assert trust.path.last is None
 
 
-def test_actuators_that_go_to_and_fro_without_gain_rest(trust):
-    for step in range(PATIENCE + 1):
+@pytest.mark.parametrize("patience, move", [
+    (PATIENCE, to_and_fro), (LONG_PATIENCE, lambda step: 0.01 * step),
+], ids=["to and fro", "drift"])  # fmt: skip
+def test_actuators_that_move_without_gain_rest_those_that_drift_later(trust, patience, move):
+    for step in range(patience + 1):
         assert trust.approach is Approach.FOLLOW
-        trust.begin(situation(displacement=to_and_fro(step)))
+        trust.begin(situation(displacement=move(step)))
     assert trust.approach is Approach.RETURN and rests(trust)
 
 
-def test_actuators_that_go_to_and_fro_with_gain_follow(trust):
+@pytest.mark.parametrize("at", [
+    lambda step: situation(place=1e-3 * step, displacement=to_and_fro(step)),
+    lambda step: situation(displacement=0.3), lambda step: situation(0.3, displacement=0.5),
+], ids=["gain", "stand still", "are nearer than at rest, so were not caught"])  # fmt: skip
+def test_actuators_follow_that(trust, at):
     for step in range(3 * LONG_PATIENCE):
-        trust.begin(situation(place=1e-3 * step, displacement=to_and_fro(step)))
+        trust.begin(at(step))
         assert trust.approach is Approach.FOLLOW
-
-
-def test_actuators_that_drift_without_gain_rest_later(trust):
-    for step in range(LONG_PATIENCE + 1):
-        assert trust.approach is Approach.FOLLOW
-        trust.begin(situation(displacement=0.01 * step))
-    assert trust.approach is Approach.RETURN and rests(trust)
-
-
-def test_actuators_that_stand_still_may_follow(trust):
-    for _ in range(3 * LONG_PATIENCE):
-        trust.begin(situation(displacement=0.3))
-    assert trust.approach is Approach.FOLLOW
 
 
 @pytest.mark.parametrize("move", [to_and_fro, lambda step: 0.0], ids=["moves", "is stuck"])
@@ -573,12 +567,6 @@ def test_a_robot_of_which_actuators_are_commanded_does_not_go_back(trust):
     assert trust.approach is not Approach.RETRACE
 
 
-def test_a_robot_that_is_nearer_than_its_shape_at_rest_was_not_caught(trust):
-    for _ in range(LONG_PATIENCE + PATIENCE):
-        trust.begin(situation(0.3, displacement=0.5))
-    assert trust.approach is Approach.FOLLOW
-
-
 def test_forgetting_leaves_nothing(trust):
     rest(trust)
     trust.forget()
@@ -750,11 +738,17 @@ def test_moves_at_reached_targets_get_shorter_each_time_that_one_leads_away(trus
     assert trust.is_at_targets and trust.move_limit == LONGEST_MOVE
 
 
-def test_moves_that_keep_reached_targets_in_balance_are_not_shortened(trust):
+@pytest.mark.parametrize("place, is_balanced, wanted, is_at_targets", [
+    (TARGET + 0.005 * TOLERANCE, True, {}, True), (TARGET + 0.02 * TOLERANCE, False, {}, False),
+    (0.0, False, {"targets": np.zeros(1), "weights": np.zeros(1)}, False),
+], ids=["keep them in balance", "may come nearer", "want nothing"])  # fmt: skip
+def test_moves_at_reached_targets_are_not_shortened_that(
+    trust, place, is_balanced, wanted, is_at_targets
+):
     for step in range(5):
-        trust.begin(situation(TARGET + 0.005 * TOLERANCE, displacement=0.1 * step))
-        assert trust.is_at_targets
-        assert trust.move_limit == LONGEST_MOVE
+        moved = situation(place, displacement=0.1 * step, is_balanced=is_balanced)
+        trust.begin(moved._replace(**wanted))
+        assert trust.is_at_targets is is_at_targets and trust.move_limit == LONGEST_MOVE
 
 
 @pytest.mark.parametrize("end", [TARGET + 3.0 * TOLERANCE, TARGET], ids=["missed", "unstable"])
@@ -779,19 +773,6 @@ def test_who_was_not_stable_at_targets_for_two_free_steps_goes_back_nowhere(trus
     for place in (TARGET, *([TARGET] if given else []), TARGET + 3.0 * TOLERANCE, TARGET):
         trust.begin(situation(place, **given))
         assert trust.approach is Approach.FOLLOW
-
-
-def test_where_nothing_is_wanted_no_move_is_shortened(trust):
-    for step in range(5):
-        free = situation(0.0, displacement=0.1 * step, is_balanced=False)
-        trust.begin(free._replace(targets=np.zeros(1), weights=np.zeros(1)))
-        assert not trust.is_at_targets and trust.move_limit == LONGEST_MOVE
-
-
-def test_moves_that_may_come_nearer_to_reached_targets_are_not_shortened(trust):
-    for step in range(5):
-        trust.begin(situation(TARGET + 0.02 * TOLERANCE, displacement=0.1 * step, is_balanced=False))
-        assert not trust.is_at_targets and trust.move_limit == LONGEST_MOVE
 
 
 @pytest.mark.parametrize("is_hindered", [False, True])
