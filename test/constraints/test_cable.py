@@ -8,6 +8,7 @@ from softrobot_twin.geometry.point_location import locate_points
 from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from test.builder import builder
+from test.finite_differences import central_slopes
 
 
 @pytest.fixture(params=["linear", "quadratic"])
@@ -61,16 +62,8 @@ def test_rows_are_the_derivative_of_the_shortening(body, deform, dense_rows, mak
     term, _, free = make(body, *two_cables(body), fixed=[0, 1, 2, 3])
     x = deform(body)
     H, _ = dense_rows(term, x, free)
-    step = 1e-6
-    for index, node in enumerate(free):
-        for axis in range(3):
-            ahead, behind = x.copy(), x.copy()
-            ahead[node, axis] += step
-            behind[node, axis] -= step
-            slope = (dense_rows(term, ahead, free)[1] - dense_rows(term, behind, free)[1]) / (
-                2 * step
-            )
-            np.testing.assert_allclose(H[:, index, axis], slope, atol=1e-8)
+    slopes = central_slopes(lambda at: dense_rows(term, at, free)[1], x, free, 1e-6)
+    np.testing.assert_allclose(H.reshape(len(H), -1), slopes, atol=1e-8)
 
 
 @pytest.mark.parametrize("deform", [shaken, collapsed])
@@ -80,19 +73,11 @@ def test_geometric_stiffness_is_the_derivative_of_the_pull(body, deform, dense_r
     matrix.clear()
     term.add_stiffness(x, tensions, matrix.storage)
     K = matrix.matrix().toarray()
-    step = 1e-6
-    for index, node in enumerate(free):
-        for axis in range(3):
-            ahead, behind = x.copy(), x.copy()
-            ahead[node, axis] += step
-            behind[node, axis] -= step
-            pull = [
-                np.einsum("k,kni->ni", tensions, dense_rows(term, y, free)[0]).ravel()
-                for y in (ahead, behind)
-            ]
-            np.testing.assert_allclose(
-                K[:, 3 * index + axis], -(pull[0] - pull[1]) / (2 * step), atol=1e-6 * K.max()
-            )
+
+    def pull(at):
+        return np.einsum("k,kni->ni", tensions, dense_rows(term, at, free)[0]).ravel()
+
+    np.testing.assert_allclose(K, -central_slopes(pull, x, free, 1e-6), atol=1e-6 * K.max())
 
 
 def test_a_cable_segment_of_zero_length_has_zero_rows_and_bounded_stiffness(body, dense_rows, make):

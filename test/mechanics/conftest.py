@@ -15,6 +15,7 @@ from softrobot_twin.mechanics.remembering_elements import RememberingElements
 from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.solvers.superlu import SuperLU
 from test.builder import builder
+from test.finite_differences import central_slopes
 
 
 class Bound(NamedTuple):
@@ -37,6 +38,11 @@ class Bound(NamedTuple):
         inverted = sum(term.add_forces(positions, forces) for term in self.terms)
         return forces, inverted
 
+    def slopes_of_forces(self, x, step=1e-6, nodes=None):
+        """By the coordinates of the free nodes, or of some."""
+        nodes = self.free if nodes is None else nodes
+        return central_slopes(lambda at: self.forces(at)[0].ravel(), x, nodes, step)
+
     def energy(self, positions):
         return sum(term.energy(positions) for term in self.terms)
 
@@ -54,7 +60,7 @@ class Bound(NamedTuple):
             np.testing.assert_allclose(
                 forces[own].ravel(), -gradient, atol=bar[0] * np.abs(forces).max()
             )
-        columns = central_slopes(lambda at: self.forces(at)[0].ravel(), x, nodes, step)
+        columns = self.slopes_of_forces(x, step, nodes)
         found = K.toarray()[:, (3 * own[:, None] + np.arange(3)).ravel()]
         np.testing.assert_allclose(found, -columns, atol=bar[1] * np.abs(K).max())
 
@@ -63,18 +69,6 @@ class Bound(NamedTuple):
         matrices = [self.assemble(x, projected)[1].toarray() for projected in (False, True)]
         scale = np.abs(matrices[0]).max()
         return [np.linalg.eigvalsh(K)[0] / scale for K in matrices]
-
-
-def central_slopes(function, x, nodes, step):
-    """Central differences of a function by each coordinate of some nodes, the last axis."""
-    columns = []
-    for node in nodes:
-        for axis in range(3):
-            ahead, behind = x.copy(), x.copy()
-            ahead[node, axis] += step
-            behind[node, axis] -= step
-            columns.append((function(ahead) - function(behind)) / (2.0 * step))
-    return np.stack(columns, axis=-1)
 
 
 SHARES = {

@@ -4,6 +4,7 @@ import numpy as np
 
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.touch_loads import TouchLoads
+from test.finite_differences import central_slopes
 
 NODES = np.array([[0, 1, 2, 3], [4, 2, 1, 0]])
 WEIGHTS = np.array([[0.1, 0.2, 0.3, 0.4], [0.5, 0.25, 0.25, 0.0]])
@@ -55,14 +56,8 @@ def test_the_stiffness_of_a_held_point_is_the_derivative_of_its_force():
     lower = storage.reshape(3 * COUNT, 3 * COUNT).T
     # Blocks below the diagonal in the elimination order stand for those above it, too.
     found = np.where(lower != 0.0, lower, lower.T)
-    step, expected = 1e-6, np.empty((3 * COUNT, 3 * COUNT))
-    for node, own in enumerate(FREE):
-        for axis in range(3) if own >= 0 else ():
-            ahead, behind = x.copy(), x.copy()
-            ahead[node, axis] += step
-            behind[node, axis] -= step
-            change = forces_of(term, ahead) - forces_of(term, behind)
-            expected[:, 3 * own + axis] = -change.ravel() / (2.0 * step)
+    free = np.flatnonzero(FREE >= 0)
+    expected = -central_slopes(lambda at: forces_of(term, at).ravel(), x, free, 1e-6)
     assert np.allclose(found, expected, rtol=1e-6, atol=1e-6)
     assert np.linalg.eigvalsh(found).min() > -1e-9
 
