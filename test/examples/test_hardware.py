@@ -36,6 +36,7 @@ from servos import (  # noqa: E402
     read_servos,
 )
 from simulated_servos import MODEL, SimulatedBus, SimulatedServo, Terminal  # noqa: E402
+from test.scene_changes import change_scene
 
 REST = 0.1
 
@@ -178,30 +179,18 @@ def test_a_turn_of_the_pulley_winds_its_circumference():
     ({"servos": []}, "servos"),
     ({"servos": 3}, "servos"),
     ({"mode": "position"}, "servos[0].least_length"),
+    *(({f"servos.0.{key}": value}, f"servos[{place}].{key}") for key, value, place in (
+        ("id", 2, 1), ("name", "west", 1), ("radius", 10.0, 0), ("direction", 0, 0),
+        ("zero_ticks", 1.5, 0), ("pulley", 1, 0), ("least_length", 0.3, 0))),
 ])  # fmt: skip
-def test_a_file_that_cannot_be_is_refused_by_key_and_value(tmp_path, change, key):
-    given = yaml.safe_load((FOLDER / "servos.yaml").read_text()) | change
+def test_a_file_or_a_servo_that_cannot_be_is_refused_by_key_and_value(tmp_path, change, key):
+    given = yaml.safe_load((FOLDER / "servos.yaml").read_text())
+    change_scene(given, change)
     file = tmp_path / "servos.yaml"
     file.write_text(yaml.safe_dump(given))
     with pytest.raises(ServosError) as raised:
         read_servos(file)
     assert raised.value.key == key and str(file) in str(raised.value)
-
-
-@pytest.mark.parametrize(("change", "key"), [
-    ({"id": 2}, "servos[1].id"), ({"name": "west"}, "servos[1].name"),
-    ({"radius": 10.0}, "servos[0].radius"), ({"direction": 0}, "servos[0].direction"),
-    ({"zero_ticks": 1.5}, "servos[0].zero_ticks"), ({"pulley": 1}, "servos[0].pulley"),
-    ({"least_length": 0.3}, "servos[0].least_length"),
-])  # fmt: skip
-def test_a_servo_that_cannot_be_is_refused_by_key_and_value(tmp_path, change, key):
-    given = yaml.safe_load((FOLDER / "servos.yaml").read_text())
-    given["servos"][0] |= change
-    file = tmp_path / "servos.yaml"
-    file.write_text(yaml.safe_dump(given))
-    with pytest.raises(ServosError) as raised:
-        read_servos(file)
-    assert raised.value.key == key
 
 
 def test_a_bus_pings_reads_and_writes(wired):

@@ -30,13 +30,11 @@ def same(robot, result, command, touched=None) -> bool:
         result.outcome.efforts, other.efforts)
 
 
-def test_targets_by_name_are_those_in_arrays(finger):
-    result = finger.step(st.targets(tip=[0.1, 0.01, 0.012]))
-    assert same(finger, result, FollowTargets(np.array([[0.1, 0.01, 0.012]]), STEP))
-
-
-def test_columns_of_a_targets_file_are_names_of_targets(finger):
-    result = finger.step(st.targets(tip_x_m=0.1, tip_y_m=0.01, tip_z_m=0.012))
+@pytest.mark.parametrize("named", [
+    {"tip": [0.1, 0.01, 0.012]}, {"tip_x_m": 0.1, "tip_y_m": 0.01, "tip_z_m": 0.012},
+])  # fmt: skip
+def test_targets_by_name_or_by_column_of_a_file_are_those_in_arrays(finger, named):
+    result = finger.step(st.targets(**named))
     assert same(finger, result, FollowTargets(np.array([[0.1, 0.01, 0.012]]), STEP))
 
 

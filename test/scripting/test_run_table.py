@@ -50,16 +50,15 @@ def assert_same(table, path) -> None:
             assert [text(one) for one in table[name].tolist()] == list(cells), name
 
 
-def test_a_run_by_targets_is_that_of_simulate_to_the_bit(finger, scene, tmp_path):
-    (tmp_path / "targets.csv").write_text(TARGETS)
-    simulate(scene, tmp_path / "targets.csv", tmp_path / "run.csv")
-    assert_same(finger.run(tmp_path / "targets.csv"), tmp_path / "run.csv")
-
-
-def test_a_run_by_commands_is_that_of_simulate_to_the_bit(finger, scene, tmp_path):
-    (tmp_path / "commands.csv").write_text(COMMANDS)
-    simulate_commands(scene, tmp_path / "commands.csv", tmp_path / "run.csv", 100.0)
-    assert_same(finger.run(tmp_path / "commands.csv", rate=100), tmp_path / "run.csv")
+@pytest.mark.parametrize("text, run, options, asked", [
+    (TARGETS, simulate, (), {}), (COMMANDS, simulate_commands, (100.0,), {"rate": 100}),
+], ids=["targets", "commands"])  # fmt: skip
+def test_a_run_by_a_file_is_that_of_simulate_to_the_bit(
+    finger, scene, tmp_path, text, run, options, asked
+):
+    (tmp_path / "asked.csv").write_text(text)
+    run(scene, tmp_path / "asked.csv", tmp_path / "run.csv", *options)
+    assert_same(finger.run(tmp_path / "asked.csv", **asked), tmp_path / "run.csv")
 
 
 def test_a_run_without_commands_is_that_of_simulate_to_the_bit(finger, scene, tmp_path):
