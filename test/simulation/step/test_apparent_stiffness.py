@@ -100,6 +100,21 @@ def test_it_is_what_a_force_meets_while_the_cables_hold_their_lengths(pulled):
     np.testing.assert_allclose(found, C.diagonal(), rtol=1e-6)
 
 
+def slopes_by_lengths(simulation, stiffness, lengths, is_held=False, step=1.0e-5):
+    """Of the compliance by what each cable is shortened, from equilibria at other lengths."""
+    columns = []
+    for cable in range(len(lengths)):
+        sides = []
+        for sign in (1.0, -1.0):
+            other = lengths.copy()
+            other[cable] -= sign * step
+            settle(simulation, other)
+            state = linearized(simulation, other if is_held else None)
+            sides.append(stiffness.gradient(state, ALL_AXES).compliance)
+        columns.append((sides[0] - sides[1]) / (2.0 * step))
+    return np.column_stack(columns)
+
+
 def test_its_derivatives_are_those_of_equilibria_at_other_lengths(pulled):
     simulation, lengths, stiffness = pulled
     settle(simulation, lengths)
@@ -107,15 +122,7 @@ def test_its_derivatives_are_those_of_equilibria_at_other_lengths(pulled):
     gradient = stiffness.gradient(state, ALL_AXES)
     # Held cables change their efforts by W_aa⁻¹ times what their lengths are changed by.
     found = gradient.by_multiplier @ np.linalg.inv(state.linear.W_aa)
-    expected, step = np.empty_like(found), 1.0e-5
-    for cable in range(found.shape[1]):
-        sides = []
-        for sign in (1.0, -1.0):
-            other = lengths.copy()
-            other[cable] -= sign * step
-            settle(simulation, other)
-            sides.append(stiffness.gradient(linearized(simulation), ALL_AXES).compliance)
-        expected[:, cable] = (sides[0] - sides[1]) / (2.0 * step)
+    expected = slopes_by_lengths(simulation, stiffness, lengths)
     settle(simulation, lengths)
     assert np.abs(found - expected).max() < 1e-5 * np.abs(expected).max()
 
@@ -142,15 +149,7 @@ def test_its_derivatives_are_right_where_the_tangent_alone_is_indefinite():
     np.testing.assert_allclose(here, gradient.compliance, rtol=1e-8)
     # The multipliers of the augmented system change by the inverse of its own compliance.
     found = gradient.by_multiplier @ np.linalg.inv(state.linear.W_aa)
-    expected, step = np.empty_like(found), 1.0e-5
-    for cable in range(4):
-        sides = []
-        for sign in (1.0, -1.0):
-            other = lengths.copy()
-            other[cable] -= sign * step
-            settle(simulation, other)
-            sides.append(stiffness.gradient(linearized(simulation, other), ALL_AXES).compliance)
-        expected[:, cable] = (sides[0] - sides[1]) / (2.0 * step)
+    expected = slopes_by_lengths(simulation, stiffness, lengths, is_held=True)
     assert np.abs(found - expected).max() < 1e-4 * np.abs(expected).max()
 
 

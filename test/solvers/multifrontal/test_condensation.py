@@ -8,23 +8,28 @@ from softrobot_twin.solvers.factorization import NodeRows
 BODIES = ["two bodies", "body, rod and isolated nodes", "two nodes apart", "grid"]
 
 
+def assert_condensed(system, H, count):
+    """The compliance, the free motion and the expanded answer are those of dense algebra."""
+    b = system.rng.standard_normal((system.count, 3))
+    W, free = system.solver.condense(H, b)
+    dense = H.transposed(system.count)
+    expected = dense.T @ np.linalg.solve(system.A, np.column_stack([dense, b.ravel()]))
+    size = np.abs(expected).max(initial=1e-300)
+    np.testing.assert_allclose(W, expected[:, :-1], rtol=0, atol=1e-12 * size)
+    np.testing.assert_allclose(free, expected[:, -1], rtol=0, atol=1e-12 * size)
+    multipliers = system.rng.standard_normal(count)
+    wanted = np.linalg.solve(system.A, b.ravel() + dense @ multipliers)
+    dx = system.solver.expand(multipliers).ravel()
+    np.testing.assert_allclose(dx, wanted, rtol=0, atol=1e-12 * np.abs(wanted).max())
+
+
 @pytest.mark.parametrize("name", BODIES)
 def test_row_counts_change_from_step_to_step(make_system, name):
     system = make_system(name, seed=11)
     system.solver.factor()
     system.solver.prepare_rows(np.arange(system.count), 40)
     for count in (3, 40, 0, 17, 1, 0, 64, 8, 7):
-        H, b = system.constraint_rows(count), system.rng.standard_normal((system.count, 3))
-        W, free = system.solver.condense(H, b)
-        dense = H.transposed(system.count)
-        expected = dense.T @ np.linalg.solve(system.A, np.column_stack([dense, b.ravel()]))
-        size = np.abs(expected).max(initial=1e-300)
-        np.testing.assert_allclose(W, expected[:, :-1], rtol=0, atol=1e-12 * size)
-        np.testing.assert_allclose(free, expected[:, -1], rtol=0, atol=1e-12 * size)
-        multipliers = system.rng.standard_normal(count)
-        wanted = np.linalg.solve(system.A, b.ravel() + dense @ multipliers)
-        dx = system.solver.expand(multipliers).ravel()
-        np.testing.assert_allclose(dx, wanted, rtol=0, atol=1e-12 * np.abs(wanted).max())
+        assert_condensed(system, system.constraint_rows(count), count)
 
 
 @pytest.mark.parametrize("name", ["chain", "slab", "grid", "two bodies"])
@@ -35,16 +40,7 @@ def test_rows_on_single_nodes_spread_over_a_body_are_condensed(make_system, name
     rows = system.rng.permutation(row_count)
     nodes = np.arange(row_count) * system.count // row_count
     H = NodeRows(rows, nodes, system.rng.standard_normal((row_count, 3)), row_count)
-    b = system.rng.standard_normal((system.count, 3))
-    W, free = system.solver.condense(H, b)
-    dense = H.transposed(system.count)
-    expected = dense.T @ np.linalg.solve(system.A, np.column_stack([dense, b.ravel()]))
-    np.testing.assert_allclose(W, expected[:, :-1], rtol=0, atol=1e-12 * np.abs(expected).max())
-    np.testing.assert_allclose(free, expected[:, -1], rtol=0, atol=1e-12 * np.abs(expected).max())
-    multipliers = system.rng.standard_normal(row_count)
-    wanted = np.linalg.solve(system.A, b.ravel() + dense @ multipliers)
-    dx = system.solver.expand(multipliers).ravel()
-    np.testing.assert_allclose(dx, wanted, rtol=0, atol=1e-12 * np.abs(wanted).max())
+    assert_condensed(system, H, row_count)
 
 
 def test_prepared_rows_need_no_further_memory(make_system):
