@@ -37,14 +37,6 @@ def read(tmp_path, text, simulation=None):
     return read_targets(path, simulation or robot())
 
 
-def refusal(tmp_path, text) -> TableFileError:
-    with pytest.raises(TableFileError) as caught:
-        read(tmp_path, text)
-    assert "targets.csv" in str(caught.value)
-    assert "\n" not in str(caught.value)
-    return caught.value
-
-
 def test_targets_are_sorted_into_the_order_of_the_simulation(tmp_path):
     table = read(tmp_path, "side_z_m,time_s,tip_x_m,tip_y_m,tip_z_m,side_x_m,side_y_m\n"
                            "6,0,1,2,3,4,5\n")
@@ -108,17 +100,27 @@ def test_a_byte_order_mark_spaces_and_blank_lines_are_ignored(tmp_path):
     ("time_s,tip_x_m,tip_y_m,tip_z_m\n0,0,0,0\n1,0,0,0\n0.5,0,0,0\n", 4, "time_s",
      "later than 1.0 s"),
     ("time_s,north_tension_N,south_tension_N\n0,1,-2\n", 2, "south_tension_N", "cannot push"),
+    # Names of earlier files are told as they stand in the file.
+    ("t,tip.x,tip.y,tip.z\n0,0,left,0\n", 2, "tip.y", "a number"),
+    ("t,nose.x,nose.y,nose.z\n0,0,0,0\n", 1, "nose.x", "no effector 'nose'"),
+    ("time_s,tip.x,tip.y,tip.z\n0,0,0,0\n", 1, "tip.x", "use tip_x_m"),
+    # What no run wrote has no results.
+    ("time_s,tip_x_m,tip_y_m,tip_z_m,residual_N\n0,0,0,0,0\n", 1, "residual_N",
+     "not a valid column; valid are time_s"),
+    ("time_s,north_lenght_m,south_length_m\n0,1,1\n", 1, "north_lenght_m",
+     "is north_length_m meant?"),
+    ("time_s,tip_x_mm,tip_y_m,tip_z_m\n0,1,1,1\n", 1, "tip_x_m", "is tip_x_mm meant?"),
 ])
 def test_an_invalid_targets_file_is_refused_with_row_and_column(tmp_path, text, row, column, words):
-    error = refusal(tmp_path, text)
+    with pytest.raises(TableFileError) as caught:
+        read(tmp_path, text)
+    error, told = caught.value, str(caught.value)
     assert (error.row, error.column) == (row, column)
-    assert words in str(error)
-
-
-def test_a_refused_value_is_reported_with_its_unit(tmp_path):
-    error = refusal(tmp_path, "time_s,north_tension_N,south_tension_N\n0,1,-2\n")
-    assert (error.value, error.unit) == (-2.0, "N")
-    assert "-2.0 N" in str(error)
+    assert "targets.csv" in told and words in told and "\n" not in told
+    if words.endswith("meant?"):
+        assert told.endswith(words)
+    if words == "cannot push":
+        assert (error.value, error.unit) == (-2.0, "N") and "-2.0 N" in told
 
 
 def test_a_missing_or_binary_file_is_refused(tmp_path):
@@ -138,15 +140,12 @@ def test_cells_with_another_separator_are_refused_naming_the_separator(tmp_path,
         read_targets(path, robot())
 
 
-def read_posed(tmp_path, text, oriented=(True, False)):
-    return read(tmp_path, text, robot(oriented=oriented))
-
-
 POSED = "time_s,tip_x_m,tip_y_m,tip_z_m,tip_qx,tip_qy,tip_qz,tip_qw"
 
 
 def test_a_targets_file_may_give_orientations(tmp_path):
-    table = read_posed(tmp_path, f"{POSED}\n0,1,2,3,0,0,0,1\n1,1,2,3,0,1.005,0,0\n")
+    table = read(tmp_path, f"{POSED}\n0,1,2,3,0,0,0,1\n1,1,2,3,0,1.005,0,0\n",
+                 robot(oriented=(True, False)))
     np.testing.assert_array_equal(table.values[:, 0], [[1, 2, 3]] * 2)
     np.testing.assert_allclose(table.orientations[:, 0], [[0, 0, 0, 1], [0, 1, 0, 0]])
     assert np.isnan(table.values[:, 1]).all() and np.isnan(table.orientations[:, 1]).all()
@@ -155,50 +154,44 @@ def test_a_targets_file_may_give_orientations(tmp_path):
 
 
 def test_a_targets_file_without_quaternions_gives_no_orientation(tmp_path):
-    table = read_posed(tmp_path, "time_s,tip_x_m,tip_y_m,tip_z_m\n0,1,2,3\n")
+    table = read(tmp_path, "time_s,tip_x_m,tip_y_m,tip_z_m\n0,1,2,3\n",
+                 robot(oriented=(True, False)))
     assert table.orientations is None and table.command(0).orientations is None
-
-
-@pytest.mark.parametrize("text, oriented, reason", [
-    (f"{POSED}\n0,1,2,3,0,0,0,1\n", (False, True), "no orientation in the scene"),
-    (f"{POSED}\n0,1,2,3,0,0,0,1\n", (), "no orientation in the scene"),
-    (f"{POSED}\n0,1,2,3,0,0,0,2\n", (True, False), "not of unit length"),
-    (f"{POSED}\n0,1,2,3,0,0,0,0\n", (True, False), "not of unit length"),
-    ("time_s,tip_x_m,tip_y_m,tip_z_m,tip_qx\n0,1,2,3,0\n", (True, False), "lacks this column"),
-    ("time_s,tip_qx,tip_qy,tip_qz,tip_qw\n0,0,0,0,1\n", (True, False), "lacks this column"),
-])  # fmt: skip
-def test_wrong_orientations_of_a_targets_file_are_refused(tmp_path, text, oriented, reason):
-    with pytest.raises(TableFileError, match=reason):
-        read_posed(tmp_path, text, oriented)
 
 
 STIFF = "time_s,tip_x_m,tip_y_m,tip_z_m,tip_kz_N_per_m"
 
 
-def read_stiff(tmp_path, text, stiff=(True, False)):
-    return read(tmp_path, text, robot(stiff=stiff))
-
-
 def test_a_targets_file_may_give_stiffnesses_along_some_axes(tmp_path):
-    table = read_stiff(tmp_path, f"{STIFF}\n0,1,2,3,300\n1,1,2,3,350\n")
+    stiff = robot(stiff=(True, False))
+    table = read(tmp_path, f"{STIFF}\n0,1,2,3,300\n1,1,2,3,350\n", stiff)
     np.testing.assert_array_equal(table.stiffness[:, 0], [[np.nan, np.nan, 300.0],
                                                           [np.nan, np.nan, 350.0]])
     assert np.isnan(table.stiffness[:, 1]).all() and table.orientations is None
     np.testing.assert_array_equal(table.command(1).stiffness, table.stiffness[1])
-    plain = read_stiff(tmp_path, "time_s,tip_x_m,tip_y_m,tip_z_m\n0,1,2,3\n")
+    plain = read(tmp_path, "time_s,tip_x_m,tip_y_m,tip_z_m\n0,1,2,3\n", stiff)
     assert plain.stiffness is None and plain.command(0).stiffness is None
 
 
-@pytest.mark.parametrize("text, stiff, reason", [
-    (f"{STIFF}\n0,1,2,3,300\n", (False, True), "no stiffness in the scene"),
-    (f"{STIFF}\n0,1,2,3,0\n", (True, False), "tip_kz_N_per_m.*0.*N/m.*positive"),
-    (f"{STIFF}\n0,1,2,3,-5\n", (True, False), "tip_kz_N_per_m.*-5.*N/m.*positive"),
-    (f"{STIFF}\n0,1,2,3,nan\n", (True, False), "tip_kz_N_per_m"),
-    ("time_s,tip_kz_N_per_m\n0,300\n", (True, False), "lacks this column"),
+@pytest.mark.parametrize("text, simulation, reason", [
+    *((text, robot(oriented=oriented), reason) for text, oriented, reason in (
+        (f"{POSED}\n0,1,2,3,0,0,0,1\n", (False, True), "no orientation in the scene"),
+        (f"{POSED}\n0,1,2,3,0,0,0,1\n", (), "no orientation in the scene"),
+        (f"{POSED}\n0,1,2,3,0,0,0,2\n", (True, False), "not of unit length"),
+        (f"{POSED}\n0,1,2,3,0,0,0,0\n", (True, False), "not of unit length"),
+        ("time_s,tip_x_m,tip_y_m,tip_z_m,tip_qx\n0,1,2,3,0\n", (True, False),
+         "lacks this column"),
+        ("time_s,tip_qx,tip_qy,tip_qz,tip_qw\n0,0,0,0,1\n", (True, False), "lacks this column"))),
+    *((text, robot(stiff=stiff), reason) for text, stiff, reason in (
+        (f"{STIFF}\n0,1,2,3,300\n", (False, True), "no stiffness in the scene"),
+        (f"{STIFF}\n0,1,2,3,0\n", (True, False), "tip_kz_N_per_m.*0.*N/m.*positive"),
+        (f"{STIFF}\n0,1,2,3,-5\n", (True, False), "tip_kz_N_per_m.*-5.*N/m.*positive"),
+        (f"{STIFF}\n0,1,2,3,nan\n", (True, False), "tip_kz_N_per_m"),
+        ("time_s,tip_kz_N_per_m\n0,300\n", (True, False), "lacks this column"))),
 ])  # fmt: skip
-def test_wrong_stiffnesses_of_a_targets_file_are_refused(tmp_path, text, stiff, reason):
+def test_wrong_orientations_and_stiffnesses_are_refused(tmp_path, text, simulation, reason):
     with pytest.raises(TableFileError, match=reason):
-        read_stiff(tmp_path, text, stiff)
+        read(tmp_path, text, simulation)
 
 
 OLD = "t,tip.x,tip.y,tip.z,tip.qx,tip.qy,tip.qz,tip.qw,tip.kz\n0,1,2,3,0,0,0,1,300\n"
@@ -217,13 +210,6 @@ def test_names_of_earlier_targets_files_are_read_with_one_note_of_the_new_ones(t
     lengths = read(tmp_path, "t,south.length,north.length\n0,2,1\n")
     assert lengths.kind == "setpoints" and lengths.values.tolist() == [[1.0, 2.0]]
     assert "south_length_m" in lengths.notes[0]
-
-
-def test_errors_in_an_earlier_file_name_its_own_columns(tmp_path):
-    assert refusal(tmp_path, "t,tip.x,tip.y,tip.z\n0,0,left,0\n").column == "tip.y"
-    assert refusal(tmp_path, "t,nose.x,nose.y,nose.z\n0,0,0,0\n").column == "nose.x"
-    error = refusal(tmp_path, "time_s,tip.x,tip.y,tip.z\n0,0,0,0\n")
-    assert error.column == "tip.x" and "use tip_x_m" in str(error)
 
 
 def test_a_targets_file_may_give_shortenings(tmp_path):
@@ -257,15 +243,3 @@ def test_what_drove_a_run_is_read_from_what_it_wrote(tmp_path, by, columns, valu
     table = read(tmp_path, WRITTEN.format(by=by, **columns))
     assert table.kind == ("setpoints" if by == "hold" else by)
     np.testing.assert_array_equal(table.values, values)
-
-
-def test_results_are_refused_in_a_file_that_no_run_wrote(tmp_path):
-    error = refusal(tmp_path, "time_s,tip_x_m,tip_y_m,tip_z_m,residual_N\n0,0,0,0,0\n")
-    assert error.column == "residual_N" and "not a valid column; valid are time_s" in str(error)
-
-
-def test_the_nearest_column_is_named(tmp_path):
-    error = refusal(tmp_path, "time_s,north_lenght_m,south_length_m\n0,1,1\n")
-    assert error.column == "north_lenght_m" and str(error).endswith("is north_length_m meant?")
-    error = refusal(tmp_path, "time_s,tip_x_mm,tip_y_m,tip_z_m\n0,1,1,1\n")
-    assert error.column == "tip_x_m" and str(error).endswith("is tip_x_mm meant?")
