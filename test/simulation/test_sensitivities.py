@@ -47,18 +47,13 @@ def exact(name, changes=None):
 
 
 CASES = [
-    ("finger", "body.material.young_modulus"),
-    ("finger", "body.material.poisson_ratio"),
-    ("finger", "body.material.density"),
-    ("finger", "cables.flexor.points[1][2]"),
-    ("segment", "fibres[0].stiffness"),
-    ("segment", "gravity[2]"),
-    ("flexo", "beams[0].material.young_modulus"),
-    ("strider", "beams[0].material.young_modulus"),
-    ("strider", "gravity[2]"),
-    ("diamond_reduced", "gravity[2]"),
+    ("finger", "body.material.young_modulus"), ("finger", "body.material.poisson_ratio"),
+    ("finger", "body.material.density"), ("finger", "cables.flexor.points[1][2]"),
+    ("segment", "fibres[0].stiffness"), ("segment", "gravity[2]"),
+    ("flexo", "beams[0].material.young_modulus"), ("strider", "beams[0].material.young_modulus"),
+    ("strider", "gravity[2]"), ("diamond_reduced", "gravity[2]"),
     ("trunk", "cables[0].points[3][1]"),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("name", "key"), CASES)

@@ -81,13 +81,6 @@ def test_a_failed_step_keeps_the_last_good_state(diamond):
     assert np.all(np.isfinite(failed.efforts))
 
 
-@pytest.mark.parametrize("collapse", ["plane", "point", "random", "mirrored"])
-def test_a_collapsed_body_recovers_its_shape_or_is_reported_as_inverted(
-    diamond, collapse, recovers
-):
-    recovers(diamond(), collapse, steps=400)
-
-
 def test_a_scene_with_nothing_to_do_runs(diamond):
     def bare(mapping):
         for key in ("cables", "effectors", "markers"):
