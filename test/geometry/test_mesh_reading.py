@@ -8,8 +8,9 @@ import pytest
 from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.mesh_reading import read_solid_mesh
 from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
+from test.builder import builder
 
-CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
+CORNERS, ONE_TET = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float), [[0, 1, 2, 3]]
 FORMATS = {
     "msh 2.2 ascii": (".msh", {"file_format": "gmsh22", "binary": False}),
     "msh 2.2 binary": (".msh", {"file_format": "gmsh22", "binary": True}),
@@ -30,6 +31,13 @@ def write(path, points, cells, **options):
     options.setdefault("file_format", formats[path.suffix])
     meshio.Mesh(np.asarray(points, float), cells).write(path, **options)
     return path
+
+
+@builder
+def read_tets(tmp_path, /, points, tets, **placement):
+    """Reads a file of these tetrahedra."""
+    path = write(tmp_path / "body.vtk", points, [("tetra", np.asarray(tets))])
+    return read_solid_mesh(path, **placement)
 
 
 @pytest.mark.parametrize("name", FORMATS)
@@ -72,36 +80,32 @@ def test_tets_of_several_blocks_are_one_body(tmp_path):
     assert reading.mesh.cells.tolist() == [[0, 1, 2, 3], [0, 2, 1, 4]]
 
 
-def test_placement_scales_then_turns_about_x_y_z_then_shifts(tmp_path):
+def test_placement_scales_then_turns_about_x_y_z_then_shifts(read_tets):
     points = [[1000, 0, 0], [0, 1000, 0], [0, 0, 1000], [2000, 2000, 2000]]
-    path = write(tmp_path / "body.vtk", points, [("tetra", np.array([[0, 1, 2, 3]]))])
-    placed = read_solid_mesh(
-        path, scale=1e-3, rotation=(math.pi / 2, math.pi / 2, 0), translation=(1, 2, 3)
-    )
+    placed = read_tets(points, ONE_TET, scale=1e-3, rotation=(math.pi / 2, math.pi / 2, 0),
+                       translation=(1, 2, 3))  # fmt: skip
     # About x: y → z, z → −y; then about y: z → x, x → −z.
     expected = np.array([[0, 0, -1], [1, 0, 0], [0, -1, 0], [2, -2, -2]]) + [1, 2, 3]
     np.testing.assert_allclose(placed.mesh.node_positions, expected, atol=1e-15)
     assert placed.notes == ()
 
 
-def test_a_rotation_of_ninety_radians_is_warned_of(tmp_path):
-    path = write(tmp_path / "body.vtk", CORNERS, [("tetra", np.array([[0, 1, 2, 3]]))])
-    assert "are the angles in degrees?" in read_solid_mesh(path, rotation=(0, 0, 90)).notes[0]
+def test_a_rotation_of_ninety_radians_is_warned_of(read_tets):
+    turned = read_tets(CORNERS, ONE_TET, rotation=(0, 0, 90))
+    assert "are the angles in degrees?" in turned.notes[0]
 
 
-def test_inverted_tets_are_repaired_and_reported_by_index(block, tmp_path):
+def test_inverted_tets_are_repaired_and_reported_by_index(block, read_tets):
     mesh = block()
     tets = mesh.cells.copy()
     tets[[4, 20]] = tets[[4, 20]][:, [0, 2, 1, 3]]
-    reading = read_solid_mesh(write(tmp_path / "body.vtk", mesh.node_positions, [("tetra", tets)]))
+    reading = read_tets(mesh.node_positions, tets)
     np.testing.assert_allclose(reading.mesh.volumes, mesh.volumes)
     assert reading.notes == ("Reoriented 2 inverted tetrahedra (4, 20).",)
 
 
-def test_flat_tets_are_dropped_and_reported_by_their_number_in_the_file(tmp_path):
-    points = np.vstack([CORNERS, [1, 1, 0]])
-    tets = np.array([[0, 1, 2, 4], [0, 2, 1, 3]])
-    reading = read_solid_mesh(write(tmp_path / "body.vtk", points, [("tetra", tets)]))
+def test_flat_tets_are_dropped_and_reported_by_their_number_in_the_file(read_tets):
+    reading = read_tets(np.vstack([CORNERS, [1, 1, 0]]), [[0, 1, 2, 4], [0, 2, 1, 3]])
     assert reading.mesh.cell_count == 1
     assert reading.notes == (
         "Dropped 1 tetrahedron (0) without volume.",
@@ -110,29 +114,26 @@ def test_flat_tets_are_dropped_and_reported_by_their_number_in_the_file(tmp_path
     )
 
 
-def test_unused_nodes_are_dropped_and_the_numbers_of_the_file_keep_their_meaning(tmp_path):
+def test_unused_nodes_are_dropped_and_the_numbers_of_the_file_keep_their_meaning(read_tets):
     points = np.vstack([[9.0, 9, 9], CORNERS[:2], [8.0, 8, 8], CORNERS[2:]])
-    path = write(tmp_path / "body.vtk", points, [("tetra", np.array([[1, 2, 4, 5]]))])
-    reading = read_solid_mesh(path, scale=0.5)
+    reading = read_tets(points, [[1, 2, 4, 5]], scale=0.5)
     assert reading.notes == ("Dropped 2 nodes (0, 3) that no tetrahedron uses.",)
     assert reading.file_node_indices.tolist() == [1, 2, 4, 5]
     assert reading.mesh_node_indices.tolist() == [-1, 0, 1, -1, 2, 3]
     np.testing.assert_allclose(reading.mesh.node_positions, 0.5 * CORNERS)
 
 
-def test_long_lists_of_indices_are_abbreviated(tmp_path):
-    points = np.vstack([CORNERS, np.ones((8, 3))])
-    path = write(tmp_path / "body.vtk", points, [("tetra", np.array([[0, 1, 2, 3]]))])
-    assert "8 nodes (4, 5, 6, 7, 8, …)" in read_solid_mesh(path).notes[0]
+def test_long_lists_of_indices_are_abbreviated(read_tets):
+    reading = read_tets(np.vstack([CORNERS, np.ones((8, 3))]), ONE_TET)
+    assert "8 nodes (4, 5, 6, 7, 8, …)" in reading.notes[0]
 
 
 TWO_PIECES = np.vstack([CORNERS, CORNERS[:3], [0, 0, -1]])
 TWO_TETS = np.array([[0, 1, 2, 3], [4, 6, 5, 7]])
 
 
-def test_touching_parts_are_joined_and_reported(tmp_path):
-    path = write(tmp_path / "body.vtk", TWO_PIECES, [("tetra", TWO_TETS)])
-    joined = read_solid_mesh(path)
+def test_touching_parts_are_joined_and_reported(read_tets):
+    joined = read_tets(TWO_PIECES, TWO_TETS)
     assert joined.notes == (
         "Merged 3 nodes (4, 5, 6) with coincident ones: they cut the mesh into separate parts "
         "(merge_distance: 0 keeps the cut).",
@@ -141,57 +142,52 @@ def test_touching_parts_are_joined_and_reported(tmp_path):
     assert joined.mesh_node_indices.tolist() == [0, 1, 2, 3, 0, 1, 2, 4]
 
 
-def test_parts_stay_separate_on_request_and_the_cut_is_reported(tmp_path):
-    path = write(tmp_path / "body.vtk", TWO_PIECES, [("tetra", TWO_TETS)])
-    apart = read_solid_mesh(path, merge_tolerance=0.0)
+def test_parts_stay_separate_on_request_and_the_cut_is_reported(read_tets):
+    apart = read_tets(TWO_PIECES, TWO_TETS, merge_tolerance=0.0)
     assert apart.mesh.node_count == 8
     assert apart.notes == (
         "The mesh consists of 2 separate parts, of 4, 4 nodes.",
         "Another node coincides with 3 nodes (4, 5, 6): the body is cut there.",
     )
-    joined = read_solid_mesh(path, merge_tolerance=1e-9)
+    joined = read_tets(TWO_PIECES, TWO_TETS, merge_tolerance=1e-9)
     assert joined.notes == ("Merged 3 nodes (4, 5, 6) with coincident ones.",)
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
 def test_a_mesh_whose_elements_share_no_node_is_merged_into_the_original_mesh(
-    block, tmp_path, scale
+    block, read_tets, scale
 ):
     mesh = block()
     points = scale * mesh.node_positions[mesh.cells].reshape(-1, 3).astype(np.float32)
-    tets = np.arange(len(points)).reshape(-1, 4)
-    reading = read_solid_mesh(write(tmp_path / "body.vtk", points, [("tetra", tets)]))
+    reading = read_tets(points, np.arange(len(points)).reshape(-1, 4))
     assert reading.mesh.node_count == mesh.node_count
     np.testing.assert_allclose(reading.mesh.volumes, scale**3 * mesh.volumes, rtol=1e-5)
     assert len(reading.notes) == 1 and reading.notes[0].startswith("Merged")
 
 
-def test_a_cut_within_one_part_is_kept_and_reported(block, tmp_path):
+def test_a_cut_within_one_part_is_kept_and_reported(block, read_tets):
     mesh = block(cells=(2, 1, 1), shake=0.0)
     points, tets = mesh.node_positions, mesh.cells.copy()
     # The middle of an edge of the block's waist, for the right half's tetrahedra another node.
     waist = int(np.flatnonzero((points == [0.1, 0.0, 0.0]).all(axis=1))[0])
     right = points[tets].mean(axis=1)[:, 0] > 0.1
     tets[right] = np.where(tets[right] == waist, len(points), tets[right])
-    reading = read_solid_mesh(
-        write(tmp_path / "body.vtk", np.vstack([points, points[waist]]), [("tetra", tets)])
-    )
+    reading = read_tets(np.vstack([points, points[waist]]), tets)
     assert reading.mesh.node_count == len(points) + 1
     assert [note for note in reading.notes if "is cut there" in note]
 
 
 @pytest.mark.parametrize("shared", [1, 2])
-def test_parts_joined_only_at_an_edge_or_a_node_are_reported(shared, tmp_path):
+def test_parts_joined_only_at_an_edge_or_a_node_are_reported(shared, read_tets):
     points = np.vstack([CORNERS, -1.0 - CORNERS[shared:]])
-    tets = np.array([[0, 1, 2, 3], [*range(shared), *range(4, 8 - shared)]])
-    reading = read_solid_mesh(write(tmp_path / "body.vtk", points, [("tetra", tets)]))
+    reading = read_tets(points, [[0, 1, 2, 3], [*range(shared), *range(4, 8 - shared)]])
     assert any("at least 1 places" in note and "can rotate" in note for note in reading.notes)
 
 
-def test_duplicate_tets_are_dropped_and_reported(block, tmp_path):
+def test_duplicate_tets_are_dropped_and_reported(block, read_tets):
     mesh = block()
     twice = np.vstack([mesh.cells, mesh.cells[[3, 7]][:, [2, 0, 3, 1]]])
-    reading = read_solid_mesh(write(tmp_path / "body.vtk", mesh.node_positions, [("tetra", twice)]))
+    reading = read_tets(mesh.node_positions, twice)
     count = mesh.cell_count
     assert reading.notes == (
         f"Dropped 2 tetrahedra ({count}, {count + 1}) that the file contains more than once.",
@@ -199,20 +195,18 @@ def test_duplicate_tets_are_dropped_and_reported(block, tmp_path):
     np.testing.assert_allclose(reading.mesh.volumes, mesh.volumes)
 
 
-def test_a_mesh_given_twice_is_one_mesh(block, tmp_path):
+def test_a_mesh_given_twice_is_one_mesh(block, read_tets):
     mesh = block()
-    points = np.vstack([mesh.node_positions, mesh.node_positions])
-    tets = np.vstack([mesh.cells, mesh.cells + mesh.node_count])
-    reading = read_solid_mesh(write(tmp_path / "body.vtk", points, [("tetra", tets)]))
+    reading = read_tets(np.vstack([mesh.node_positions] * 2),
+                        np.vstack([mesh.cells, mesh.cells + mesh.node_count]))  # fmt: skip
     assert reading.mesh.volume == pytest.approx(mesh.volume)
     assert reading.mesh.node_count == mesh.node_count
 
 
-def test_a_sliver_is_reported_with_its_quality(tmp_path):
+def test_a_sliver_is_reported_with_its_quality(read_tets):
     height = 0.002 / 1.5
     sliver = np.array([[6, 0, 0], [4, 0, 0], [5, 1, height], [5, -1, height]])
-    points, tets = np.vstack([CORNERS, sliver]), np.array([[0, 1, 2, 3], [4, 5, 7, 6]])
-    reading = read_solid_mesh(write(tmp_path / "body.vtk", points, [("tetra", tets)]))
+    reading = read_tets(np.vstack([CORNERS, sliver]), [[0, 1, 2, 3], [4, 5, 7, 6]])
     assert reading.mesh.cell_count == 2
     assert reading.notes[-1] == (
         "Kept 1 tetrahedron (1) with a radius ratio below 0.05 (lowest 0.002, tetrahedron 1): "
@@ -265,26 +259,18 @@ def test_cells_that_form_no_body_are_refused(cells, told, tmp_path):
     assert caught.value.path == path
 
 
-def test_a_node_that_is_not_finite_is_named(tmp_path):
-    points = CORNERS.copy()
-    points[2, 1] = np.nan
-    path = write(tmp_path / "body.vtk", points, [("tetra", np.array([[0, 1, 2, 3]]))])
-    with pytest.raises(MeshError, match="node 2 is at"):
-        read_solid_mesh(path)
-
-
-@pytest.mark.parametrize("placement, told", [
-    ({"scale": 0.0}, "scale is 0.0"),
-    ({"scale": -1.0}, "scale is -1.0"),
-    ({"scale": math.nan}, "scale is nan"),
-    ({"translation": (0, 0)}, "translation is (0, 0) m"),
-    ({"rotation": (0, 0, math.inf)}, "rotation is (0, 0, inf) rad"),
-    ({"merge_tolerance": -1.0}, "merge_tolerance is -1.0 m"),
+@pytest.mark.parametrize("points, placement, told", [
+    ([*CORNERS[:2], [0, math.nan, 0], CORNERS[3]], {}, "node 2 is at"),
+    (CORNERS, {"scale": 0.0}, "scale is 0.0"),
+    (CORNERS, {"scale": -1.0}, "scale is -1.0"),
+    (CORNERS, {"scale": math.nan}, "scale is nan"),
+    (CORNERS, {"translation": (0, 0)}, "translation is (0, 0) m"),
+    (CORNERS, {"rotation": (0, 0, math.inf)}, "rotation is (0, 0, inf) rad"),
+    (CORNERS, {"merge_tolerance": -1.0}, "merge_tolerance is -1.0 m"),
 ])  # fmt: skip
-def test_an_impossible_placement_is_refused(placement, told, tmp_path):
-    path = write(tmp_path / "body.vtk", CORNERS, [("tetra", np.array([[0, 1, 2, 3]]))])
+def test_an_impossible_node_or_placement_is_refused_by_name(points, placement, told, read_tets):
     with pytest.raises(MeshError) as caught:
-        read_solid_mesh(path, **placement)
+        read_tets(points, ONE_TET, **placement)
     assert told in str(caught.value)
 
 

@@ -83,20 +83,22 @@ def test_what_a_syringe_holds_is_written_with_its_pressure(simulation_of):
     assert growth == pytest.approx(volume - rest)
 
 
+def table_of(reader, folder, simulation, text):
+    """What a reader of targets or of commands makes of a file."""
+    (folder / "table.csv").write_text(text)
+    return reader(folder / "table.csv", simulation)
+
+
 @builder
 def targets(tmp_path, /, simulation, text):
     """Reads a targets file for a simulation."""
-    path = tmp_path / "targets.csv"
-    path.write_text(text)
-    return read_targets(path, simulation)
+    return table_of(read_targets, tmp_path, simulation, text)
 
 
 @builder
 def commands(tmp_path, /, simulation, text):
     """Reads a commands file for a simulation."""
-    path = tmp_path / "commands.csv"
-    path.write_text(text)
-    return read_commands(path, simulation)
+    return table_of(read_commands, tmp_path, simulation, text)
 
 
 def test_lengths_of_cables_and_pressures_of_cavities_stand_in_one_table(
@@ -132,46 +134,41 @@ def test_volumes_and_growths_command_a_syringe(simulation_of, targets, commands)
         table.command(1.0, 0.1).setpoints, [0.05, simulation.rest_setpoints[1] + 1e-6])
 
 
-@pytest.mark.parametrize(("control", "text", "column", "words"), [
-    ("pressure", "time_s,line_length_m,air_volume_m3\n0,1,1\n", "air_volume_m3",
-     "this cavity is driven by its pressure, its volume follows: use air_pressure_Pa"),
-    ("pressure", "time_s,line_length_m,air_length_m\n0,1,1\n", "air_length_m",
-     "this cavity is driven by its pressure"),
-    ("volume", "time_s,line_length_m,air_pressure_Pa\n0,1,1\n", "air_pressure_Pa",
-     "cannot be combined with line_length_m.*setpoints of this scene are line_length_m, "
-     "air_volume_m3"),
-    ("volume", "time_s,line_length_m,air_volume_m3\n0,1,-1e-6\n", "air_volume_m3",
-     "-1e-06 m3: must not be neg"),
-    ("pressure", "time_s,line_length_m,air_pressure_Pa\n0,1,high\n", "air_pressure_Pa",
-     "'high' Pa: must be a"),
-    ("pressure", "time_s,line_length_m,air_kPa\n0,1,1\n", "air_kPa", "<cavity>_pressure_Pa"),
-    ("pressure", "time_s,line_length_m\n0,1\n", "", "does not drive air"),
-])
+VOLUME_BESIDE_LENGTH = ("cannot be combined with line_length_m.*setpoints of this scene are "
+                        "line_length_m, air_volume_m3")  # fmt: skip
+
+
+@pytest.mark.parametrize("reader, control, text, column, words", [
+    *((read_targets, *row) for row in (
+        ("pressure", "time_s,line_length_m,air_volume_m3\n0,1,1\n", "air_volume_m3",
+         "this cavity is driven by its pressure, its volume follows: use air_pressure_Pa"),
+        ("pressure", "time_s,line_length_m,air_length_m\n0,1,1\n", "air_length_m",
+         "this cavity is driven by its pressure"),
+        ("volume", "time_s,line_length_m,air_pressure_Pa\n0,1,1\n", "air_pressure_Pa",
+         VOLUME_BESIDE_LENGTH),
+        ("volume", "time_s,line_length_m,air_volume_m3\n0,1,-1e-6\n", "air_volume_m3",
+         "-1e-06 m3: must not be neg"),
+        ("pressure", "time_s,line_length_m,air_pressure_Pa\n0,1,high\n", "air_pressure_Pa",
+         "'high' Pa: must be a"),
+        ("pressure", "time_s,line_length_m,air_kPa\n0,1,1\n", "air_kPa", "<cavity>_pressure_Pa"),
+        ("pressure", "time_s,line_length_m\n0,1\n", "", "does not drive air"))),
+    *((read_commands, *row) for row in (
+        ("pressure", "time_s,line_length_m,air_growth_m3\n0,1,0\n1,1,0\n", "air_growth_m3",
+         "air_growth_m3: this cavity is driven by its pressure, its growth follows: "
+         "use air_pressure_Pa"),
+        ("pressure", "time_s,line_length_m,air_volume_m3\n0,1,0\n1,1,0\n", "air_volume_m3",
+         "its volume follows"),
+        ("volume", "time_s,line_length_m,air_pressure_Pa\n0,1,0\n1,1,0\n", "air_pressure_Pa",
+         VOLUME_BESIDE_LENGTH),
+        ("pressure", "time_s,line_length_m,air_kPa\n0,1,0\n1,1,0\n", "",
+         "does not drive air.*<cavity>_pressure_Pa .cavities: air."))),
+])  # fmt: skip
 def test_a_column_that_does_not_fit_a_cavity_is_refused(
-    simulation_of, targets, control, text, column, words
+    simulation_of, tmp_path, reader, control, text, column, words
 ):
-    simulation = simulation_of(control=control)
     with pytest.raises(TableFileError, match=words) as caught:
-        targets(simulation, text)
-    assert caught.value.column == column and "targets.csv" in str(caught.value)
-
-
-@pytest.mark.parametrize(("control", "text", "words"), [
-    ("pressure", "time_s,line_length_m,air_growth_m3\n0,1,0\n1,1,0\n",
-     "air_growth_m3: this cavity is driven by its pressure, its growth follows: "
-     "use air_pressure_Pa"),
-    ("pressure", "time_s,line_length_m,air_volume_m3\n0,1,0\n1,1,0\n", "its volume follows"),
-    ("volume", "time_s,line_length_m,air_pressure_Pa\n0,1,0\n1,1,0\n",
-     "cannot be combined with line_length_m.*setpoints of this scene are line_length_m, "
-     "air_volume_m3"),
-    ("pressure", "time_s,line_length_m,air_kPa\n0,1,0\n1,1,0\n",
-     "does not drive air.*<cavity>_pressure_Pa .cavities: air."),
-])
-def test_a_command_that_does_not_fit_a_cavity_is_refused(
-    simulation_of, commands, control, text, words
-):
-    with pytest.raises(TableFileError, match=words):
-        commands(simulation_of(control=control), text)
+        table_of(reader, tmp_path, simulation_of(control=control), text)
+    assert caught.value.column == column and "table.csv" in str(caught.value)
 
 
 def test_a_run_of_commands_writes_pressures_and_a_picture(springy, tmp_path, call):
