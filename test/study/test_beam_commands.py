@@ -1,11 +1,11 @@
 """Scenes of beams alone at the command line: what they print, write and refuse."""
 
-import csv
 import re
 
 import numpy as np
 import pytest
 import yaml
+from test.run_files import rows_of
 
 
 @pytest.fixture
@@ -41,8 +41,7 @@ def test_a_run_records_the_nodes_of_a_beam(cantilever, tmp_path, call):
                 "--picture", tmp_path / "run.png")  # fmt: skip
     assert done.code == 0, done.errors
     assert "rod, largest displacement" in done.output
-    with (tmp_path / "run.csv").open(newline="") as file:
-        last = list(csv.DictReader(file))[-1]
+    last = rows_of(tmp_path / "run.csv")[-1]
     assert float(last["rod_1_x_m"]) == pytest.approx(0.1, abs=1e-3)
     assert float(last["rod_2_z_m"]) == pytest.approx(float(last["tip_z_m"]))
     assert float(last["rod_2_z_m"]) < 0.0

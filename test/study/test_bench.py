@@ -26,6 +26,7 @@ from softrobot_twin.study.bench_measurement import (
     without_garbage_collection,
 )
 from softrobot_twin.study.timing import SuperLUReference
+from test.run_files import rows_of
 
 COLUMNS = """
 scene family nodes tets dof modes points rows contacts factorization steps stage median_ms p99_ms
@@ -49,8 +50,7 @@ def test_bench_prints_and_writes_a_row_for_each_stage_and_a_picture(column, tmp_
                   "factor's buffers", "multifrontal Cholesky", "garbage collection off"):
         assert words in done.output, words
     assert "required 0.16" not in done.output  # it is set for the default Diamond only
-    with (tmp_path / "made" / "bench.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(tmp_path / "made" / "bench.csv")
     assert list(rows[0]) == COLUMNS.split()
     assert [row["stage"] for row in rows] == [*simulation.stages, OUTSIDE, WHOLE_STEP]
     for row in rows:
@@ -179,9 +179,7 @@ def test_a_reduced_model_is_compared_with_its_full_one(tmp_path, call):
     assert "times faster than its full model diamond_quadratic (" in done.output
     assert "required 0.300 ms" in done.output and "required p99 <= 1.3 × median" in done.output
     assert "Growth" not in done.output  # two models of one mesh are no family
-    with (tmp_path / "bench.csv").open(newline="") as file:
-        rows = [row for row in csv.DictReader(file) if row["stage"] == WHOLE_STEP]
-    theirs, ours = rows
+    theirs, ours = (row for row in rows_of(tmp_path / "bench.csv") if row["stage"] == WHOLE_STEP)
     # Sizes are those of the mesh.
     assert (ours["nodes"], ours["tets"]) == (theirs["nodes"], theirs["tets"])
     modes = int(ours["modes"])
@@ -210,8 +208,7 @@ def test_cases_of_given_scenes_are_one_family_without_a_bar(column):
 def test_a_step_that_grew_is_marked_beside_an_earlier_run(column, tmp_path, call):
     done = call("bench", column, "--steps", 4, "--output", tmp_path)
     assert done.code == 0, done.errors
-    with (tmp_path / "bench.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(tmp_path / "bench.csv")
     whole = next(row for row in rows if row["stage"] == WHOLE_STEP)
     assert float(whole["python_calls"]) > 100.0
     assert 0.05 < float(whole["kernel_share"]) < 1.0

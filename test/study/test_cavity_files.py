@@ -1,7 +1,5 @@
 """Files, pictures and times of scenes with cavities: columns, tables, `explain`, `bench`."""
 
-import csv
-
 import numpy as np
 import pytest
 import yaml
@@ -22,6 +20,7 @@ from softrobot_twin.study.bench_measurement import (
 from softrobot_twin.study.explain import effects
 from softrobot_twin.study.scene_picture import draw_snapshots, take_snapshot
 from test.builder import builder
+from test.run_files import rows_of
 from test.scene_changes import LEFT_OUT, change_scene, changed
 
 
@@ -178,8 +177,7 @@ def test_a_run_of_commands_writes_pressures_and_a_picture(springy, tmp_path, cal
     done = call("simulate", springy, "--commands", table, "--rate", 10, "--picture", picture,
                 "--output", tmp_path / "run.csv")
     assert done.code == 0, done.errors
-    with (tmp_path / "run.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(tmp_path / "run.csv")
     pressures = [float(row["air_pressure_Pa"]) for row in rows]
     assert pressures == pytest.approx(np.arange(1, 11) * 40.0)
     assert float(rows[-1]["air_volume_m3"]) > float(rows[0]["air_volume_m3"]) > 5.4e-6

@@ -1,6 +1,5 @@
 """The samples of a demo as a file of a run."""
 
-import csv
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,6 +10,7 @@ from softrobot_twin.simulation.building.cable_actuator import CableActuator
 from softrobot_twin.study.demo_table import write_demo_table
 from softrobot_twin.study.run_plot import panels_of, read_series
 from softrobot_twin.study.tracking import TimedValues, TrackingRecord
+from test.run_files import rows_of
 
 KINDS = {"north": CableActuator(), "south": CableActuator()}
 
@@ -31,8 +31,7 @@ def record(is_direct=False):
 @pytest.mark.parametrize("is_direct", [False, True])
 def test_a_row_has_targets_twin_device_and_actuators_at_one_time(tmp_path, is_direct):
     write_demo_table(tmp_path / "run.csv", record(is_direct), "tip", KINDS)
-    with (tmp_path / "run.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(tmp_path / "run.csv")
     targets = () if is_direct else ("tip_target_x_m", "tip_target_y_m", "tip_target_z_m")
     assert tuple(rows[0]) == (
         "step", "time_s", "tip_x_m", "tip_y_m", "tip_z_m", *targets, "tip_device_x_m",

@@ -1,7 +1,5 @@
 """``simulate --commands``: driven bodies, contacts, and the columns of a run."""
 
-import csv
-
 import numpy as np
 import pytest
 
@@ -9,6 +7,7 @@ from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.runs.input_tables import read_commands
 from softrobot_twin.study.direct_run import run_commands, step_times
 from softrobot_twin.study.run_summary import RunSummary
+from test.run_files import rows_of
 
 WEIGHT = 0.05 * 9.81
 
@@ -97,8 +96,7 @@ def test_a_run_writes_all_columns_and_prints_its_figures(tmp_path, stamp, call):
                   "compute time", "p99", "contacts, maximum",
                   "status ok", "100 Hz"):
         assert words in done.output, words
-    with (tmp_path / "run.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(tmp_path / "run.csv")
     pose = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
     assert list(rows[0]) == [
         "step", "time_s", *(f"press_{p}" for p in pose), *(f"cube_{p}" for p in pose),
@@ -119,9 +117,8 @@ def test_two_direct_runs_are_the_same_to_the_last_bit(tmp_path, stamp, call):
     for name in ("first.csv", "second.csv"):
         assert call("simulate", stamp, "--commands", stamp.parent / "stamping.csv", "--rate", 50,
                     "--output", tmp_path / name).code == 0
-        with (tmp_path / name).open(newline="") as file:
-            tables.append([{k: v for k, v in row.items() if k != "compute_time_s"}
-                           for row in csv.DictReader(file)])
+        tables.append([{k: v for k, v in row.items() if k != "compute_time_s"}
+                       for row in rows_of(tmp_path / name)])
     assert tables[0] == tables[1]
 
 

@@ -1,6 +1,5 @@
 """Files of ``simulate`` are written completely or not at all, and never replace an input."""
 
-import csv
 import os
 
 import pytest
@@ -8,14 +7,10 @@ import pytest
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.study import direct_run, offline_run
 from softrobot_twin.study.output_file import OutputError, output_file
+from test.run_files import rows_of
 
 TARGETS = "time_s,tip_x_m,tip_y_m,tip_z_m\n0,0.0105,0.01,0.098\n0.02,0.011,0.01,0.0975\n"
 OLD = "what an earlier run wrote\n"
-
-
-def rows_of(path):
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file))
 
 
 @pytest.fixture

@@ -1,13 +1,12 @@
 """Runs without commands from the command line: a body sags, a cube falls."""
 
-import csv
-
 import meshio
 import numpy as np
 import pytest
 import yaml
 
 from softrobot_twin.simulation.runs.run_columns import TEXT_COLUMNS
+from test.run_files import rows_of
 
 DENSITY, YOUNG, SIZE = 1000.0, 2.0e5, (0.02, 0.02, 0.1)
 
@@ -41,17 +40,16 @@ def falling(tmp_path):
     return path
 
 
-def rows_of(path):
-    with path.open(newline="") as file:
-        return [{key: value if key in TEXT_COLUMNS else float(value) for key, value in row.items()}
-                for row in csv.DictReader(file)]
+def values_of(path):
+    return [{key: value if key in TEXT_COLUMNS else float(value) for key, value in row.items()}
+            for row in rows_of(path)]
 
 
 def test_a_hanging_body_stretches_under_its_weight(hung, tmp_path, call):
     done = call("simulate", hung, "--steps", 8, "--output", tmp_path / "run.csv")
     assert done.code == 0, done.errors
     assert "warning" not in done.errors and "largest displacement" in done.output
-    row = rows_of(tmp_path / "run.csv")[-1]
+    row = values_of(tmp_path / "run.csv")[-1]
     length, stress = SIZE[2], DENSITY * 9.81 * SIZE[2]
     stretch = stress * length / (2.0 * YOUNG)
     assert row["status"] == "ok"
@@ -68,7 +66,7 @@ def test_a_cube_falls_by_the_square_of_time_and_rests_on_the_floor(falling, tmp_
                 tmp_path / "run.csv")
     assert done.code == 0, done.errors
     assert "cube, position" in done.output
-    rows = rows_of(tmp_path / "run.csv")
+    rows = values_of(tmp_path / "run.csv")
     assert len(rows) == 500
     flying, resting = rows[99], rows[-1]
     assert flying["time_s"] == pytest.approx(0.1)
@@ -89,7 +87,7 @@ def test_a_mass_on_a_spring_oscillates_with_its_initial_energy(tmp_path, call):
                          "springs": [0, 1], "stiffness": stiffness, "fixed": 0}}))
     done = call("simulate", path, "--seconds", 0.3, "--rate", 2000, "--output", tmp_path / "r.csv")
     assert done.code == 0, done.errors
-    rows = rows_of(tmp_path / "r.csv")
+    rows = values_of(tmp_path / "r.csv")
     assert rows[-1]["net_0_z_m"] == 1.0
     sag = mass * 9.81 / stiffness
     lowest = min(row["net_1_z_m"] for row in rows)
@@ -102,7 +100,7 @@ def test_a_mass_on_a_spring_oscillates_with_its_initial_energy(tmp_path, call):
 def test_a_robot_without_commands_holds_its_cables(column, tmp_path, call):
     done = call("simulate", column, "--steps", 5, "--output", tmp_path / "run.csv")
     assert done.code == 0, done.errors
-    row = rows_of(tmp_path / "run.csv")[-1]
+    row = values_of(tmp_path / "run.csv")[-1]
     np.testing.assert_allclose([row[f"{name}_shortening_m"] for name in "abcd"], 0.0, atol=1e-12)
     assert row["body_moved_m"] > 0.0
 
@@ -110,7 +108,7 @@ def test_a_robot_without_commands_holds_its_cables(column, tmp_path, call):
 def test_two_passive_runs_are_the_same_to_the_last_bit(falling, tmp_path, call):
     for name in ("first.csv", "second.csv"):
         assert call("simulate", falling, "--steps", 30, "--output", tmp_path / name).code == 0
-    first, second = rows_of(tmp_path / "first.csv"), rows_of(tmp_path / "second.csv")
+    first, second = values_of(tmp_path / "first.csv"), values_of(tmp_path / "second.csv")
     for row in first + second:
         del row["compute_time_s"]
     assert first == second

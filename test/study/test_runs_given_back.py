@@ -1,7 +1,5 @@
 """What a run wrote is read again: as targets, as commands, and by those who plot it."""
 
-import csv
-
 import numpy as np
 import pytest
 import yaml
@@ -14,15 +12,9 @@ from softrobot_twin.simulation.runs.input_tables import TableFileError, read_com
 from softrobot_twin.simulation.runs.run_columns import COMPUTE_TIME, TEXT_COLUMNS, RunColumns
 from softrobot_twin.study.direct_run import run_commands
 from softrobot_twin.study.offline_run import run_file
+from test.run_files import TARGETS, rows_of
 
-TARGETS = ("time_s,tip_x_m,tip_y_m,tip_z_m\n0,0.0105,0.01,0.098\n0.02,0.011,0.01,0.0975\n"
-           "0.04,0.011,0.0095,0.097\n")
 NAMES = "abcd"
-
-
-def rows_of(path):
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file))
 
 
 def numbers_of(path):

@@ -1,7 +1,5 @@
 """``simulate`` as a command: its files and its errors."""
 
-import csv
-
 import numpy as np
 import pytest
 
@@ -9,10 +7,9 @@ from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.runs.input_tables import read_targets
 from softrobot_twin.study.offline_run import commands_of, unlikely_warning
 from test.builder import builder
+from test.run_files import TARGETS, rows_of
 
 REACHED = (0.011, 0.0095, 0.097)
-TARGETS = ("time_s,tip_x_m,tip_y_m,tip_z_m\n0,0.0105,0.01,0.098\n0.02,0.011,0.01,0.0975\n"
-           "0.04,0.011,0.0095,0.097\n")
 
 
 @builder
@@ -20,11 +17,6 @@ def targets(tmp_path, /, text=TARGETS):
     path = tmp_path / "targets.csv"
     path.write_text(text)
     return path
-
-
-def rows_of(path):
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file))
 
 
 def tip_of(row):

@@ -1,6 +1,5 @@
 """Touches in a table of commands."""
 
-import csv
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +12,7 @@ from softrobot_twin.simulation.runs.input_tables import TableFileError, read_com
 from softrobot_twin.simulation.runs.run_columns import RunColumns
 from softrobot_twin.study.direct_run import run_commands
 from softrobot_twin.study.offline_run import run_file
+from test.run_files import rows_of
 
 LENGTHS = ",".join(f"{name}_shortening_m" for name in "abcd")
 
@@ -67,8 +67,7 @@ def test_the_output_has_force_and_displacement(simulation, tmp_path):
     with run_file(tmp_path / "out.csv", RunColumns(simulation)) as write:
         for row in run_commands(simulation, read_commands(path, simulation), 10.0):
             write(row)
-    with (tmp_path / "out.csv").open() as file:
-        last = list(csv.DictReader(file))[-1]
+    last = rows_of(tmp_path / "out.csv")[-1]
     assert float(last["finger_force_y_N"]) == 0.02
     assert float(last["finger_displacement_y_m"]) > 1e-4
 

@@ -1,7 +1,6 @@
 """``workspace``: samples that depend on nothing but the scene and the seed, and runs that go on."""
 
 import copy
-import csv
 import os
 import shutil
 import signal
@@ -25,12 +24,10 @@ from softrobot_twin.study.workspace import (
     sampled_setpoints,
     views_of,
 )
+from test.run_files import rows_of
 from test.scene_changes import repeat_step
 
-
-def rows_of(path):
-    with open(path, newline="") as file:
-        return list(csv.DictReader(file))
+NOBODY = "--scheduler tcp://127.0.0.1:9"
 
 
 @pytest.fixture(scope="module")
@@ -274,19 +271,24 @@ def test_an_actuator_without_bounds_is_refused_by_name(air_scene, tmp_path, call
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize("text, told", [
-    ("a_shortening_m=0", "two numbers"), ("a_shortening_m=1:0", "the lower one first"),
-    ("z_shortening_m=0:1", "is no column"),
-])  # fmt: skip
-def test_a_range_that_does_not_fit_is_refused_by_name(column, call, tmp_path, text, told):
-    done = call("workspace", column, "--output", tmp_path / "w.csv", "--range", text)
-    assert done.code == 2 and told in done.errors and f"--range {text}" in done.errors
-
-
-def test_workers_and_a_cluster_exclude_each_other(column, call, tmp_path):
-    done = call("workspace", column, "--output", tmp_path / "w.csv", "--workers", 2,
-                "--scheduler", "tcp://127.0.0.1:1")  # fmt: skip
-    assert done.code == 2 and "--workers: has no effect" in done.errors
+@pytest.mark.parametrize("options, told", [
+    ("--range a_shortening_m=0", ("two numbers", "--range a_shortening_m=0")),
+    ("--range a_shortening_m=1:0", ("the lower one first", "--range a_shortening_m=1:0")),
+    ("--range z_shortening_m=0:1", ("is no column", "--range z_shortening_m=0:1")),
+    ("--workers 2 --scheduler tcp://127.0.0.1:1", ("--workers: has no effect",)),
+    (f"--samples 2 {NOBODY}", (f"{NOBODY}: cannot be reached",)),
+    (f"--samples 2 {NOBODY}", ("distributed is not installed",)),
+], ids=lambda value: value if isinstance(value, str) else value[0])  # fmt: skip
+def test_an_option_that_does_not_fit_is_refused_by_name(
+    column, call, tmp_path, monkeypatch, options, told
+):
+    if "distributed is not installed" in told:
+        monkeypatch.setitem(sys.modules, "distributed", None)
+    elif NOBODY in options:
+        pytest.importorskip("distributed")
+        monkeypatch.setattr(sample_workers, "CONNECTION_TIMEOUT", 1.0)
+    done = call("workspace", column, "--output", tmp_path / "w.csv", *options.split())
+    assert done.code == 2 and all(words in done.errors for words in told)
 
 
 def test_the_views_show_the_widest_planes():
@@ -361,18 +363,3 @@ def test_rows_that_wait_on_a_killed_worker_are_computed_once_more(cluster, squar
     assert sorted((one.index, one.row) for one in found) == [
         (index, [index**2]) for index in range(5, 25)
     ]
-
-
-def test_a_scheduler_that_does_not_answer_is_refused(column, call, tmp_path, monkeypatch):
-    pytest.importorskip("distributed")
-    monkeypatch.setattr(sample_workers, "CONNECTION_TIMEOUT", 1.0)
-    done = call("workspace", column, "--output", tmp_path / "w.csv", "--samples", 2,
-                "--scheduler", "tcp://127.0.0.1:9")  # fmt: skip
-    assert done.code == 2 and "--scheduler tcp://127.0.0.1:9: cannot be reached" in done.errors
-
-
-def test_without_dask_a_scheduler_is_refused_by_name(column, call, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    done = call("workspace", column, "--output", tmp_path / "w.csv", "--samples", 2,
-                "--scheduler", "tcp://127.0.0.1:9")  # fmt: skip
-    assert done.code == 2 and "distributed is not installed" in done.errors

@@ -1,11 +1,10 @@
 """The growth of a step with its contacts, at the size of a test."""
 
-import csv
-
 import pytest
 from contact_growth import contact_table, draw_contacts, measure_contacts, write_contacts
 
 from softrobot_twin.study.bench_measurement import WHOLE_STEP
+from test.run_files import rows_of
 
 
 def test_more_contacts_make_more_rows_on_the_same_matrix(tmp_path):
@@ -15,8 +14,7 @@ def test_more_contacts_make_more_rows_on_the_same_matrix(tmp_path):
     assert many.row_count > few.row_count >= 3 * few.contact_count
     assert few.stages["optimise"].median < few.stages[WHOLE_STEP].median
     write_contacts(tmp_path / "contacts.csv", found)
-    with (tmp_path / "contacts.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(tmp_path / "contacts.csv")
     assert len(rows) == 2 * len(few.stages)
     assert {row["contacts"] for row in rows} == {f"{one.contact_count:g}" for one in found}
     assert contact_table(found).row_count == 3
