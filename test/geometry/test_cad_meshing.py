@@ -129,19 +129,15 @@ def test_what_is_no_stl_file_is_refused(tmp_path, content, word):
     refused(path, word)
 
 
-def test_an_open_surface_is_refused_with_its_place(tmp_path):
-    refused(write_stl(tmp_path / "open.stl", (CUBE[0], CUBE[1][1:])), "3 of its edges", " mm")
-
-
-@pytest.mark.parametrize("shift", [(5, 5, 5), (7, 3, 1), (0, 0, 15)])
-def test_bodies_that_overlap_are_refused_with_a_place(tmp_path, shift):
-    both = joined(CUBE, box((20, 20, 20), shift) if any(shift[:2]) else box((8, 8, 20), shift))
-    refused(write_stl(tmp_path / "both.stl", both), "intersects itself at (")
-
-
-def test_bodies_that_share_a_face_are_refused(tmp_path):
-    both = joined(CUBE, box((20, 20, 20), (20, 0, 0)))
-    refused(write_stl(tmp_path / "both.stl", both), "meets itself")
+@pytest.mark.parametrize("part, words", [
+    ((CUBE[0], CUBE[1][1:]), ("3 of its edges", " mm")),
+    (joined(CUBE, box((20, 20, 20), (5, 5, 5))), ("intersects itself at (",)),
+    (joined(CUBE, box((20, 20, 20), (7, 3, 1))), ("intersects itself at (",)),
+    (joined(CUBE, box((8, 8, 20), (0, 0, 15))), ("intersects itself at (",)),
+    (joined(CUBE, box((20, 20, 20), (20, 0, 0))), ("meets itself",)),
+], ids=["open", "overlap", "deep overlap", "through a face", "shared face"])  # fmt: skip
+def test_a_surface_that_encloses_no_body_is_refused_with_its_place(tmp_path, part, words):
+    refused(write_stl(tmp_path / "part.stl", part), *words)
 
 
 @pytest.mark.parametrize("size, word", [(21.0, "larger than the part"), (0.01, "tetrahedra of")])

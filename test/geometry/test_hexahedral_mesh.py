@@ -201,72 +201,39 @@ def test_abaqus_names_of_hexahedra_are_known(tmp_path):
 CUBE = read_box((1.0, 1.0, 1.0), (1, 1, 1), of_hexahedra=True).mesh
 
 
-def _wedge():
-    return [("hexahedron", CUBE.hexahedra), ("wedge", np.array([[0, 1, 2, 4, 5, 6]]))]
+CUBE_CELL = ("hexahedron", CUBE.hexahedra)
+FLAT, FOLDED = CUBE.node_positions * [1.0, 1.0, 0.0], CUBE.node_positions.copy()
+FOLDED[CUBE.hexahedra[0, 6]] = [0.3, 0.3, 1.0]  # a corner on a face
+BESIDE = np.vstack([CUBE.node_positions, [[2.0, 0.6, 0.5], [2.0, 0.4, 0.5]]])
+BOTH_DIAGONALS = [[*CUBE.hexahedra[0, [1, 2, 6]], 8], [*CUBE.hexahedra[0, [2, 6, 5]], 9]]
+FLAT_TOLD = "hexahedron 0 is flat or inside out in a corner"
 
 
-def _pyramid():
-    return [("hexahedron", CUBE.hexahedra), ("pyramid", np.array([[0, 1, 3, 2, 4]]))]
-
-
-def _twenty_nodes():
-    return [("hexahedron20", np.arange(20)[None] % 8)]
-
-
-def _collapsed():
-    return [("hexahedron", CUBE.hexahedra[:, [0, 1, 2, 2, 4, 5, 6, 6]])]
-
-
-def _crossed():
-    return [("hexahedron", CUBE.hexahedra[:, [0, 2, 1, 3, 4, 5, 6, 7]])]
-
-
-def _beyond():
-    return [("hexahedron", CUBE.hexahedra + 1)]
-
-
-def _ten_nodes():
-    return [("hexahedron", CUBE.hexahedra), ("tetra10", np.array([[0, 1, 2, 4, 3, 5, 6, 7, 0, 1]]))]
-
-
-@pytest.mark.parametrize("cells, told", [
-    (_wedge, "hexahedra of 8 (1 wedge), which are not simulated"),
-    (_pyramid, "hexahedra of 8 (1 pyramid), which are not simulated"),
-    (_twenty_nodes, "(1 hexahedron20), which are not simulated"),
-    (_collapsed, "hexahedron 0 has a node twice: a wedge or pyramid written as a hexahedron"),
-    (_crossed, "hexahedron 0 is flat or inside out in a corner: are its nodes in the order"),
-    (_beyond, "hexahedron 0 has the nodes"),
-    (_ten_nodes, "tetrahedra of 10 nodes beside hexahedra of 8"),
+@pytest.mark.parametrize("points, cells, told", [
+    *((CUBE.node_positions, cells, told) for cells, told in (
+        ([CUBE_CELL, ("wedge", [[0, 1, 2, 4, 5, 6]])],
+         "hexahedra of 8 (1 wedge), which are not simulated"),
+        ([CUBE_CELL, ("pyramid", [[0, 1, 3, 2, 4]])],
+         "hexahedra of 8 (1 pyramid), which are not simulated"),
+        ([("hexahedron20", np.arange(20)[None] % 8)],
+         "(1 hexahedron20), which are not simulated"),
+        ([("hexahedron", CUBE.hexahedra[:, [0, 1, 2, 2, 4, 5, 6, 6]])],
+         "hexahedron 0 has a node twice: a wedge or pyramid written as a hexahedron"),
+        ([("hexahedron", CUBE.hexahedra[:, [0, 2, 1, 3, 4, 5, 6, 7]])],
+         f"{FLAT_TOLD}: are its nodes in the order"),
+        ([("hexahedron", CUBE.hexahedra + 1)], "hexahedron 0 has the nodes"),
+        ([CUBE_CELL, ("tetra10", [[0, 1, 2, 4, 3, 5, 6, 7, 0, 1]])],
+         "tetrahedra of 10 nodes beside hexahedra of 8"))),
+    (FOLDED, [CUBE_CELL], FLAT_TOLD), (FLAT, [CUBE_CELL], FLAT_TOLD),
+    (BESIDE, [CUBE_CELL, ("tetra", BOTH_DIAGONALS)],
+     "along both of its diagonals, which is not simulated"),
 ])  # fmt: skip
-def test_cells_that_are_not_simulated_are_refused_by_name(cells, told, tmp_path):
+def test_cells_that_are_not_simulated_are_refused_by_name(points, cells, told, tmp_path):
     path = tmp_path / "body.vtk"
-    meshio.write(path, meshio.Mesh(CUBE.node_positions, cells()))
+    meshio.write(path, meshio.Mesh(points, [(kind, np.asarray(rows)) for kind, rows in cells]))
     with pytest.raises(MeshError) as caught:
         read_solid_mesh(path)
     assert told in str(caught.value) and caught.value.path == path
-
-
-@pytest.mark.parametrize("moved", ["onto a face", "flat"])
-def test_a_degenerate_hexahedron_is_refused(moved, tmp_path):
-    x = CUBE.node_positions.copy()
-    if moved == "flat":
-        x[:, 2] = 0.0
-    else:
-        x[CUBE.hexahedra[0, 6]] = [0.3, 0.3, 1.0]
-    path = tmp_path / "body.vtk"
-    meshio.write(path, meshio.Mesh(x, [("hexahedron", CUBE.hexahedra)]))
-    with pytest.raises(MeshError, match="hexahedron 0 is flat or inside out in a corner"):
-        read_solid_mesh(path)
-
-
-def test_tetrahedra_along_both_diagonals_of_a_face_are_refused(tmp_path):
-    x = np.vstack([CUBE.node_positions, [[2.0, 0.6, 0.5], [2.0, 0.4, 0.5]]])
-    a, b, c, d = CUBE.hexahedra[0, [1, 2, 6, 5]]
-    tets = np.array([[a, b, c, 8], [b, c, d, 9]])
-    path = tmp_path / "body.vtk"
-    meshio.write(path, meshio.Mesh(x, [("hexahedron", CUBE.hexahedra), ("tetra", tets)]))
-    with pytest.raises(MeshError, match="along both of its diagonals, which is not simulated"):
-        read_solid_mesh(path)
 
 
 def test_half_a_face_may_be_covered_by_a_tetrahedron(tmp_path):

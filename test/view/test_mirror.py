@@ -25,9 +25,10 @@ def offer_all(mirror, frames):
     ("spawn_viewer", dict(serve=False, record="run.rrd", spawn_viewer=True)),
     ("record_every", dict(serve=False, record="run.rrd", record_every=0)),
     ("live_rate", dict(serve=True, live_rate=0.0)),
+    pytest.param("memory_limit", dict(serve=True, port=0, memory_limit="plenty"), marks=serving),
 ])
 def test_invalid_options_are_refused_by_name(stage, key, asked):
-    with pytest.raises(ViewError) as refusal:
+    with pytest.raises(ViewError, match=asked.get("memory_limit")) as refusal:
         RerunMirror(stage, **asked)
     assert refusal.value.key == key
 
@@ -133,13 +134,6 @@ def test_a_port_that_is_taken_at_the_last_moment_is_refused_too(stage, monkeypat
     with socket.create_server(("127.0.0.1", 0)) as taken:
         with pytest.raises(ViewError, match=str(taken.getsockname()[1])):
             RerunMirror(stage, serve=True, port=taken.getsockname()[1])
-
-
-@serving
-def test_an_invalid_memory_limit_is_refused_by_name(stage):
-    with pytest.raises(ViewError, match="plenty") as refusal:
-        RerunMirror(stage, serve=True, port=0, memory_limit="plenty")
-    assert refusal.value.key == "memory_limit"
 
 
 @serving
