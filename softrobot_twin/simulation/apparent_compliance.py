@@ -507,7 +507,8 @@ class Saddle:
         shared = np.where(softness > 0.0, SHARING * softness, 1.0)
         C = sp.csr_array(holding.own_of_places + np.diag(shared))
         none = sp.csr_array((len(stiffness), len(softness)))
-        self._between, free = len(stiffness), sp.eye_array(self._size)
+        self._between = len(stiffness)
+        free = sp.dia_array((np.ones((1, self._size)), [0]), shape=(self._size, self._size))
         for share in (0.0, FREE_SHARE * scale):
             system = sp.bmat([
                 [A + share * free, stiff.T, -H.T],
