@@ -28,7 +28,9 @@ from softrobot_twin.errors import NamedError, SoftRobotTwinError
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.scene.actuator_entries import Cable
 from softrobot_twin.scene.body_entries import Body, BoxMesh, BoxRegion, Mesh, Region
+from softrobot_twin.scene.loading import read_changes
 from softrobot_twin.scene.scene_changes import with_mesh_file
+from softrobot_twin.scene.scene_parameters import changed_scene
 from softrobot_twin.scene.schema import Effector
 from softrobot_twin.shared_files import shared_folders
 from softrobot_twin.simulation import (
@@ -401,10 +403,11 @@ def given_cases(paths: list[Path], commands: Path | None = None) -> list[BenchCa
     cases, ours = [], robot_cases() if any(path.is_file() for path in paths) else []
     for path in paths:
         known = [case for case in ours if path.is_file() and case.scene.path.samefile(path)]
-        scene = load_scene(path)
         if known and commands is None:
-            cases += [case._replace(scene=scene) for case in known]
+            changes = read_changes(getattr(path, "changes", ()))
+            cases += [case._replace(scene=changed_scene(case.scene, changes)) for case in known]
             continue
+        scene = load_scene(path)
         family = "the given scenes" + (", reduced" if is_reduced(scene) else "")
         cases.append(BenchCase(path.stem, scene, family, _is_default(path), commands))
     return cases
