@@ -312,6 +312,18 @@ class RowStack:
             compliance[rows] = term.compliance.diagonal()
         return compliance
 
+    def actuator_paths(self, efforts: np.ndarray) -> np.ndarray:
+        """Displacements of the actuators at the state evaluated last, with what stretches.
+
+        Args:
+            efforts: λ of the actuators with rows, in their units, shape (actuator_row_count,).
+
+        Returns:
+            Each in its unit, same shape.
+        """
+        paths, stretch = self.values[self.groups.actuators].copy(), self.stretch_compliance()
+        return paths if stretch is None else paths + stretch * efforts
+
     def stretch_ratios(self) -> np.ndarray:
         """By how much more the path of each actuator moves than its winch; see `YieldingTerm`.
 

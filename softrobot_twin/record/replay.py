@@ -246,16 +246,12 @@ def recorded_scene(run: RunFile, changes: Mapping[str, Any]) -> Scene:
         RunFileError: A file is missing or has changed.
         SceneError: A change cannot be used.
     """
-    description = run.description
-    mapping = read_yaml(description.scene_text)
-
-    def scene() -> Scene:
-        made = scene_from_mapping(mapping, Path(description.scene_path))
-        return changed_scene(made, changes)
-
-    moved = _moved_files(run, scene())
-    mapping = _with_files(mapping, moved)
-    return scene()
+    mapping, path = read_yaml(run.description.scene_text), Path(run.description.scene_path)
+    scene = changed_scene(scene_from_mapping(mapping, path), changes)
+    moved = _moved_files(run, scene)
+    if not moved:
+        return scene
+    return changed_scene(scene_from_mapping(_with_files(mapping, moved), path), changes)
 
 
 def _moved_files(run: RunFile, scene: Scene) -> dict[str, str]:

@@ -63,6 +63,18 @@ def read_changes(texts: Iterable[str]) -> dict[str, Any]:
     return changes
 
 
+def changes_of(path: Path | str) -> dict[str, Any]:
+    """The values that the path of a scene carries; none but for a `ScenePath`.
+
+    Args:
+        path: YAML file.
+
+    Raises:
+        SceneError: See `read_changes`.
+    """
+    return read_changes(getattr(path, "changes", ()))
+
+
 def load_scene(path: Path | str, changes: Mapping[str, Any] | None = None) -> Scene:
     """Reads and checks a scene.
 
@@ -78,7 +90,7 @@ def load_scene(path: Path | str, changes: Mapping[str, Any] | None = None) -> Sc
         SceneError: The file cannot be read, or an entry is not valid.
     """
     if changes is None:
-        changes = read_changes(getattr(path, "changes", ()))
+        changes = changes_of(path)
     path = given_file(path)
 
     def refused(reason: str) -> SceneError:

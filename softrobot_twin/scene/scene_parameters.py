@@ -17,10 +17,16 @@ from pydantic import ValidationError
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene.entry import Entry, values_below
 from softrobot_twin.scene.patterns import as_written
-from softrobot_twin.scene.refusal_messages import dotted, nearest, scene_error, unit_at
+from softrobot_twin.scene.refusal_messages import (
+    dotted,
+    nearest,
+    parts,
+    scene_error,
+    unit_at,
+)
 from softrobot_twin.scene.schema import Scene
 
-_STEP = re.compile(r"(?:^|\.)([^.\[\]]+)|\[(\d+)\]")
+_KEY = re.compile(r"[^.\[\]]+(?:\[\d+\])*(?:\.[^.\[\]]+(?:\[\d+\])*)*")
 # A preset gives these: where one of them has another value, the preset is no more what is asked for.
 _OF_PRESET = ("law", "constants", "young_modulus")
 
@@ -80,7 +86,8 @@ def parameters(scene: Scene, *keys: str) -> tuple[Parameter, ...]:
         return tuple(known.values())
     found = dict[str, Parameter]()
     for key in keys:
-        places = [dotted(place) for place in _places(scene, _steps(key))] if _steps(key) else []
+        steps = _steps(key)
+        places = [dotted(place) for place in _places(scene, steps)] if steps else []
         own = [name for place in places for name in known
                if name == place or name.startswith((f"{place}.", f"{place}["))]
         if not own:
@@ -146,9 +153,7 @@ def with_values(values: Any, scene: Scene, changes: Mapping[str, Any]) -> Any:
 
 def _steps(key: str) -> tuple:
     """The names and places of a key; empty where it is no key."""
-    if _STEP.sub("", key):
-        return ()
-    return tuple(int(index) if index else name for name, index in _STEP.findall(key))
+    return tuple(parts(key)) if _KEY.fullmatch(key) else ()
 
 
 def _place(scene: Scene, key: str) -> tuple:

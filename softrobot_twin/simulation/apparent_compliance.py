@@ -34,11 +34,9 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from softrobot_twin.constraints.effector import along_all_axes
-from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.simulation.building.limits import DISPLACEMENT_MARGIN, HOLDING_MARGIN
 from softrobot_twin.simulation.simulation import Simulation
-from softrobot_twin.simulation.step.apparent_stiffness import SHARING
+from softrobot_twin.simulation.step.apparent_stiffness import SHARING, effector_rows, sharing
 from softrobot_twin.solvers.dense_stiffness import laid_out_alike
 from softrobot_twin.solvers.factorization import Factorization, NodeRows, laid_out_like
 from softrobot_twin.solvers.superlu import SuperLU
@@ -128,17 +126,14 @@ class HeldTangent:
         self._simulation, self._model = simulation, simulation.model
         model, effectors = self._model, simulation.model.effectors
         self._count = 0 if effectors is None else len(effectors.effectors)
-        self._points = self._own_rows = self._storage = self._own = self._lu = None
+        self._own_rows = effector_rows(effectors, model.nodes)
+        self._storage = self._own = self._lu = None
         # A free body, or a beam that only a motor holds, has a singular stiffness, of which a
         # factorization may take no notice.
         self._may_be_definite = not (
             any(part.is_free for part in model.rigid) or model.has_motors_of_hinges
             or not model.actuators.conserves
         )  # fmt: skip
-        if self._count:
-            nodes = model.nodes
-            self._points = along_all_axes(effectors, nodes.free_index, nodes.size)
-            self._own_rows = RowStack([self._points], nodes.carried)
 
     def _holding(self, by_effort: np.ndarray | None) -> _Holding:
         """Which rows hold at the state; evaluates all rows there."""
@@ -155,10 +150,7 @@ class HeldTangent:
         rows.evaluate(state.positions)
         a = rows.groups.actuators
         efforts = state.efforts[a]
-        path = rows.values[a].copy()
-        stretch = rows.stretch_compliance()
-        if stretch is not None:
-            path += stretch * efforts
+        path = rows.actuator_paths(efforts)
         is_driven = actuators.is_effort_driven[a].copy()
         margin = DISPLACEMENT_MARGIN * limits.displacement_scale[a]
         at_limit = (path <= limits.displacement_min[a] + margin) | (
@@ -214,7 +206,8 @@ class HeldTangent:
         slides, G = self._model.slides, np.empty((H.row_count, 0))
         if slides is not None:
             G = np.zeros((H.row_count, slides.count))
-            G[count:] = slides.effector_columns(self._points)
+            for points in effectors.terms:
+                G[count:] = slides.effector_columns(points)
             if rows.varies:
                 by_slide = slides.contact_columns(self._model.contacts)
                 G[rows.groups.actuators.stop : count] = by_slide[
@@ -454,9 +447,7 @@ def _condensed(
     e, a = slice(count + len(holding.contacts), None), slice(0, count)
     W[a, a] += holding.own
     M = W[np.ix_(h, h)]
-    diagonal = M.diagonal().copy()
-    # A row that reaches no unknown holds nothing.
-    M[np.diag_indices_from(M)] += np.where(diagonal > 0.0, SHARING * diagonal, 1.0)
+    M[np.diag_indices_from(M)] += sharing(M.diagonal())
     by_set = np.linalg.solve(M, W[h]).T if len(h) else np.empty((len(W), 0))
     W = W - by_set @ W[h]
     own = W[a, a].diagonal()
@@ -503,9 +494,7 @@ class Saddle:
         scale = diagonal[diagonal > 0.0].mean() if (diagonal > 0.0).any() else 1.0
         by_node = np.where(diagonal > 0.0, diagonal, scale)
         softness = (D.multiply(D) @ (1.0 / by_node)) if D.shape[0] else np.empty(0)
-        # A row that reaches no unknown holds nothing.
-        shared = np.where(softness > 0.0, SHARING * softness, 1.0)
-        C = sp.csr_array(holding.own_of_places + np.diag(shared))
+        C = sp.csr_array(holding.own_of_places + np.diag(sharing(softness)))
         none = sp.csr_array((len(stiffness), len(softness)))
         self._between = len(stiffness)
         free = sp.dia_array((np.ones((1, self._size)), [0]), shape=(self._size, self._size))

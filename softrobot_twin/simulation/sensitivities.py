@@ -22,7 +22,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.constraints.effector import along_all_axes
 from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.errors import NamedError, SceneError
 from softrobot_twin.scene import Scene
@@ -31,9 +30,9 @@ from softrobot_twin.simulation.apparent_compliance import HeldTangent, Saddle
 from softrobot_twin.simulation.build import Terms, build_terms
 from softrobot_twin.simulation.simulation import Simulation
 from softrobot_twin.simulation.state import State
-from softrobot_twin.simulation.step.apparent_stiffness import SHARING
+from softrobot_twin.simulation.step.apparent_stiffness import effector_rows, sharing
 from softrobot_twin.simulation.step.step_part import memories_of_terms
-from softrobot_twin.solvers.factorization import Factorization, NodeRows
+from softrobot_twin.solvers.factorization import Factorization
 
 # Differences are taken over this share of a number. Residuals have 1e-16 of the inner forces as
 # round-off, so 1e-10 of the derivative is lost, and by the curvature 1e-12.
@@ -128,7 +127,7 @@ class AtState(NamedTuple):
         """The same as loads, whose changes move the equilibrium.
 
         Args:
-            holds_setpoints: Whether actuators hold their setpoints, in place of their efforts.
+            holds_setpoints: See `Sensitivities.of_parameters`.
         """
         held = self.drives if holds_setpoints else 0.0
         return Loads(self.forces, held - self.paths, self.effectors)
@@ -138,25 +137,19 @@ class _Condensed:
     """Unknowns and multipliers by a factorization of A and the condensed system of what holds."""
 
     def __init__(
-        self, factorization: Factorization, H: NodeRows, node_count: int, held: np.ndarray,
-        own: np.ndarray,
-    ):  # fmt: skip
+        self, factorization: Factorization, held: np.ndarray, own: np.ndarray
+    ):
         """Condense.
 
         Args:
             factorization: A⁻¹.
-            H: Rows of the actuators, the contacts that hold, and the effectors.
-            node_count: Number of unknowns.
-            held: Those of them that hold, shape (held_count,).
+            held: Rows of what holds, shape (held_count, 3 node_count).
             own: Their compliance, shape (held_count, held_count).
         """
-        self._factorization, self.H = factorization, H.transposed(node_count).T
-        self._held = self.H[held]
-        self.by_efforts = self._moves(self._held.T)
-        self._M = self._held @ self.by_efforts + own
-        # A row that reaches no unknown holds nothing; redundant rows share the load.
-        diagonal = self._M.diagonal()
-        self._M[np.diag_indices_from(self._M)] += np.where(diagonal > 0.0, SHARING * diagonal, 1.0)
+        self._factorization, self._held = factorization, held
+        self._by_efforts = self._moves(self._held.T)
+        self._M = self._held @ self._by_efforts + own
+        self._M[np.diag_indices_from(self._M)] += sharing(self._M.diagonal())
 
     def _moves(self, forces: np.ndarray) -> np.ndarray:
         """A⁻¹ of forces, shape (3 node_count, load_count)."""
@@ -171,7 +164,7 @@ class _Condensed:
         moves, sign = self._moves(above), -1.0 if transposed else 1.0
         M = self._M.T if transposed else self._M
         multipliers = np.linalg.solve(M, below - sign * (self._held @ moves))
-        return moves + sign * (self.by_efforts @ multipliers), multipliers
+        return moves + sign * (self._by_efforts @ multipliers), multipliers
 
 
 class Sensitivities(HeldTangent):
@@ -225,11 +218,7 @@ class Sensitivities(HeldTangent):
             (actuator_row_count, row_count). Nothing by effectors.
         """
         system, a = self._system()
-        if rows is None:
-            own = system.H[system.H.shape[0] - 3 * self._count :]
-            above = own if isinstance(own, np.ndarray) else own.toarray()
-        else:
-            above = rows.reshape(len(rows), -1)
+        above = self._effectors if rows is None else rows.reshape(len(rows), -1)
         forces, multipliers = system.solve(
             above.T, np.zeros((len(self._held.places), len(above))), transposed=True)
         displacements = np.zeros((a, len(above)))
@@ -251,15 +240,14 @@ class Sensitivities(HeldTangent):
         Raises:
             SensitivityError: A derivative does not exist at this state.
         """
-        count, (system, a) = len(parameters), self._system()
+        count, (_, a) = len(parameters), self._system()
         none = (np.empty((*shape, 0)) for shape in
                 ((self._model.nodes.free_node_count, 3), (a,), (self._count, 3), ()))  # fmt: skip
         loads = [self.loads(one, holds_setpoints) for one in parameters]
         forces, displacements, explicit, roughness = (
             (np.stack(parts, -1) for parts in zip(*loads, strict=True)) if count else none)
         answer = self.solve_sensitivity(forces, displacements)
-        own = system.H[system.H.shape[0] - 3 * self._count :]
-        carried = own @ answer.moves.reshape(own.shape[1], count)
+        carried = self._effectors @ answer.moves.reshape(self._effectors.shape[1], count)
         effectors = explicit + carried.reshape(self._count, 3, count)
         return Sensitivity(tuple(parameters), effectors, answer.efforts, answer.moves, roughness)
 
@@ -274,7 +262,7 @@ class Sensitivities(HeldTangent):
             SensitivityError: The derivative does not exist at this state.
         """
         self._system()
-        scene, value = self._model.scene, parameter.read(self._model.scene)
+        value = parameter.read(self._model.scene)
         step, sides = STEP_SHARE * self._scale(parameter.unit, value), dict[int, AtState]()
         for side in (1, -1, 2, -2):
             if len(sides) == 2 or (side == 2 and 1 not in sides):
@@ -290,8 +278,8 @@ class Sensitivities(HeldTangent):
         if self._middle is None:
             self._middle = self._evaluated(self._terms(None, 0, 0.0))
             self._check_balance()
-        for found in sides.values():
-            self._check(parameter.key, found)
+        for other in sides.values():
+            self._check(parameter.key, other)
         middle, *others = (one.loads(holds_setpoints) for one in (self._middle, *sides.values()))
         found = [_derivative(tuple(sides), step, *parts) for parts in zip(middle, *others, strict=True)]
         slopes, differences = zip(*found[:-1], strict=True)
@@ -336,11 +324,10 @@ class Sensitivities(HeldTangent):
             held = self._held = self._holding(self.by_effort)
             rows, own = self._rows(state.positions, held), held.own_of_places
             A, self._middle = self._definite(state.positions), None
-            if A is None:
-                self._solver = self._saddle(rows, held)
-            else:
-                count = self._model.nodes.free_node_count
-                self._solver = _Condensed(A, rows.H, count, held.places, own)
+            H = rows.H.transposed(self._model.nodes.free_node_count).T
+            self._effectors = H[len(H) - 3 * self._count :]
+            self._solver = (self._saddle(rows, held) if A is None
+                            else _Condensed(A, H[held.places], own))
             self._at = state, by_effort
         return self._solver, len(self._held.held)
 
@@ -379,18 +366,13 @@ class Sensitivities(HeldTangent):
         rows.evaluate(positions)
         rows.add_forces(rows.multipliers(state.efforts), forces)
         a = rows.groups.actuators
-        paths, stretch = rows.values[a].copy(), rows.stretch_compliance()
-        if stretch is not None:
-            paths += stretch * state.efforts[a]
         drives = np.where(actuators.is_effort_driven, 0.0, actuators.drives(state.setpoints))[a]
-        effectors = np.empty(0)
-        if terms.effectors is not None:
-            points = along_all_axes(terms.effectors, nodes.free_index, nodes.size)
-            own_rows = RowStack([points], nodes.carried)
-            own_rows.evaluate(positions)
-            effectors = own_rows.values
-        return AtState(forces, paths, drives, effectors.reshape(-1, 3), nodes.rest_positions,
-                       terms.layout.scene)  # fmt: skip
+        effectors = effector_rows(terms.effectors, nodes)
+        effectors.evaluate(positions)
+        return AtState(
+            forces, rows.actuator_paths(state.efforts[a]), drives, effectors.values.reshape(-1, 3),
+            nodes.rest_positions, terms.layout.scene,
+        )  # fmt: skip
 
     def _check(self, key: str, other: AtState) -> None:
         """Refuses a parameter by which the terms cannot be compared."""

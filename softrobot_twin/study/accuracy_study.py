@@ -33,7 +33,7 @@ from softrobot_twin.mechanics.element_kinds import HEXAHEDRAL
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.scene.body_entries import Material, Mesh, Reduced, Region
 from softrobot_twin.scene.entry import expanded
-from softrobot_twin.scene.loading import read_changes, read_yaml, written_out
+from softrobot_twin.scene.loading import changes_of, read_yaml, written_out
 from softrobot_twin.scene.scene_changes import unlimited, with_mesh_file, with_newton
 from softrobot_twin.scene.scene_parameters import with_values
 from softrobot_twin.simulation import (
@@ -80,7 +80,7 @@ def write_scene_copy(
         OutputError: The file cannot be written.
     """
     content = expanded(Scene, written_out(read_yaml(original.read_text(encoding="utf-8"))))
-    content = with_values(content, chosen, read_changes(getattr(original, "changes", ())))
+    content = with_values(content, chosen, changes_of(original))
     body = content["body"]
     body["mesh"] = expanded(Mesh, body["mesh"])
     folder = path.resolve().parent

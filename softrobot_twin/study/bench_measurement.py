@@ -28,7 +28,7 @@ from softrobot_twin.errors import NamedError, SoftRobotTwinError
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.scene.actuator_entries import Cable
 from softrobot_twin.scene.body_entries import Body, BoxMesh, BoxRegion, Mesh, Region
-from softrobot_twin.scene.loading import read_changes
+from softrobot_twin.scene.loading import changes_of
 from softrobot_twin.scene.scene_changes import with_mesh_file
 from softrobot_twin.scene.scene_parameters import changed_scene
 from softrobot_twin.scene.schema import Effector
@@ -404,8 +404,8 @@ def given_cases(paths: list[Path], commands: Path | None = None) -> list[BenchCa
     for path in paths:
         known = [case for case in ours if path.is_file() and case.scene.path.samefile(path)]
         if known and commands is None:
-            changes = read_changes(getattr(path, "changes", ()))
-            cases += [case._replace(scene=changed_scene(case.scene, changes)) for case in known]
+            cases += [case._replace(scene=changed_scene(case.scene, changes_of(path)))
+                      for case in known]
             continue
         scene = load_scene(path)
         family = "the given scenes" + (", reduced" if is_reduced(scene) else "")

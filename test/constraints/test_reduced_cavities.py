@@ -13,6 +13,7 @@ from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.geometry.surface import boundary_triangles
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.cavity_surfaces import CavitySurface
+from test.spheres import cut_on_sphere
 
 SIZE = np.array([0.2, 0.3, 0.4])
 # Coordinate nodes among the free nodes of a scene; the others belong to something else.
@@ -188,15 +189,7 @@ def sphere(cuts):
     points = np.vstack([np.eye(3), -np.eye(3)])
     triangles = np.array([[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2],
                           [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]])  # fmt: skip
-    for _ in range(cuts):
-        halves = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2), axis=2)
-        edges, place = np.unique(halves.reshape(-1, 2), axis=0, return_inverse=True)
-        (a, b, c), (ab, bc, ca) = triangles.T, len(points) + place.reshape(-1, 3).T
-        middle = points[edges].mean(axis=1)
-        points = np.vstack([points, middle / np.linalg.norm(middle, axis=1, keepdims=True)])
-        parts = ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))
-        triangles = np.concatenate([np.stack(part, axis=1) for part in parts])
-    return points, triangles
+    return cut_on_sphere(points, triangles, cuts)
 
 
 def balloon(modes, name="air", centre=(0.3, -0.2, 0.5), nodes=(0,)):

@@ -17,6 +17,7 @@ from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import Hold, Simulation, State, Status
 from test.builder import builder
 from test.scene_changes import change_scene, repeat_step
+from test.spheres import cut_on_sphere
 
 SCENE_FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "diamond.yaml"
 MAPPING = written_out(yaml.safe_load(SCENE_FILE.read_text()))
@@ -268,15 +269,7 @@ def icosphere(level):
     triangles = np.array(
         [t if np.linalg.det(points[list(t)]) > 0.0 else t[::-1] for t in triangles]
     )
-    for _ in range(level):
-        halves = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2), axis=2)
-        edges, place = np.unique(halves.reshape(-1, 2), axis=0, return_inverse=True)
-        (a, b, c), (ab, bc, ca) = triangles.T, len(points) + place.reshape(-1, 3).T
-        middle = points[edges].mean(axis=1)
-        points = np.vstack([points, middle / np.linalg.norm(middle, axis=1, keepdims=True)])
-        parts = ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))
-        triangles = np.concatenate([np.stack(part, axis=1) for part in parts])
-    return points, triangles
+    return cut_on_sphere(points, triangles, level)
 
 
 @builder

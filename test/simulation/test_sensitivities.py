@@ -151,3 +151,12 @@ def test_a_state_restores_into_a_scene_with_other_numbers(finger):
     softer = Simulation(other, with_warnings=False)
     softer.restore(finger.state)
     assert np.array_equal(softer.state.positions, finger.state.positions)
+
+
+def test_a_scene_without_effectors_has_derivatives_of_efforts(finger):
+    alone = Simulation(finger.scene.changed(effectors=()), with_warnings=False)
+    alone.restore(finger.state)
+    chosen = parameters(finger.scene, "body.material.young_modulus")
+    own, whole = (Sensitivities(one).of_parameters(chosen) for one in (alone, finger))
+    assert own.effectors.shape == (0, 3, 1)
+    np.testing.assert_allclose(own.efforts, whole.efforts, rtol=1e-9)

@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from softrobot_twin.scene import scene_from_mapping
+from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.colours import tension_colours
 from softrobot_twin.view import Drawn, Entity, Frame, Plot, Stage
 
@@ -188,3 +190,22 @@ def draw(stage, tmp_path, read_recording):
         return read_recording(path)
 
     return draw
+
+
+@pytest.fixture
+def oriented_rod():
+    """Makes a beam, held at its start, with an effector at its tip that asks for an orientation."""
+
+    def make(orientation) -> Simulation:
+        return Simulation(scene_from_mapping({
+            "name": "rod", "gravity": [0, 0, 0],
+            "beams": [{
+                "name": "rod", "elements": 2, "fixed": "start", "points": [[0, 0, 0], [0, 0, 0.2]],
+                "section": {"circle": {"radius": 0.002}},
+                "material": {"young_modulus": 35e6, "poisson_ratio": 0.45, "density": 1220},
+            }],
+            "effectors": [{"name": "tip", "body": "rod", "points": [[0, 0, 0.2]],
+                           "orientation": orientation}],
+        }))  # fmt: skip
+
+    return make

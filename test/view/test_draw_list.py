@@ -80,16 +80,8 @@ def test_touches_show_points_and_scaled_forces():
     assert np.shape(drawn["/touches/forces"].vectors) == (len(simulation.touch_names), 3)
 
 
-def test_an_effector_that_points_shows_the_one_axis():
-    beam = {
-        "name": "rod", "elements": 2, "fixed": "start", "points": [[0, 0, 0], [0, 0, 0.2]],
-        "section": {"circle": {"radius": 0.002}},
-        "material": {"young_modulus": 35e6, "poisson_ratio": 0.45, "density": 1220},
-    }  # fmt: skip
-    simulation = Simulation(scene_from_mapping({
-        "name": "rod", "gravity": [0, 0, 0], "beams": [beam], "effectors": [
-            {"name": "tip", "body": "rod", "points": [[0, 0, 0.2]],
-             "orientation": {"pointing": [0, 3, 0]}}]}))  # fmt: skip
+def test_an_effector_that_points_shows_the_one_axis(oriented_rod):
+    simulation = oriented_rod({"pointing": [0, 3, 0]})
     _, drawn = listed(simulation)
     axes = drawn["/robot/effector_axes"]
     assert axes.vectors == pytest.approx(np.array([[0.0, 0.1 * simulation.model.nodes.size, 0.0]]))

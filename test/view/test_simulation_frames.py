@@ -134,15 +134,8 @@ def test_several_beams_are_one_surface():
     np.testing.assert_array_equal(found, np.concatenate(wanted))
 
 
-def test_orientations_of_effectors_and_targets_are_axes():
-    beam = {
-        "name": "rod", "elements": 2, "fixed": "start", "points": [[0, 0, 0], [0, 0, 0.2]],
-        "section": {"circle": {"radius": 0.002}},
-        "material": {"young_modulus": 35e6, "poisson_ratio": 0.45, "density": 1220},
-    }  # fmt: skip
-    simulation = Simulation(scene_from_mapping({
-        "name": "rod", "gravity": [0, 0, 0], "beams": [beam], "effectors": [
-            {"name": "tip", "body": "rod", "points": [[0, 0, 0.2]], "orientation": {}}]}))  # fmt: skip
+def test_orientations_of_effectors_and_targets_are_axes(oriented_rod):
+    simulation = oriented_rod({})
     turn = Rotation.from_euler("z", 90.0, degrees=True)
     stage, none, _ = frame_of(simulation)
     _, turned, _ = frame_of(simulation, target_orientations=turn.as_quat()[None])

@@ -35,9 +35,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.constraints.effector import along_all_axes
+from softrobot_twin.constraints.effector import Effectors, along_all_axes
 from softrobot_twin.constraints.row_stack import RowStack, add_row_forces
 from softrobot_twin.mechanics.force_term import SECOND_DIFFERENCE
+from softrobot_twin.mechanics.kinematics import Nodes
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.step.linearized import LinearizedState
 
@@ -130,6 +131,29 @@ class StiffnessRows(NamedTuple):
         return k - k * k * (moved + found.by_effort @ change)
 
 
+def effector_rows(effectors: Effectors | None, nodes: Nodes) -> RowStack:
+    """Three rows for each effector, whatever directions a scene controls.
+
+    Args:
+        effectors: The effectors of a scene; None without any.
+        nodes: The nodes of the scene.
+    """
+    points = [] if effectors is None else [along_all_axes(effectors, nodes.free_index, nodes.size)]
+    return RowStack(points, nodes.carried)
+
+
+def sharing(diagonal: np.ndarray) -> np.ndarray:
+    """What is added to the compliances of rows that hold, so that redundant ones share a load.
+
+    Args:
+        diagonal: Compliance of each row by itself, shape (row_count,).
+
+    Returns:
+        Same shape. A row that reaches no unknown holds nothing.
+    """
+    return np.where(diagonal > 0.0, SHARING * diagonal, 1.0)
+
+
 class ApparentStiffness:
     """Finds the apparent compliance of the effectors of one scene, and its derivatives."""
 
@@ -143,8 +167,7 @@ class ApparentStiffness:
         """
         self._model, self._free_nodes = model, model.nodes.free_nodes
         self._reach, self._push = REACH * model.nodes.size, PUSH * model.nodes.size
-        points = along_all_axes(model.effectors, model.nodes.free_index, model.nodes.size)
-        rows = RowStack([points], model.nodes.carried)
+        rows = effector_rows(model.effectors, model.nodes)
         rows.evaluate(model.nodes.rest_positions)
         self._loads = rows.row_index, rows.node_index, rows.blocks
         # Rows of axes that the scene controls, which are condensed already.
