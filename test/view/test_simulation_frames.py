@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import Hold, Simulation
 from softrobot_twin.view import ViewError
 from softrobot_twin.view.simulation_frames import SimulationFrames
