@@ -6,6 +6,7 @@ A driver of real hardware implements `Device`. `MeasuredSetpoints` keeps what a 
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
 
@@ -23,6 +24,10 @@ OUTSIDE_SHARE = 0.1
 OUTSIDE_SHARE_OF_REST = 0.01
 """It may be outside them by this share of the setpoint at rest, if that is more."""
 
+PAST = 1024
+"""Measurements that are kept, to tell the setpoints when a camera saw the robot."""
+NEAR = 0.1
+"""Setpoints of a moment are known when they were measured within this time of it [s]."""
 
 _OF_ALL = ""
 """Key of the message that measures all actuators, beside the names of cavities."""
@@ -188,6 +193,7 @@ class MeasuredSetpoints(ActuatorInput):
         arrived: Time of arrival of the newest setpoint of each actuator [s], same shape; minus
             infinity before the first.
         places: Whether they are measured at two places by turns; the newer place is not used then.
+        past: Times of the last measurements on the clock of `Arrival.time` [s], and their setpoints.
     """
 
     def __init__(
@@ -213,6 +219,7 @@ class MeasuredSetpoints(ActuatorInput):
         super().reset()
         self.arrived = np.full(len(self._low), -np.inf)
         self.places = PlaceWatch(*self._moves)
+        self.past: deque[tuple[float, np.ndarray]] = deque(maxlen=PAST)
         self._measured = np.full(len(self._low), np.nan)
         self._implausible: dict[str, ImplausibleSetpoint] = {}
 
@@ -224,7 +231,10 @@ class MeasuredSetpoints(ActuatorInput):
     def accept(self, names: Sequence[str], setpoints, efforts, arrival) -> Refusal | None:
         """Checks one message and keeps it; see `ActuatorInput.accept`."""
         self._implausible.pop(_OF_ALL, None)
-        return super().accept(names, setpoints, efforts, arrival)
+        refusal = super().accept(names, setpoints, efforts, arrival)
+        if refusal is None and self.setpoints is not None:
+            self.past.append((arrival.time - arrival.age, self.setpoints))
+        return refusal
 
     def put(self, places: np.ndarray, setpoints: np.ndarray, time: float) -> Refusal | None:
         """Keeps measured setpoints of some actuators; see `ActuatorInput.put`."""
@@ -234,7 +244,31 @@ class MeasuredSetpoints(ActuatorInput):
         if self._find_implausible(measured, name):
             return Refusal.OUT_OF_RANGE
         self._take(~np.isnan(measured), measured, time)
+        if self.setpoints is not None:
+            self.past.append((time, self.setpoints))
         return None
+
+    def at(self, time: float) -> np.ndarray | None:
+        """Setpoints at a time, between two measurements or next to one.
+
+        Args:
+            time: On the clock of `Arrival.time` [s].
+
+        Returns:
+            In the unit of each actuator's kind, shape (actuator_count,); None where nothing was
+            measured within `NEAR` of it.
+        """
+        earlier = later = None
+        for one in reversed(self.past):
+            if one[0] <= time:
+                earlier = one
+                break
+            later = one
+        near = [one for one in (earlier, later) if one is not None and abs(one[0] - time) <= NEAR]
+        if len(near) < 2:
+            return near[0][1] if near else None
+        (start, before), (end, behind) = near
+        return before + (time - start) / (end - start) * (behind - before)
 
     def put_efforts(self, places: np.ndarray, efforts: np.ndarray) -> None:
         """Keeps measured efforts of some actuators; the others stay.

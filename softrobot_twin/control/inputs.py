@@ -311,6 +311,7 @@ class MarkerInput(Input):
         positions: Measured positions [m], shape (marker_count, 3); NaN for hidden markers.
         hidden: The array that `measured` gives when they are too old, all NaN.
         stamp: Time of the measurement [ns].
+        time: The same on the clock of `Arrival.time` [s].
     """
 
     def __init__(self, marker_ids: np.ndarray, frame_id: str, settings: LoopSettings):
@@ -323,7 +324,7 @@ class MarkerInput(Input):
     def reset(self) -> None:
         """Forgets the measurements; the counts stay."""
         super().reset()
-        self.positions, self.stamp = self.hidden, 0
+        self.positions, self.stamp, self.time = self.hidden, 0, -math.inf
 
     @latched
     def accept(self, ids: np.ndarray, positions: np.ndarray, arrival: Arrival) -> Refusal | None:
@@ -343,7 +344,7 @@ class MarkerInput(Input):
             return Refusal.NOT_FINITE
         if len(np.unique(ids)) != len(ids):
             return Refusal.DUPLICATE_ID
-        self.stamp = arrival.stamp or arrival.ros_time
+        self.stamp, self.time = arrival.stamp or arrival.ros_time, arrival.time - arrival.age
         measured = np.full_like(self.positions, np.nan)
         known = np.isin(ids, self._sorted_ids)
         measured[self._order[np.searchsorted(self._sorted_ids, ids[known])]] = positions[known]

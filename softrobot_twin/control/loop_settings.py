@@ -84,7 +84,9 @@ class LoopSettings:
             limited [m].
         workspace_max: Its upper corner [m].
         closed_loop: Correct the targets by the measured markers.
-        correction_gain: Gain k_i of that correction [1/s].
+        misfit_rate: Rate at which that correction follows the misfit of the markers [1/s].
+        correction_gain: Gain k_i of the integrator that stands in for it where setpoints are not
+            measured [1/s].
         correction_limit: Greatest length of the correction [m].
         marker_timeout: Markers count as lost after this time without any [s].
         on_lost_markers: What to do then, in closed loop.
@@ -108,6 +110,7 @@ class LoopSettings:
     workspace_min: tuple[float, float, float] = (-1.0, -1.0, -1.0)
     workspace_max: tuple[float, float, float] = (1.0, 1.0, 1.0)
     closed_loop: bool = False
+    misfit_rate: float = number("1/s", 20.0)
     correction_gain: float = number("1/s", 2.0)
     correction_limit: float = number("m", 0.01)
     marker_timeout: float = number("s", 0.5, above_zero=True)

@@ -5,9 +5,6 @@ Markers are compared with the model's markers at the time of the measurement.
 
 from __future__ import annotations
 
-from bisect import bisect_left
-from collections import deque
-from operator import itemgetter
 from statistics import median
 
 import numpy as np
@@ -37,62 +34,6 @@ _LENGTH_OF_NOISE = 1.6
 _NEIGHBOURS = 3
 
 
-class MarkerHistory:
-    """A ring buffer with the model's markers at the last ticks.
-
-    Camera, network and device delay the measured markers. Their difference from the model's markers
-    of the same moment is the model's error. Their difference from the present markers would consist
-    mostly of the robot's motion, and a correction by it would make the loop oscillate.
-
-    Args:
-        capacity: Number of ticks to keep.
-    """
-
-    def __init__(self, capacity: int = 256):
-        self._ticks: deque[tuple[int, np.ndarray]] = deque(maxlen=capacity)
-
-    def add(self, time: int, markers: np.ndarray) -> None:
-        """Adds a tick in place of the oldest.
-
-        Args:
-            time: Time of the tick [ns]; when the clock was set back, a new history starts.
-            markers: Markers of the model [m], shape (marker_count, 3); they must not be changed any
-                more.
-        """
-        if self._ticks and time < self._ticks[-1][0]:
-            self._ticks.clear()
-        self._ticks.append((time, markers))
-
-    def at(self, time: int) -> np.ndarray:
-        """Markers of the model at a time [ns], interpolated linearly between two ticks.
-
-        Before the oldest tick they are those of the oldest, after the newest those of the newest.
-
-        Args:
-            time: The time on the clock of stamps [ns].
-
-        Returns:
-            Positions [m], shape (marker_count, 3).
-
-        Raises:
-            LookupError: There is no tick yet.
-        """
-        if not self._ticks:
-            raise LookupError("there is no tick yet")
-        if time > self._ticks[-1][0]:
-            return self._ticks[-1][1].copy()
-        after = bisect_left(self._ticks, time, key=itemgetter(0))
-        if not after:
-            return self._ticks[0][1].copy()
-        (left, before), (right, behind) = self._ticks[after - 1], self._ticks[after]
-        share = (time - left) / (right - left)
-        return (1.0 - share) * before + share * behind
-
-    def forget(self) -> None:
-        """Starts a new history."""
-        self._ticks.clear()
-
-
 class MarkerPlausibility:
     """Compares the misfit of each marker with its expected value, frame by frame.
 
@@ -115,6 +56,7 @@ class MarkerPlausibility:
 
     Attributes:
         left_out: Ids of the markers of the newest frame that are not accepted.
+        noise: Standard deviation of each coordinate of a marker, as it is estimated [m].
     """
 
     def __init__(self, simulation: Simulation):
@@ -135,7 +77,7 @@ class MarkerPlausibility:
         self._seen_at = np.zeros(count)
         self._out = np.zeros(count, dtype=bool)
         self.left_out: tuple[int, ...] = ()
-        self._noise = _FIRST_NOISE_SHARE * self._size
+        self.noise = _FIRST_NOISE_SHARE * self._size
         self._frames = 0
         self._stamp = 0
 
@@ -188,7 +130,7 @@ class MarkerPlausibility:
         deviations = np.where(in_company, apart, np.where(known, as_seen, np.nan))
         if self._frames < _FIRST_FRAMES:
             self._learn_noise(deviations[seen & in_company])
-        noise = NOISE_FACTOR * self._noise
+        noise = NOISE_FACTOR * self.noise
         tolerance = noise + JUMP_SHARE * self._size
         with np.errstate(invalid="ignore"):
             possible = np.linalg.norm(misfits, axis=1) <= GREATEST_MISFIT * self._size + noise
@@ -223,9 +165,9 @@ class MarkerPlausibility:
             return
         learning = max(_NOISE_LEARNING, 1.0 / (1.0 + self._frames))
         # Limited, because one frame or one wrong marker could raise the noise without bound.
-        most = max(3.0 * self._noise, _FIRST_NOISE_SHARE * self._size)
+        most = max(3.0 * self.noise, _FIRST_NOISE_SHARE * self._size)
         typical = min(median(deviations.tolist()) / _LENGTH_OF_NOISE, most)
-        self._noise += learning * (typical - self._noise)
+        self.noise += learning * (typical - self.noise)
 
     def _votes(self, seen: np.ndarray) -> np.ndarray:
         """Number of visible markers around each one, including itself, shape (marker_count,)."""

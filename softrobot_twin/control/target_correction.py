@@ -1,12 +1,16 @@
-"""From targets to the aims of a step: measured effectors, correction by integration, approach.
+"""From targets to the aims of a step: measured effectors, correction by the misfit, approach.
 
-Effectors are measured by markers. In closed loop an integrator adds the model's error, measured
-minus predicted effector, to each target. A far target is approached on a straight line.
+Effectors are measured by markers. In closed loop each target is moved against the model's error. The
+error is the misfit: measured minus predicted effector, where the actuators of the model were as those
+of the robot were measured. Where setpoints are not measured, this moment is not known, and an
+integrator of the distance from the target stands in. A far target is approached on a straight line.
 """
 
 from __future__ import annotations
 
 import math
+from enum import Enum
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -14,6 +18,7 @@ from scipy.spatial.transform import Rotation
 from softrobot_twin.control.inputs import Misfit
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.loop_timing import NANOSECONDS
+from softrobot_twin.control.model_history import Moment
 from softrobot_twin.simulation import Simulation, Status
 
 GREATEST_SHARE = 0.4
@@ -21,6 +26,47 @@ GREATEST_SHARE = 0.4
 rare. The markers show the effect of a command that was sent about one measurement earlier. With
 this delay an integrator oscillates when a measurement adds the whole error, and it settles fastest
 when a measurement adds a quarter of it."""
+MISFIT_SHARE = 0.35
+"""The correction follows at most this share of a change of the misfit per measurement. It is stable
+so, for delays of any length, where the robot moves up to twice as far as the model."""
+CALM_FACTOR, CALM_LEAST = 0.9, 0.1
+"""At a target that stands, each change that may be noise makes this share smaller by a factor, down to
+a least one, so that noise moves a resting robot little."""
+NOISE_FACTOR = 3.0
+"""A change up to so many standard deviations may be noise."""
+UNALIGNED_TIME = 1.0
+"""The integrator takes over when no measurement fitted to a moment of the model for this time [s]."""
+LEAST_SPREAD = 0.01
+"""Markers determine a rotation when they are spread in two directions by this share of the robot's
+size, as standard deviation."""
+
+
+class Law(Enum):
+    """How the correction of the targets is found. The value is the word that diagnostics show."""
+
+    NONE = "none"
+    """The loop is open, or nothing was measured yet."""
+    MISFIT = "misfit"
+    """It follows the misfit of the moment that was measured."""
+    INTEGRATOR = "integrator"
+    """It integrates the distance from the target: measured setpoints do not tell the moment."""
+
+
+class EffectorMisfit(NamedTuple):
+    """Measured minus predicted pose of each effector at one moment.
+
+    Attributes:
+        positions: Difference of positions [m], NaN where no marker is visible, shape
+            (effector_count, 3).
+        seen: How many markers tell it, shape (effector_count,).
+        turns: Rotation vector from the predicted to the measured orientation [rad], NaN where the
+            markers do not determine it, shape (effector_count, 3); None where no effector asks for
+            an orientation.
+    """
+
+    positions: np.ndarray
+    seen: np.ndarray
+    turns: np.ndarray | None = None
 
 
 def approach(positions: np.ndarray, aims: np.ndarray, reach: float) -> np.ndarray:
@@ -82,7 +128,8 @@ def approach_poses(
 class EffectorMeasurement:
     """Moves each predicted effector by the mean misfit of its markers.
 
-    Markers measure positions. Orientations are not measured: they are led by the model alone.
+    The orientation of an effector that asks for one is measured too, where three markers or more
+    stand apart.
 
     Args:
         simulation: Has the markers of each effector and its controlled directions.
@@ -90,6 +137,9 @@ class EffectorMeasurement:
 
     def __init__(self, simulation: Simulation):
         self._markers = simulation.effector_markers
+        self._oriented = simulation.oriented_effectors
+        size = simulation.model.nodes.size
+        self._least_spread = LEAST_SPREAD * (size if np.isfinite(size) else 1.0)
         self._controlled = np.array(
             [axis in effector.directions for effector in simulation.scene.effectors for axis in "xyz"],
             bool,
@@ -118,6 +168,32 @@ class EffectorMeasurement:
             if len(vectors):
                 measured[effector] = predicted[effector] + vectors.mean(axis=0)
         return measured
+
+    def misfit(self, measured: np.ndarray, model: Moment) -> EffectorMisfit:
+        """What the measured markers tell of the effectors.
+
+        Args:
+            measured: Measured markers [m], shape (marker_count, 3); NaN for hidden markers.
+            model: The model at the moment of the measurement.
+        """
+        count = len(self._markers)
+        found, counts = np.full((2, count, 3), np.nan), np.zeros(count, np.int64)
+        for effector, indices in enumerate(self._markers):
+            seen = indices[np.isfinite(measured[indices]).all(axis=1)]
+            counts[effector] = len(seen)
+            if not len(seen):
+                continue
+            before, after = model.markers[seen], measured[seen]
+            shift = after.mean(axis=0) - before.mean(axis=0)
+            found[0, effector] = shift
+            if not self._oriented[effector]:
+                continue
+            turn = _rotation(before, after, self._least_spread)
+            if turn is not None:
+                arm = model.effectors[effector] - before.mean(axis=0)
+                found[0, effector] = shift + turn.apply(arm) - arm
+                found[1, effector] = turn.as_rotvec()
+        return EffectorMisfit(found[0], counts, found[1] if any(self._oriented) else None)
 
     def controlled(self, targets: np.ndarray, positions: np.ndarray) -> np.ndarray:
         """Targets in the controlled directions, positions in the others [m], same shape.
@@ -152,43 +228,129 @@ class EffectorMeasurement:
         return np.sqrt((differences * differences).sum(axis=1))
 
 
-class TargetCorrection:
-    """A discrete integrator with anti-windup: c ← c + k_i Δt (target − measured effector).
+def _rotation(before: np.ndarray, after: np.ndarray, least_spread: float) -> Rotation | None:
+    """The rotation that turns points best (Kabsch 1976); None where they do not determine it.
 
-    It integrates once per measurement, not once per tick, so that each measurement counts once. The
-    length of the correction is limited. While an actuator cannot follow, only changes that make the
-    correction shorter are accepted. Without a measurement the correction does not change: the last
-    one is the best estimate of the model's error.
+    Args:
+        before: The points [m], shape (n, 3).
+        after: Where they are after it [m], same shape.
+        least_spread: Standard deviation of the points along the second of their main axes that they
+            must have [m].
+    """
+    before, after = before - before.mean(axis=0), after - after.mean(axis=0)
+    if len(before) < 3:
+        return None
+    spread = np.linalg.svd(before, compute_uv=False)[1] / math.sqrt(len(before))
+    return Rotation.align_vectors(after, before)[0] if spread >= least_spread else None
+
+
+class TargetCorrection:
+    """What is added to each target, so that the robot and not the model reaches it.
+
+    Where the moment of a measurement is known, the correction c follows the misfit m, which is the
+    model's error: c ← c + a (−m − c). The model's own motion is no part of m, so a delay does not
+    let it overshoot. Otherwise it is a discrete integrator with anti-windup:
+    c ← c + k_i Δt (target − measured effector). While an actuator cannot follow, only changes that
+    make the correction shorter are accepted.
+
+    It changes once per measurement, not once per tick, so that each measurement counts once. The
+    length of the correction is limited. Without a measurement the correction does not change: the
+    last one is the best estimate of the model's error.
 
     Args:
         effector_count: Number of effectors of the simulation.
 
     Attributes:
         offsets: Correction c of each target [m], shape (effector_count, 3).
+        turns: Rotation vector by which each wanted orientation is turned [rad], same shape.
+        law: How they were found last.
     """
 
     def __init__(self, effector_count: int):
-        self.offsets = np.zeros((effector_count, 3))
-        self._stamp = 0
+        self.offsets, self.turns = np.zeros((2, effector_count, 3))
+        self.law = Law.NONE
+        self._stamp = self._aligned = 0
+        self._calm = 1.0
 
-    def tick(
-        self, settings: LoopSettings, stamp: int, errors: np.ndarray | None, status: Status
-    ) -> None:
-        """Integrates each new measurement in closed loop; in open loop the correction decays.
+    @property
+    def is_any(self) -> bool:
+        """Whether any target is moved or turned."""
+        return bool(self.offsets.any() or self.turns.any())
+
+    def turned(self, wanted: np.ndarray) -> np.ndarray:
+        """Wanted orientations, each turned by its correction.
 
         Args:
-            settings: Whether the loop is closed, gain and limit.
-            stamp: Time of the newest measurement [ns]; an old one is not integrated again.
+            wanted: Quaternions (x, y, z, w), NaN where free, shape (effector_count, 4).
+        """
+        turned = wanted.copy()
+        for effector in np.flatnonzero(self.turns.any(axis=1) & np.isfinite(wanted).all(axis=1)):
+            correction = Rotation.from_rotvec(self.turns[effector])
+            turned[effector] = (correction * Rotation.from_quat(wanted[effector])).as_quat()
+        return turned
+
+    def is_new(self, stamp: int) -> bool:
+        """Whether a measurement has not been used yet.
+
+        Args:
+            stamp: Its time [ns].
+        """
+        return stamp != self._stamp
+
+    def tick(
+        self, settings: LoopSettings, stamp: int, errors: np.ndarray | None,
+        misfit: EffectorMisfit | None, status: Status, noise: float = 0.0,
+    ) -> None:  # fmt: skip
+        """Uses each new measurement in closed loop; in open loop the correction decays.
+
+        Args:
+            settings: Whether the loop is closed, gains and limit.
+            stamp: Time of the newest measurement [ns]; an old one is not used again.
             errors: See `update`; None while the effectors do not follow targets.
+            misfit: That of the moment that was measured; None where this moment is not known.
             status: Status of the last step.
+            noise: Standard deviation of each coordinate of a marker [m], where the targets stand
+                and are reached; else 0.
         """
         since, self._stamp = (stamp - self._stamp) / NANOSECONDS, stamp
         if not settings.closed_loop:
+            self.law = Law.NONE
             self.fade(settings.period, settings.correction_gain)
-        elif errors is not None and since != 0.0:
+        elif errors is None or since == 0.0:
+            return
+        elif misfit is not None:
+            self.law, self._aligned = Law.MISFIT, stamp
+            share = min(-math.expm1(-settings.misfit_rate * abs(since)), MISFIT_SHARE)
+            self.follow(misfit, share, settings.correction_limit, noise)
+        elif abs(stamp - self._aligned) > UNALIGNED_TIME * NANOSECONDS:
+            self.law = Law.INTEGRATOR
             self.update(
                 errors, abs(since), status, settings.correction_gain, settings.correction_limit
             )
+
+    def follow(
+        self, misfit: EffectorMisfit, share: float, limit: float, noise: float = 0.0
+    ) -> None:
+        """Follows the misfit of one measurement.
+
+        Args:
+            misfit: The misfit.
+            share: The share a of the change that is made.
+            limit: Greatest length of a correction [m].
+            noise: See `tick`.
+        """
+        changes = np.linalg.norm(misfit.positions + self.offsets, axis=1)
+        most = NOISE_FACTOR * noise * np.sqrt(3.0 / np.maximum(misfit.seen, 1))
+        is_calm = noise > 0.0 and bool((changes <= most)[misfit.seen > 0].all())
+        self._calm = max(CALM_FACTOR * self._calm, CALM_LEAST) if is_calm else 1.0
+        pairs = [(self.offsets, misfit.positions)]
+        if misfit.turns is not None:
+            pairs.append((self.turns, misfit.turns))
+        for corrections, misfits in pairs:
+            seen = np.isfinite(misfits).all(axis=1)
+            corrections[seen] += self._calm * share * (-misfits[seen] - corrections[seen])
+        lengths = np.linalg.norm(self.offsets, axis=1, keepdims=True)
+        self.offsets *= np.minimum(1.0, limit / np.maximum(lengths, np.finfo(float).tiny))
 
     def update(
         self, errors: np.ndarray, time_step: float, status: Status, gain: float, limit: float
@@ -225,7 +387,8 @@ class TargetCorrection:
             gain: Inverse of the time constant [1/s].
         """
         self.offsets *= math.exp(-gain * time_step)
+        self.turns *= math.exp(-gain * time_step)
 
     def reset(self) -> None:
         """Sets the correction to zero."""
-        self.offsets[:] = 0.0
+        self.offsets[:], self.turns[:] = 0.0, 0.0

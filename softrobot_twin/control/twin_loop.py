@@ -41,7 +41,8 @@ from softrobot_twin.control.loop_settings import (
     check_mode,
     check_settings,
 )
-from softrobot_twin.control.marker_checks import MarkerHistory, MarkerPlausibility
+from softrobot_twin.control.marker_checks import MarkerPlausibility
+from softrobot_twin.control.model_history import ModelHistory, Moment
 from softrobot_twin.control.target_correction import (
     EffectorMeasurement,
     TargetCorrection,
@@ -377,9 +378,12 @@ class TwinLoop:
         self._guidance = Guidance(simulation, self.poses)
         self.measurement = EffectorMeasurement(simulation)
         self.correction = TargetCorrection(len(simulation.effector_names))
-        self._history = MarkerHistory()
+        limits = simulation.limits
+        self._history = ModelHistory(limits.travel(limits.drive_scale), len(simulation.marker_ids),
+                                     len(simulation.effector_names))  # fmt: skip
         self._plausibility = MarkerPlausibility(simulation)
         self._is_lost = False
+        self._aimed = self._no_targets.targets
         self._ticked = self._released = -math.inf
         self._contested: dict[str, tuple[str, float]] = {}
         self._watch = DeviceWatch(simulation.limits)
@@ -634,10 +638,10 @@ class TwinLoop:
         touched = None if self.touches is None else self.touches.read(now)
         result, released, violated = self._step(command, touched, time.reach, cause)
         predicted = self.simulation.marker_positions()
-        self._history.add(ros_time, predicted)
+        self._remember(ros_time, predicted, result)
         measured, misfit = self._compare(seen, activity)
         effectors = self.measurement.effectors(result.effector_positions, misfit)
-        self._correct(activity, aims, effectors, result)
+        self._correct(activity, aims, effectors, measured, result)
         errors = self.measurement.errors(
             aims.reading.targets, result.effector_positions, effectors
         )
@@ -683,8 +687,7 @@ class TwinLoop:
         if result is None or not _commands_same(result, before.result):
             return None
         self._rest = _Rest(before, rest.command, rest.repeats + 1)
-        if len(before.predicted_markers):
-            self._history.add(ros_time, before.predicted_markers)
+        self._remember(ros_time, before.predicted_markers, result)
         if before.command is not None:
             self._released = now
         if self.targets is not None:
@@ -702,7 +705,7 @@ class TwinLoop:
             or any(one.age(now) <= settings.device_timeout for one in self._channels.values())
             or self.commands.age(now) <= settings.target_timeout
             or (targets is not None and targets.age(now) <= settings.target_timeout)
-            or bool(self.correction.offsets.any())
+            or self.correction.is_any
             or bool(self._contested)
         )
 
@@ -744,8 +747,8 @@ class TwinLoop:
             near = wanted if reach == math.inf else approach(positions, wanted, reach)
             return Aims(reading, wanted, near)
         aims, turns = approach_poses(
-            positions, wanted, self.simulation.effector_orientations(), reading.orientations,
-            self.simulation.lengths_per_radian, reach,
+            positions, wanted, self.simulation.effector_orientations(),
+            self.correction.turned(reading.orientations), self.simulation.lengths_per_radian, reach,
         )  # fmt: skip
         return Aims(reading, wanted, aims, turns)
 
@@ -884,23 +887,39 @@ class TwinLoop:
         if seen is self.markers.hidden:
             self._plausibility.judge(None, stamp, follows)
             return seen, Misfit(seen, math.nan, 0)
-        expected = self._history.at(stamp)
+        expected = self._history.at(stamp).markers
         self._plausibility.judge(seen - expected, stamp, follows)
         measured = self._plausibility.without_left_out(seen)
         return measured, self.markers.misfit(measured, expected)
 
+    def _remember(self, ros_time: int, markers: np.ndarray, result: StepResult) -> None:
+        """Adds the model of this tick [ns] to its history, where markers can be compared with it."""
+        if len(markers):
+            moment = Moment(markers, result.effector_positions)
+            self._history.add(ros_time, result.setpoints, moment)
+
     def _correct(
-        self, activity: Activity, aims: Aims, effectors: np.ndarray, result: StepResult
-    ) -> None:
-        """Updates the correction of the targets by the measured effectors [m]."""
-        touches, errors = result.touches, None
+        self, activity: Activity, aims: Aims, effectors: np.ndarray, markers: np.ndarray,
+        result: StepResult,
+    ) -> None:  # fmt: skip
+        """Updates the correction of the targets by the measured effectors and markers [m]."""
+        touches, errors, misfit = result.touches, None, None
+        stamp, follows = self.markers.stamp, activity is Activity.FOLLOWING
         # What a finger displaces is not an error of the model.
         is_touched = touches is not None and touches.is_touched.any()
-        if self.settings.closed_loop and activity is Activity.FOLLOWING and not is_touched:
+        if self.settings.closed_loop and follows and not is_touched:
             # Nor is its distance while an effector approaches a far target.
             comparable = np.where(aims.arrived, effectors, np.nan)
             errors = self.measurement.differences(aims.reading.targets, comparable)
-        self.correction.tick(self.settings, self.markers.stamp, errors, result.status)
+            setpoints = self.device.at(self.markers.time) if self.correction.is_new(stamp) else None
+            model = None if setpoints is None else self._history.executed(setpoints, stamp)
+            if model is not None:
+                misfit = self.measurement.misfit(markers, model)
+        targets, before = aims.reading.targets, self._aimed
+        self._aimed = targets
+        stands = result.status.is_success and np.array_equal(targets, before, equal_nan=True)
+        noise = self._plausibility.noise if stands else 0.0
+        self.correction.tick(self.settings, stamp, errors, misfit, result.status, noise)
 
 
 def _commands_same(result: StepResult, before: StepResult) -> bool:

@@ -388,6 +388,7 @@ class TwinDiagnostics:
                 "visible": newest.misfit.visible,
                 "misfit_rms_mm": newest.misfit.rms * _MILLI,
                 "correction_mm": float(offsets.max(initial=0.0)) * _MILLI,
+                "correction_by": loop.correction.law.value,
             }
         left_out = ", ".join(
             f"{marker} ({ticks} ticks)" for marker, ticks in sorted(self._window.left_out.items())

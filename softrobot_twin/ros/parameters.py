@@ -208,7 +208,10 @@ RUNTIME = (
     _setting("workspace_min", "Lower corner of the box to which targets and poses are limited.", "m"),
     _setting("workspace_max", "Upper corner of that box.", "m"),
     _setting("closed_loop", "Correct the targets by the measured markers."),
-    _setting("correction_gain", "Integral gain of that correction.", "1/s", 0.0, 1000.0),
+    _setting("misfit_rate", "Rate at which that correction follows the misfit of the markers.", "1/s",
+             0.0, 1000.0),
+    _setting("correction_gain", "Gain of the integrator that stands in where setpoints are not "
+             "measured; with 0 a correction stays when the loop is opened.", "1/s", 0.0, 1000.0),
     _setting("correction_limit", "Greatest length of the correction.", "m", 0.0, 1.0),
     _setting("marker_timeout", "Markers count as lost after this time without a message.", "s", 0.001,
              60.0),

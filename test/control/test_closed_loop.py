@@ -4,14 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
+from scipy.spatial.transform import Rotation
 
 from softrobot_twin.control.engagement import Activity
 from softrobot_twin.control.loop_settings import LoopSettings, WhenLost
 from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
+from softrobot_twin.control.target_correction import Law
 from softrobot_twin.control.target_path import Circle
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.scene import scene_from_mapping
+from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import Simulation
 
 from .conftest import ROOT, Driver
@@ -20,8 +24,11 @@ FLAWS = DeviceFlaws(delay=0.02, servo_rate=0.1, marker_noise=2e-4, seed=1)
 TARGET = (0.006, -0.004, 0.136)
 
 
-def track(driver, device, path, ticks, every=2, blind=()):
-    """Distances of the device's effector from the path, one for each reading [m]."""
+def track(driver, device, path, ticks, every=2, blind=(), measured=False):
+    """Distances of the device's effector from the path, one for each reading [m].
+
+    The loop gets its markers, and its lengths where `measured`.
+    """
     errors = []
     period = driver.loop.settings.period
     driver.see(device.read(driver.time).marker_positions)
@@ -32,6 +39,8 @@ def track(driver, device, path, ticks, every=2, blind=()):
         if tick % every == 0:
             reading = device.read(driver.time)
             errors.append(np.linalg.norm(reading.effector_positions[0] - path(driver.time)))
+            if measured:
+                driver.measure(reading.setpoints)
             if tick not in blind:
                 driver.see(reading.marker_positions)
     return np.array(errors)
@@ -180,3 +189,108 @@ def test_a_reduced_twin_closes_the_loop_over_a_full_and_different_device(device_
     without = track(opened, SimulatedDevice(device_simulation, FLAWS), path, 160)
     assert errors[40:].mean() < 0.25 * without[40:].mean()
     assert not any(outcome.result.status.is_failure for outcome in driver.outcomes)
+
+
+TICK = 0.025
+ROUND = Circle((0.0, 0.0, 0.136), 0.015, 2.0 * np.pi / 1.26).position
+
+
+@pytest.fixture(scope="module")
+def other_meshes():
+    """The Diamond and its device, on meshes of 200 and 600 nodes."""
+    made = []
+    for name, mesh in (("diamond", "diamond_200"), ("diamond_device", "diamond_600")):
+        mapping = written_out(yaml.safe_load((ROOT / f"config/scenes/{name}.yaml").read_text()))
+        mapping["body"]["mesh"]["file"] = str(ROOT / f"meshes/{mesh}.vtk")
+        made.append(Simulation(scene_from_mapping(mapping)))
+        made[-1].warm_up()
+    return made
+
+
+def late_run(twin, real, path, ticks, seed=0, delay=1, measured=True, closed=True, opened=0):
+    """Positions of a robot that acts some ticks late, and is seen a tick later [m]; and its driver.
+
+    The loop is closed after `opened` ticks.
+    """
+    twin.reset()
+    real.reset()
+    driver = Driver(twin, rate=1.0 / TICK, correction_gain=8.0)
+    device = SimulatedDevice(real, DeviceFlaws(marker_noise=2e-4, seed=seed, servo_rate=1.0))
+    sent, seen, places = [], None, []
+    for tick in range(ticks):
+        if closed and tick == opened:
+            driver.loop.apply(replace(driver.loop.settings, closed_loop=True))
+        if seen is not None:
+            driver.see(seen.marker_positions, age=TICK)
+            if measured:
+                driver.measure(seen.setpoints, age=TICK)
+        driver.target(*path(driver.time))
+        sent.append(driver.tick().command.setpoints)
+        if len(sent) > delay:
+            device.apply(sent[-1 - delay], driver.time - TICK)
+        seen = device.read(driver.time)
+        places.append(seen.effector_positions[0])
+    return np.array(places), driver
+
+
+def rms_on_circle(places, delay=1):
+    """RMS distance in the second half, by the delay that suits best [m]."""
+    half = np.arange(len(places) // 2, len(places))
+    return min(
+        np.sqrt(((places[half] - [ROUND((tick - late) * TICK) for tick in half]) ** 2).sum(1).mean())
+        for late in range(delay + 3))
+
+
+@pytest.mark.slow
+def test_the_misfit_of_the_executed_command_keeps_a_wrong_model_on_its_circle(other_meshes):
+    """E is 15 % off, cables 1 mm, the mesh is another one; commands act 25 ms late, frames come 25 ms
+    late with 0.2 mm of noise."""
+    first = int(np.random.default_rng().integers(1 << 30))
+    print("seeds from", first)
+    runs = [late_run(*other_meshes, ROUND, 200, first + seed) for seed in range(10)]
+    misfit = np.array([rms_on_circle(places) for places, _ in runs])
+    opened = rms_on_circle(late_run(*other_meshes, ROUND, 200, closed=False)[0])
+    integrated, driver = late_run(*other_meshes, ROUND, 200, first, measured=False)
+    integrated = rms_on_circle(integrated)
+    print(f"RMS [mm]: open {1e3 * opened:.2f}, integrator {1e3 * integrated:.2f}, misfit "
+          f"{1e3 * misfit.mean():.3f} (to {1e3 * misfit.max():.3f})")
+    assert runs[0][1].loop.correction.law is Law.MISFIT
+    assert driver.loop.correction.law is Law.INTEGRATOR
+    assert misfit.max() < 0.25e-3
+    assert misfit.max() < integrated < opened
+
+
+@pytest.mark.parametrize("delay", [1, 5, 11])
+def test_a_late_robot_does_not_overshoot_and_its_cables_rest(other_meshes, delay):
+    """The loop is closed where the robot stands by the model alone; frames come a tick later."""
+    target, opened = np.array([0.008, 0.0, 0.136]), 60
+    places, driver = late_run(*other_meshes, lambda time: target, 200, delay=delay, opened=opened)
+    off = places[opened - 1] - target
+    along = (places[opened:] - target) @ off / (off @ off)
+    assert np.linalg.norm(off) > 1e-3
+    assert along.min() > -0.1
+    settled = np.flatnonzero(np.linalg.norm(places[opened:] - target, axis=1) > 0.5e-3)[-1]
+    assert settled <= delay + 8
+    assert np.linalg.norm(places[-40:] - target, axis=1).mean() < 0.2e-3
+    assert driver.commands[-40:].std(axis=0).max() < 0.02e-3
+
+
+@pytest.mark.parametrize("closed", [False, True])
+def test_orientation_is_corrected_where_markers_tell_it(drive_posed, closed):
+    """The robot is the model, but stands askew by 2 degrees: its tip points beside where it shall."""
+    driver = drive_posed(closed_loop=closed)
+    askew = Rotation.from_rotvec([0.025, -0.025, 0.0])
+    upright = np.array([0.0, 0.0, 0.0, 1.0])
+    for _ in range(60):
+        driver.loop.targets.accept_pose(0, np.array([0.0, 0.0, 0.134]), upright, driver.arrival())
+        outcome = driver.tick()
+        driver.measure(outcome.command.setpoints)
+        driver.see(askew.apply(outcome.predicted_markers))
+    turn = askew * Rotation.from_quat(outcome.result.effector_orientations[0])
+    off = np.arccos(turn.apply([0.0, 0.0, 1.0])[2])
+    height = askew.apply(outcome.result.effector_positions[0])[2]
+    if closed:
+        assert off < 2e-3
+        assert height == pytest.approx(0.134, abs=1e-5)
+    else:
+        assert off > 0.03

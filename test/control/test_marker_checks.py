@@ -9,41 +9,9 @@ from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
 from softrobot_twin.control.engagement import Activity
 from softrobot_twin.control.loop_settings import WhenLost
 from softrobot_twin.control.loop_timing import NANOSECONDS
-from softrobot_twin.control.marker_checks import ACCEPT_AFTER, MarkerHistory, MarkerPlausibility
+from softrobot_twin.control.marker_checks import ACCEPT_AFTER, MarkerPlausibility
 from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
 from softrobot_twin.control.target_path import Circle
-
-
-def at(place):
-    return np.full((2, 3), float(place))
-
-
-@pytest.mark.parametrize(("time", "place"), [(50, 1), (125, 1.5), (200, 3), (300, 3)])
-def test_between_two_ticks_the_markers_lie_on_a_line_and_outside_the_nearest_one_counts(time, place):
-    history = MarkerHistory()
-    history.add(100, at(1))
-    history.add(200, at(3))
-    assert history.at(time).tolist() == at(place).tolist()
-
-
-def test_only_the_newest_ticks_are_remembered():
-    history = MarkerHistory(capacity=4)
-    for tick in range(10):
-        history.add(100 * tick, at(tick))
-    assert history.at(0).tolist() == at(6).tolist()
-    assert history.at(750).tolist() == at(7.5).tolist()
-
-
-def test_a_clock_that_was_set_back_starts_a_new_history():
-    history = MarkerHistory()
-    history.add(1000, at(1))
-    history.add(100, at(2))
-    assert history.at(1000).tolist() == at(2).tolist()
-
-
-def test_no_markers_are_known_before_the_first_tick():
-    with pytest.raises(LookupError):
-        MarkerHistory().at(0)
 
 
 PERIOD = 0.02

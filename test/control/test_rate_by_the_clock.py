@@ -24,6 +24,7 @@ VALUES = {
     "workspace_min": (SMALL, (-1.0, -1.0, -1.0)),
     "workspace_max": (LARGE, (1.0, 1.0, 1.0)),
     "closed_loop": (False, True),
+    "misfit_rate": (0.0, 20.0, 1000.0),
     "correction_gain": (0.0, 2.0, 1000.0),
     "correction_limit": (0.0, 0.01, 1.0),
     "marker_timeout": (0.001, 0.5, 60.0),

@@ -1,12 +1,20 @@
-"""From targets to aims: approach of far targets, measured effectors, integral correction."""
+"""From targets to aims: approach of far targets, measured effectors, correction by misfit or integral."""
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from softrobot_twin.control.inputs import MarkerInput
+from softrobot_twin.control.loop_settings import LoopSettings
+from softrobot_twin.control.model_history import Moment
 from softrobot_twin.control.target_correction import (
+    CALM_LEAST,
     GREATEST_SHARE,
+    MISFIT_SHARE,
+    UNALIGNED_TIME,
     EffectorMeasurement,
+    EffectorMisfit,
+    Law,
     TargetCorrection,
     approach,
     approach_poses,
@@ -192,3 +200,112 @@ def test_reset_removes_the_correction():
     update(correction, 0.001)
     correction.reset()
     assert not correction.offsets.any()
+
+
+def misfit(x, seen=4):
+    return EffectorMisfit(error(x), np.array([seen]))
+
+
+@pytest.mark.parametrize("delay", [0, 1, 3, 8, 12])
+@pytest.mark.parametrize("factor", [0.1, 0.5, 1.0, 1.5, 2.0])
+def test_the_misfit_settles_with_any_delay_and_a_robot_that_moves_more_or_less(delay, factor):
+    """The robot moves `factor` times as far as the model; a right model does not overshoot."""
+    correction, fault = TargetCorrection(1), 0.002
+    past, left = [0.0] * (delay + 1), []
+    for _ in range(1500):
+        then = past[-1 - delay]
+        left.append(fault + factor * then)
+        correction.follow(misfit(left[-1] - then), MISFIT_SHARE, 1.0)
+        past.append(correction.offsets[0, 0])
+    assert abs(left[-1]) < 1e-3 * fault
+    assert factor > 1.0 or min(left) > -1e-9
+
+
+def test_the_misfit_is_compensated_however_far_the_target_is():
+    """Actuators that cannot follow let nothing wind up: the misfit does not depend on the target."""
+    correction = TargetCorrection(1)
+    for tick in range(1, 60):
+        correction.tick(LoopSettings(closed_loop=True), tick * 50_000_000, error(0.1),
+                        misfit(0.002), Status.SATURATED)  # fmt: skip
+    assert correction.law is Law.MISFIT
+    assert correction.offsets[0] == pytest.approx([-0.002, 0.0, 0.0])
+
+
+def test_it_follows_no_misfit_beyond_its_limit():
+    correction = TargetCorrection(1)
+    for _ in range(100):
+        correction.follow(misfit(0.05), MISFIT_SHARE, LIMIT)
+    assert np.linalg.norm(correction.offsets[0]) == pytest.approx(LIMIT)
+    correction.follow(misfit(0.0), MISFIT_SHARE, LIMIT)
+    assert np.linalg.norm(correction.offsets[0]) < 0.7 * LIMIT
+
+
+def test_noise_moves_a_resting_robot_less_and_a_load_is_followed_at_once():
+    correction, noise = TargetCorrection(1), 2e-4
+    seed = int(np.random.default_rng().integers(1 << 31))
+    print("seed", seed)
+    rng, past = np.random.default_rng(seed), []
+    for _ in range(400):
+        seen = misfit(0.0)._replace(positions=rng.normal(0.0, noise / 2.0, (1, 3)))
+        correction.follow(seen, MISFIT_SHARE, LIMIT, noise)
+        past.append(correction.offsets[0].copy())
+    # A filter of the first order leaves √(a / (2 - a)) of the noise.
+    usual = noise / 2.0 * np.sqrt(MISFIT_SHARE / (2.0 - MISFIT_SHARE))
+    assert np.std(past[100:]) < 3.0 * np.sqrt(CALM_LEAST) * usual
+    correction.follow(misfit(0.003), MISFIT_SHARE, LIMIT, noise)
+    assert correction.offsets[0, 0] < -0.3 * MISFIT_SHARE * 0.003 / 0.35
+
+
+def test_the_integrator_stands_in_after_a_second_without_a_known_moment():
+    correction, settings = TargetCorrection(1), LoopSettings(closed_loop=True)
+    period = 50_000_000
+    correction.tick(settings, 20 * period, error(0.001), misfit(0.0), Status.OK)
+    laws = []
+    for tick in range(21, 60):
+        correction.tick(settings, tick * period, error(0.001), None, Status.OK)
+        laws.append(correction.law)
+    waited = laws.index(Law.INTEGRATOR)
+    assert (waited + 1) * 0.05 == pytest.approx(UNALIGNED_TIME, abs=0.11)
+    assert correction.offsets[0, 0] > 0.0
+    # In open loop nothing is corrected.
+    correction.tick(LoopSettings(), 61 * period, None, None, Status.OK)
+    assert correction.law is Law.NONE
+
+
+@pytest.fixture
+def posed(drive_posed):
+    loop = drive_posed().loop
+    model = Moment(loop.simulation.marker_positions(), loop.simulation.effector_positions())
+    return loop.measurement, model
+
+
+def test_markers_that_stand_apart_tell_the_rotation_of_an_effector(posed):
+    measurement, model = posed
+    turn = Rotation.from_rotvec([0.03, -0.02, 0.05])
+    seen = turn.apply(model.markers) + [0.001, 0.0, -0.002]
+    seen[5] = np.nan
+    found = measurement.misfit(seen, model)
+    assert found.seen.tolist() == [3]
+    assert found.turns[0] == pytest.approx(turn.as_rotvec())
+    there = turn.apply(model.effectors[0]) + [0.001, 0.0, -0.002]
+    assert found.positions[0] == pytest.approx(there - model.effectors[0])
+
+
+def test_markers_on_a_line_tell_no_rotation(posed):
+    measurement, model = posed
+    seen = model.markers + 0.001
+    seen[[5, 7]] = np.nan
+    found = measurement.misfit(seen, model)
+    assert np.isnan(found.turns).all()
+    assert found.positions[0] == pytest.approx([0.001] * 3)
+
+
+def test_a_wanted_orientation_is_turned_back_by_its_misfit():
+    correction, turn = TargetCorrection(1), Rotation.from_rotvec([0.0, 0.1, 0.0])
+    turned = misfit(0.0)._replace(turns=turn.as_rotvec()[None])
+    for _ in range(60):
+        correction.follow(turned, MISFIT_SHARE, LIMIT)
+    wanted = Rotation.from_rotvec([0.2, 0.0, 0.0])
+    aim = Rotation.from_quat(correction.turned(wanted.as_quat()[None])[0])
+    assert (turn * aim * wanted.inv()).magnitude() < 1e-9
+    assert np.isnan(correction.turned(np.full((1, 4), np.nan))).all()

@@ -1,0 +1,135 @@
+"""Where the model was at the last ticks, so that it can be compared with a late measurement."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from softrobot_twin.control.loop_timing import NANOSECONDS
+
+LONGEST_DELAY = 1.0
+"""A command is executed within this time [s]."""
+APART = 0.01
+"""Measured setpoints are those of a tick, or between two ticks, when no more than this share of the
+actuators' travels is between them."""
+PREFERENCE = 0.1
+"""Of two ticks that are equally near, the newer one is meant: a second counts as this share of
+`APART`."""
+
+
+class Moment(NamedTuple):
+    """The model at one moment.
+
+    Attributes:
+        markers: Positions of the markers [m], shape (marker_count, 3).
+        effectors: Positions of the effectors [m], shape (effector_count, 3).
+    """
+
+    markers: np.ndarray
+    effectors: np.ndarray
+
+
+class ModelHistory:
+    """A ring of the model's markers, effectors and setpoints at the last ticks.
+
+    Camera, network and device delay the measured markers. Their difference from the model's markers
+    of the same moment is what the robot is away from the model. The device follows its commands
+    late; the difference from the model's markers where its actuators were as they are measured is
+    the model's error alone. A difference from the present markers would consist mostly of the
+    robot's motion, and a correction by it would make the loop oscillate.
+
+    Args:
+        travels: Range of the setpoint of each actuator, in its unit, shape (actuator_count,).
+        marker_count: Number of markers.
+        effector_count: Number of effectors.
+        capacity: Number of ticks to keep.
+    """
+
+    def __init__(
+        self, travels: np.ndarray, marker_count: int, effector_count: int, capacity: int = 256
+    ):
+        self._scales, self._markers = APART * np.asarray(travels, float), marker_count
+        self._capacity, self._count = capacity, 0
+        # Twice the capacity: so the ticks are always in one piece, and are seldom moved.
+        self._times = np.zeros(2 * capacity, np.int64)
+        self._setpoints = np.zeros((2 * capacity, len(self._scales)))
+        self._values = np.zeros((2 * capacity, marker_count + effector_count, 3))
+
+    def add(self, time: int, setpoints: np.ndarray, moment: Moment) -> None:
+        """Adds a tick in place of the oldest.
+
+        Args:
+            time: Time of the tick [ns]; when the clock was set back, a new history starts.
+            setpoints: The model's setpoints, in the actuators' units, shape (actuator_count,).
+            moment: The model.
+        """
+        if self._count and time < self._times[self._count - 1]:
+            self.forget()
+        if self._count == len(self._times):
+            self._count = self._capacity
+            for array in (self._times, self._setpoints, self._values):
+                array[: self._capacity] = array[self._capacity :]
+        at, self._count = self._count, self._count + 1
+        self._times[at], self._setpoints[at] = time, setpoints / self._scales
+        self._values[at, : self._markers], self._values[at, self._markers :] = moment
+
+    def at(self, time: int) -> Moment:
+        """The model at a time [ns], interpolated linearly between two ticks.
+
+        Before the oldest tick it is that of the oldest, after the newest that of the newest.
+
+        Args:
+            time: The time on the clock of stamps [ns].
+
+        Raises:
+            LookupError: There is no tick yet.
+        """
+        if not self._count:
+            raise LookupError("there is no tick yet")
+        first = max(0, self._count - self._capacity)
+        times = self._times[first : self._count]
+        after = int(np.searchsorted(times, time))
+        if after in (0, len(times)):
+            return self._moment(first + min(after, len(times) - 1), 0.0)
+        share = (time - times[after - 1]) / (times[after] - times[after - 1])
+        return self._moment(first + after - 1, float(share))
+
+    def executed(self, setpoints: np.ndarray, time: int) -> Moment | None:
+        """The model where its actuators were as those of the device are measured.
+
+        It is looked for on the way of the setpoints from tick to tick.
+
+        Args:
+            setpoints: Measured setpoints, in the actuators' units, shape (actuator_count,).
+            time: When they were measured [ns].
+
+        Returns:
+            The model; None where it was not near these setpoints.
+        """
+        oldest = time - round(LONGEST_DELAY * NANOSECONDS)
+        first = max(int(np.searchsorted(self._times[: self._count], oldest)),
+                    self._count - self._capacity, 0)  # fmt: skip
+        first = min(first, self._count - 1)
+        if first < 0:
+            return None
+        places = self._setpoints[first : self._count] - setpoints / self._scales
+        ways = np.diff(places, axis=0, append=places[-1:])
+        lengths = np.einsum("ij,ij->i", ways, ways)
+        shares = -np.einsum("ij,ij->i", places, ways) / np.where(lengths > 0.0, lengths, 1.0)
+        shares = np.clip(shares, 0.0, 1.0)
+        apart = np.abs(places + shares[:, None] * ways).max(axis=1, initial=0.0)
+        ages = (time - self._times[first : self._count]) / NANOSECONDS
+        best = int(np.argmin(apart + PREFERENCE * np.maximum(ages, 0.0)))
+        return self._moment(first + best, shares[best]) if apart[best] <= 1.0 else None
+
+    def _moment(self, tick: int, share: float) -> Moment:
+        """The model at a share of the way from a tick to the next one."""
+        values = (1.0 - share) * self._values[tick]
+        if share:
+            values += share * self._values[tick + 1]
+        return Moment(values[: self._markers], values[self._markers :])
+
+    def forget(self) -> None:
+        """Starts a new history."""
+        self._count = 0
