@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from typing import NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -136,19 +137,56 @@ def _deepest_cells(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Cell of each point, its weights there, and how deep it is: negative outside."""
     if not isinstance(mesh, HexahedralMesh):
-        return _deepest_tets(mesh.node_positions, mesh.cells, points)
+        return _deepest_tets(_boxes_of(mesh, "cells"), points)
     cells, weights, depths = _deepest_hexahedra(mesh, points)
     cells += len(mesh.tets)
     if len(mesh.tets):
-        tets, of_tets, in_tets = _deepest_tets(mesh.node_positions, mesh.tets, points)
+        tets, of_tets, in_tets = _deepest_tets(_boxes_of(mesh, "tets"), points)
         better = in_tets >= depths
         cells[better], depths[better] = tets[better], in_tets[better]
         weights[better] = np.hstack([of_tets, np.zeros((len(points), 4))])[better]
     return cells, weights, depths
 
 
+class _Boxes(NamedTuple):
+    """Cells as they are searched.
+
+    Attributes:
+        corners: Of each cell [m], shape (cell_count, corner_count, 3).
+        middles: Means of the corners [m], shape (cell_count, 3).
+        tree: Of the middles.
+        reaches: Furthest corner from each middle [m], shape (cell_count,).
+        centres, halves: Of the boxes of cells [m], a little larger, each of shape (cell_count, 3).
+    """
+
+    corners: np.ndarray
+    middles: np.ndarray
+    tree: cKDTree
+    reaches: np.ndarray
+    centres: np.ndarray
+    halves: np.ndarray
+
+
+# A scene asks for the points of each of its entries, and each change of its numbers once more.
+_BOXES: WeakKeyDictionary[TetMesh | HexahedralMesh, dict[str, _Boxes]] = WeakKeyDictionary()
+
+
+def _boxes_of(mesh: TetMesh | HexahedralMesh, kind: str) -> _Boxes:
+    """The cells of a mesh of one kind, which are laid out once."""
+    known = _BOXES.setdefault(mesh, {})
+    if kind not in known:
+        corners = mesh.node_positions[getattr(mesh, kind)]
+        middles = corners.mean(axis=1)
+        reaches = np.linalg.norm(corners - middles[:, None], axis=2).max(axis=1) * (1.0 + 1e-6)
+        lowest, highest = corners.min(axis=1), corners.max(axis=1)
+        diagonals = np.linalg.norm(highest - lowest, axis=1, keepdims=True)
+        known[kind] = _Boxes(corners, middles, cKDTree(middles), reaches, 0.5 * (lowest + highest),
+                             0.5 * (highest - lowest) + 1e-6 * diagonals)
+    return known[kind]
+
+
 def _deepest(
-    corners: np.ndarray, points: np.ndarray,
+    boxes: _Boxes, points: np.ndarray,
     weights_in: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """For each point, the cell that it is deepest in, its weights there, and its depth.
@@ -156,23 +194,18 @@ def _deepest(
     The depth is −∞ for points outside the boxes of all cells, in which the cells lie.
 
     Args:
-        corners: Corners of each cell [m], shape (cell_count, corner_count, 3).
+        boxes: The cells.
         points: The points [m], shape (point_count, 3).
         weights_in: Gives weights and depths of pairs of a point and a cell, by its number.
     """
-    middles = corners.mean(axis=1)
-    reaches = np.linalg.norm(corners - middles[:, None], axis=2).max(axis=1) * (1.0 + 1e-6)
-    lowest, highest = corners.min(axis=1), corners.max(axis=1)
-    diagonals = np.linalg.norm(highest - lowest, axis=1, keepdims=True)
-    centres, halves = 0.5 * (lowest + highest), 0.5 * (highest - lowest) + 1e-6 * diagonals
-
+    corners, middles, tree, reaches, centres, halves = boxes
     best = np.zeros(len(points), dtype=np.int64)
     weights = np.zeros((len(points), corners.shape[1]))
     depths = np.full(len(points), -np.inf)
     for start in range(0, len(points), _CHUNK):
         chunk = points[start : start + _CHUNK]
         if len(chunk) < _FEW * len(corners):
-            owner, cells = _pairs(cKDTree(middles).query_ball_point(chunk, reaches.max()))
+            owner, cells = _pairs(tree.query_ball_point(chunk, reaches.max()))
         else:
             cells, owner = _pairs(cKDTree(chunk).query_ball_point(middles, reaches))
         is_near = (np.abs(chunk[owner] - centres[cells]) <= halves[cells]).all(axis=1)
@@ -190,14 +223,15 @@ def _deepest_hexahedra(
     mesh: HexahedralMesh, points: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The same among hexahedra: the depth is (1 - max |ξ_i|) / 2."""
-    corners = mesh.node_positions[mesh.hexahedra]
+    boxes = _boxes_of(mesh, "hexahedra")
+    corners = boxes.corners
 
     def weights_in(asked: np.ndarray, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         places, is_found = _inverse_isoparametric(corners[cells], asked)
         depth = np.where(is_found, 0.5 * (1.0 - np.abs(places).max(axis=1)), -np.inf)
         return TRILINEAR_HEXAHEDRON.values(np.clip(places, -1.0, 1.0)), depth
 
-    return _deepest(corners, points, weights_in)
+    return _deepest(boxes, points, weights_in)
 
 
 def _inverse_isoparametric(
@@ -228,10 +262,10 @@ def _inverse_isoparametric(
 
 
 def _deepest_tets(
-    node_positions: np.ndarray, cells: np.ndarray, points: np.ndarray
+    boxes: _Boxes, points: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The same among tetrahedra: the depth is the smallest weight."""
-    corners = node_positions[cells]
+    corners = boxes.corners
 
     def weights_in(asked: np.ndarray, tets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         used, of_used = np.unique(tets, return_inverse=True)
@@ -243,7 +277,7 @@ def _deepest_tets(
         weights[:, 0] = 1.0 - weights[:, 1:].sum(axis=1)
         return weights, weights.min(axis=1)
 
-    return _deepest(corners, points, weights_in)
+    return _deepest(boxes, points, weights_in)
 
 
 def _nearest_on_surface(

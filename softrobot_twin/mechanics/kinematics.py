@@ -233,6 +233,20 @@ class Nodes:
         for kind in self.kinds:
             kind.advance(positions, move, share)
 
+    def placed_like(self, own: Nodes, positions: np.ndarray) -> np.ndarray:
+        """Positions at the displacements and rotations of nodes that rest elsewhere [m].
+
+        Args:
+            own: The other nodes, of the same structure.
+            positions: Their positions [m], shape (node_count, 3).
+        """
+        if np.array_equal(self.rest_positions, own.rest_positions):
+            return positions.copy()
+        placed, given = self.rest_positions.copy(), own.free_index < 0
+        placed[given] += (positions - own.rest_positions)[given]
+        self.advance(placed, own.displacement(own.rest_positions, positions), 1.0)
+        return placed
+
     def displacement(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
         """Displacement [m], rotation vector [rad] for rotations, from one state to another.
 

@@ -333,7 +333,7 @@ class Robot:
     def change(self, values: Mapping[str, Any]) -> None:
         """Gives entries of its scene other values, at the same state; nothing is compiled again.
 
-        Actuators keep their setpoints. The next step brings the robot to its new equilibrium.
+        Actuators keep their setpoints, and nodes that rest elsewhere their displacements. The next step brings the robot to its new equilibrium.
 
         Args:
             values: By their keys, such as ``{"body.material.young_modulus": 2e5}``.
@@ -345,7 +345,7 @@ class Robot:
         """
         simulation = Simulation(changed_scene(self.scene, values), with_warnings=False)
         simulation.warm_up()
-        simulation.restore(self.state)
+        simulation.take_over(self.simulation)
         if self._view is not None:
             self._view.close()
         self._take(simulation)

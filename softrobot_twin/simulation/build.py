@@ -108,6 +108,22 @@ def build_terms(scene: Scene) -> Terms:
     return terms
 
 
+def with_cables(terms: Terms, scene: Scene) -> Terms:
+    """The terms of a scene of which only the cables are others, and their actuators alone are new.
+
+    Args:
+        terms: Of the scene before, without reduced bodies: these keep only points that are asked for.
+        scene: The scene with other cables.
+
+    Raises:
+        SceneError: A cable does not fit.
+    """
+    layout, passive = terms.layout._replace(scene=scene), len(terms.actuators.held_forces)
+    actuators = build_actuators(layout, [])
+    forces = terms.forces[: len(terms.forces) - passive] + actuators.held_forces
+    return terms._replace(layout=layout, forces=forces, actuators=actuators)
+
+
 def _model_of(scene: Scene, factorization_type: type | None) -> Model:
     terms = build_terms(scene)
     layout, forces, constraints = terms.layout, terms.forces, terms.constraints

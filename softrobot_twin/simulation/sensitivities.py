@@ -27,7 +27,8 @@ from softrobot_twin.errors import NamedError, SceneError
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.scene_parameters import Parameter
 from softrobot_twin.simulation.apparent_compliance import HeldTangent, Saddle
-from softrobot_twin.simulation.build import Terms, build_terms
+from softrobot_twin.simulation.build import Terms, build_terms, with_cables
+from softrobot_twin.simulation.building.scene_layout import Layout
 from softrobot_twin.simulation.simulation import Simulation
 from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.step.apparent_stiffness import effector_rows, sharing
@@ -112,24 +113,25 @@ class AtState(NamedTuple):
         paths: Displacements of the actuators with rows from rest, each in its unit.
         drives: Displacements at which setpoints hold them, same shape.
         effectors: Positions [m], shape (effector_count, 3).
-        rest_positions: Of all nodes [m], shape (node_count, 3).
-        scene: The scene.
+        passive: Those of the force terms alone.
+        layout: The bodies of the scene.
     """
 
     forces: np.ndarray
     paths: np.ndarray
     drives: np.ndarray
     effectors: np.ndarray
-    rest_positions: np.ndarray
-    scene: Scene
+    passive: np.ndarray
+    layout: Layout
 
-    def loads(self, holds_setpoints: bool) -> Loads:
+    def loads(self, holds_setpoints: bool | np.ndarray) -> Loads:
         """The same as loads, whose changes move the equilibrium.
 
         Args:
             holds_setpoints: See `Sensitivities.of_parameters`.
         """
-        held = self.drives if holds_setpoints else 0.0
+        holds = np.atleast_1d(holds_setpoints)[: len(self.drives)]
+        held = np.where(holds, self.drives, 0.0)
         return Loads(self.forces, held - self.paths, self.effectors)
 
 
@@ -205,12 +207,13 @@ class Sensitivities(HeldTangent):
         efforts[:a][self._held.held] = multipliers[: np.count_nonzero(self._held.held)]
         return Answer(moves.reshape(forces.shape), efforts)
 
-    def adjoint(self, rows: np.ndarray | None = None) -> Loads:
-        """What some combinations of the unknowns gain by each load.
+    def adjoint(self, rows: np.ndarray | None = None, efforts: np.ndarray | None = None) -> Loads:
+        """What some combinations of the unknowns and the efforts gain by each load.
 
         Args:
             rows: Weights of the unknowns, shape (row_count, free_node_count, 3); None for the
                 positions of the effectors, three rows each.
+            efforts: Weights of the efforts, shape (row_count, actuator_count); None for none.
 
         Returns:
             For each row its derivative by the force on each unknown [1/N], shape
@@ -219,15 +222,44 @@ class Sensitivities(HeldTangent):
         """
         system, a = self._system()
         above = self._effectors if rows is None else rows.reshape(len(rows), -1)
-        forces, multipliers = system.solve(
-            above.T, np.zeros((len(self._held.places), len(above))), transposed=True)
+        below = np.zeros((len(self._held.places), len(above)))
+        if efforts is not None:
+            below[: np.count_nonzero(self._held.held)] = efforts[:, :a][:, self._held.held].T
+        forces, multipliers = system.solve(above.T, below, transposed=True)
         displacements = np.zeros((a, len(above)))
         displacements[self._held.held] = multipliers[: np.count_nonzero(self._held.held)]
         return Loads(forces.reshape(-1, 3, len(above)), displacements,
                      np.zeros((self._count, 3, len(above))))  # fmt: skip
 
+    def gradient(
+        self, parameters: Sequence[Parameter], effectors: np.ndarray, efforts: np.ndarray,
+        holds_setpoints: bool | np.ndarray = True,
+    ) -> np.ndarray:  # fmt: skip
+        """Derivatives of one function of effectors and efforts, by the adjoint: one solution for all.
+
+        Args:
+            parameters: See `of_parameters`.
+            effectors: Its derivatives by the positions of effectors, shape (effector_count, 3).
+            efforts: By the efforts of actuators, shape (actuator_count,).
+            holds_setpoints: See `of_parameters`.
+
+        Returns:
+            Shape (parameter_count,).
+
+        Raises:
+            SensitivityError: A derivative does not exist at this state.
+        """
+        self._system()
+        weights = (effectors.ravel() @ self._effectors).reshape(1, -1, 3)
+        gains, found = self.adjoint(weights, efforts[None]), np.empty(len(parameters))
+        for place, one in enumerate(parameters):
+            loads = self.loads(one, holds_setpoints)
+            found[place] = np.vdot(gains.forces[..., 0], loads.forces) + np.vdot(
+                gains.displacements[:, 0], loads.displacements) + np.vdot(effectors, loads.effectors)
+        return found
+
     def of_parameters(
-        self, parameters: Sequence[Parameter], holds_setpoints: bool = True
+        self, parameters: Sequence[Parameter], holds_setpoints: bool | np.ndarray = True
     ) -> Sensitivity:
         """Derivatives of effectors and efforts by parameters.
 
@@ -235,7 +267,7 @@ class Sensitivities(HeldTangent):
             parameters: See `softrobot_twin.scene.scene_parameters`.
             holds_setpoints: Whether actuators hold their setpoints, such as lengths of cables; else
                 their displacements from rest, such as shortenings, whose zero may depend on a
-                parameter.
+                parameter. Of all, or of each, shape (actuator_count,).
 
         Raises:
             SensitivityError: A derivative does not exist at this state.
@@ -251,7 +283,7 @@ class Sensitivities(HeldTangent):
         effectors = explicit + carried.reshape(self._count, 3, count)
         return Sensitivity(tuple(parameters), effectors, answer.efforts, answer.moves, roughness)
 
-    def loads(self, parameter: Parameter, holds_setpoints: bool = True) -> Loads:
+    def loads(self, parameter: Parameter, holds_setpoints: bool | np.ndarray = True) -> Loads:
         """What a parameter changes per its unit, while unknowns and efforts stay.
 
         Args:
@@ -262,6 +294,8 @@ class Sensitivities(HeldTangent):
             SensitivityError: The derivative does not exist at this state.
         """
         self._system()
+        if self._middle is None:
+            self._middle = self._evaluated(self._terms(None, 0, 0.0))
         value = parameter.read(self._model.scene)
         step, sides = STEP_SHARE * self._scale(parameter.unit, value), dict[int, AtState]()
         for side in (1, -1, 2, -2):
@@ -275,9 +309,7 @@ class Sensitivities(HeldTangent):
             words = f"{step:g} {parameter.unit}".strip()
             raise SensitivityError(
                 parameter.key, f"cannot be changed by {words}: {refused}") from refused
-        if self._middle is None:
-            self._middle = self._evaluated(self._terms(None, 0, 0.0))
-            self._check_balance()
+        self._check_balance()
         for other in sides.values():
             self._check(parameter.key, other)
         middle, *others = (one.loads(holds_setpoints) for one in (self._middle, *sides.values()))
@@ -340,9 +372,21 @@ class Sensitivities(HeldTangent):
         key = parameter and parameter.key, side
         if key not in self._built:
             scene = self._model.scene
-            terms = build_terms(scene if parameter is None else parameter.set(scene, value))
+            scene = scene if parameter is None else parameter.set(scene, value)
+            base = self._built.get((None, 0))
+            is_cable = parameter is not None and parameter.key.startswith("cables[")
+            if is_cable and not self._simulation.has_reduced_bodies:
+                terms = with_cables(base, scene)
+                kept = {id(term) for term in (*base.forces, *base.constraints)}
+            else:
+                terms, kept = build_terms(scene), set()
+                if base is not None and not _is_alike(base.layout, terms.layout):
+                    raise SensitivityError(
+                        parameter.key, "makes another mesh or holds other nodes: its structure must "
+                        "stay, as that of a box with given numbers of cells")
             for term in (*terms.forces, *terms.constraints):
-                term.bind(np.arange(terms.layout.nodes.free_node_count), _no_slots)
+                if id(term) not in kept:
+                    term.bind(np.arange(terms.layout.nodes.free_node_count), _no_slots)
             self._built[key] = terms
         return self._built[key]
 
@@ -352,41 +396,49 @@ class Sensitivities(HeldTangent):
         nodes, actuators = terms.layout.nodes, terms.actuators
         for part in memories_of_terms(terms):
             part.recall(state)
-        positions = nodes.rest_positions.copy()
-        given = own.free_index < 0
-        positions[given] += (state.positions - own.rest_positions)[given]
-        nodes.advance(positions, own.displacement(own.rest_positions, state.positions), 1.0)
-        forces, still = np.zeros((2, nodes.free_node_count, 3))
-        for term in terms.forces:
-            if term.remembers_start:
-                term.begin_step(positions, still, np.inf)
-            term.add_forces(positions, forces)
+        positions = nodes.placed_like(own, state.positions)
+        # Terms of the scene itself tell the same as before.
+        is_own = nodes is self._built[None, 0].layout.nodes and not actuators.held_forces
+        known = self._middle if is_own else None
+        passive = self._passive(terms, positions) if known is None else known.passive
+        forces = passive.copy()
         rows = RowStack(actuators.terms, nodes.carried)
         rows.tell_efforts(state.efforts)
         rows.evaluate(positions)
         rows.add_forces(rows.multipliers(state.efforts), forces)
         a = rows.groups.actuators
         drives = np.where(actuators.is_effort_driven, 0.0, actuators.drives(state.setpoints))[a]
-        effectors = effector_rows(terms.effectors, nodes)
-        effectors.evaluate(positions)
-        return AtState(
-            forces, rows.actuator_paths(state.efforts[a]), drives, effectors.values.reshape(-1, 3),
-            nodes.rest_positions, terms.layout.scene,
-        )  # fmt: skip
+        if known is None:
+            effectors = effector_rows(terms.effectors, nodes)
+            effectors.evaluate(positions)
+        places = effectors.values.reshape(-1, 3) if known is None else known.effectors
+        return AtState(forces, rows.actuator_paths(state.efforts[a]), drives, places, passive, terms.layout)
+
+    def _passive(self, terms: Terms, positions: np.ndarray) -> np.ndarray:
+        """Forces of the force terms at positions of all nodes, shape (free_node_count, 3)."""
+        forces, still = np.zeros((2, terms.layout.nodes.free_node_count, 3))
+        for term in terms.forces:
+            if term.remembers_start:
+                term.begin_step(positions, still, np.inf)
+            term.add_forces(positions, forces)
+        return forces
 
     def _check(self, key: str, other: AtState) -> None:
         """Refuses a parameter by which the terms cannot be compared."""
         middle, scene = self._middle, self._model.scene
-        if other.forces.shape != middle.forces.shape:
-            raise SensitivityError(key, "changes the number of unknowns")
-        is_moved = not np.array_equal(other.rest_positions, middle.rest_positions) or any(
-            getattr(other.scene, name) != getattr(scene, name) for name in TOUCHING)
+        rest, moved = middle.layout.nodes.rest_positions, other.layout.nodes.rest_positions
+        is_moved = not np.array_equal(rest, moved) or any(
+            getattr(other.layout.scene, name) != getattr(scene, name) for name in TOUCHING)
         if is_moved and self._held.contact_count:
             raise SensitivityError(key, "moves what touches, of which no derivative is built")
-        for cable, now in zip(scene.cables, other.scene.cables, strict=True):
-            if cable.hold_radius and (is_moved or now.points != cable.points):
-                raise SensitivityError(key, f"moves points of {cable.name}, whose hold_radius holds "
-                                       "other nodes at once: leave hold_radius out for a derivative")
+
+
+def _is_alike(one: Layout, other: Layout) -> bool:
+    """Whether two scenes have the same cells and unknowns, at whatever places."""
+    pairs = zip(one.bodies, other.bodies, strict=True)
+    return np.array_equal(one.nodes.free_index, other.nodes.free_index) and all(
+        before.mesh is after.mesh or np.array_equal(before.mesh.cells, after.mesh.cells)
+        for before, after in pairs)
 
 
 def _no_slots(rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -226,6 +226,14 @@ class Simulation(Readouts):
         self.finish_result()
         for part in self.parts:
             part.receive(self, state)
+        self._check_fits(state)
+        self.state = state
+        for part in self.parts:
+            part.restore(state)
+        self._begin_anew()
+
+    def _check_fits(self, state: State) -> None:
+        """Refuses a state of other shapes."""
         if (
             state.positions.shape != self.state.positions.shape
             or state.setpoints.shape != self.state.setpoints.shape
@@ -234,10 +242,20 @@ class Simulation(Readouts):
             or not self._motion.knows(state.past)
         ):
             raise CommandError("state", "is not of this scene: its shapes differ")
-        self.state = state
-        for part in self.parts:
-            part.restore(state)
-        self._begin_anew()
+
+    def take_over(self, other: Simulation) -> None:
+        """Stand as a simulation of the same structure, whose nodes may rest elsewhere.
+
+        Args:
+            other: The other one; its displacements, setpoints and efforts are taken.
+
+        Raises:
+            CommandError: It is of another scene or mesh.
+        """
+        self._check_fits(other.state)
+        nodes, state = self.model.nodes, other.state
+        places = nodes.placed_like(other.model.nodes, state.positions)
+        self.restore(replace(state, positions=places))
 
     def _begin_anew(self) -> None:
         """Forget the steps before."""
