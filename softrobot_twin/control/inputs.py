@@ -7,7 +7,7 @@ kept message.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import product
 from typing import NamedTuple
 
@@ -305,17 +305,21 @@ class MarkerInput(Input):
         marker_ids: Ids of the scene's markers, shape (marker_count,).
         frame_id: The only frame in which markers are accepted.
         settings: Timeouts.
+        of_robot: Gives measured points in the frame of the robot.
 
     Attributes:
         unknown: Number of points with an id that the scene does not have; they are ignored.
-        positions: Measured positions [m], shape (marker_count, 3); NaN for hidden markers.
+        positions: Measured positions in the frame of the robot [m], shape (marker_count, 3); NaN for hidden markers.
         hidden: The array that `measured` gives when they are too old, all NaN.
         stamp: Time of the measurement [ns].
         time: The same on the clock of `Arrival.time` [s].
     """
 
-    def __init__(self, marker_ids: np.ndarray, frame_id: str, settings: LoopSettings):
-        self.unknown = 0
+    def __init__(
+        self, marker_ids: np.ndarray, frame_id: str, settings: LoopSettings,
+        of_robot: Callable[[np.ndarray], np.ndarray] = np.asarray,
+    ):  # fmt: skip
+        self.unknown, self._of_robot = 0, of_robot
         self._order = np.argsort(marker_ids, kind="stable")
         self._sorted_ids = np.asarray(marker_ids, dtype=np.uint32)[self._order]
         self.hidden = np.full((len(marker_ids), 3), np.nan)
@@ -347,7 +351,7 @@ class MarkerInput(Input):
         self.stamp, self.time = arrival.stamp or arrival.ros_time, arrival.time - arrival.age
         measured = np.full_like(self.positions, np.nan)
         known = np.isin(ids, self._sorted_ids)
-        measured[self._order[np.searchsorted(self._sorted_ids, ids[known])]] = positions[known]
+        measured[self._order[np.searchsorted(self._sorted_ids, ids[known])]] = self._of_robot(positions[known])
         self.unknown += int((~known).sum())
         measured[np.isnan(measured).any(axis=1)] = np.nan
         self.positions = measured

@@ -358,7 +358,7 @@ class SimulatedDevice:
             # When no time has passed, a body without inertia still moves to its equilibrium; a body
             # with inertia does not move.
             self.result = self._step(Hold(), now)
-        markers = self.simulation.marker_positions()
+        markers = self.simulation.scene.marker_frame.of_cameras(self.simulation.marker_positions())
         noise = self._noise.normal(0.0, self._flaws.marker_noise, markers.shape)
         setpoints, efforts = self._valves.measure(
             self._servo.copy(), np.array(self.simulation.state.efforts), self._noise

@@ -287,7 +287,9 @@ def inputs_of(
                                settings, units, -cavities.ambient_pressure)  # fmt: skip
     known = ActuatorNames(names, simulation.motors, rest, *apart)
     made: dict[str, Input] = {
-        "markers": MarkerInput(simulation.marker_ids, frame_id, settings), "device": device}
+        "markers": MarkerInput(simulation.marker_ids, frame_id, settings,
+                               simulation.scene.marker_frame.of_robot),
+        "device": device}  # fmt: skip
     if mode is Mode.DIRECT:
         commands = made["direct"] = ActuatorInput(known, settings)
     else:

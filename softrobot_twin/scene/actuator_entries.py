@@ -130,6 +130,9 @@ class Cable(ActuatorEntry):
     friction: Annotated[float, unit("", ge=0.0)] = 0.0
     """µ at the points of its path: where the cable slips over a point at which its path turns by the
     angle β, its tension falls by the factor exp(-µβ)."""
+    offset: Annotated[float, unit("m")] = 0.0
+    """Zero error of its winch: the length that is commanded and measured, less the true one. Angles of
+    a pulley count from the same zero."""
     presliding: Annotated[float | None, unit("m", gt=0.0)] = None
     """How far it moves over a point until friction that was absent acts wholly; by default a
     thousandth of its length at rest."""
@@ -217,6 +220,10 @@ class Cavity(WalledEntry, ActuatorEntry):
     """What is commanded: a pressure by a regulator, or a volume by a syringe."""
     pressure: Annotated[OpenRange, unit("Pa"), allows_zero("the gauge pressure at rest")] = POSITIVE
     """Limits of the gauge pressure; a negative lower limit allows a vacuum."""
+    pressure_offset: Annotated[float, unit("Pa")] = 0.0
+    """Zero error of its regulator: the pressure in messages of ROS where the gauge pressure is 0."""
+    pressure_gain: Annotated[float, unit("", gt=0.0)] = 1.0
+    """Gauge pressure by that in messages of ROS, less `pressure_offset`."""
     volume: Annotated[OpenRange, unit("m³"), not_below_zero("a volume is not negative")] = POSITIVE
     """Limits of the volume."""
     growth: Annotated[OpenRange, unit("m³"), allows_zero("the growth at rest")] = NO_LIMITS
@@ -301,6 +308,8 @@ class HingeMotor(ActuatorEntry):
     angle: Annotated[ClosedRange, unit("rad"), allows_zero("the angle at rest")]
     """Limits of its angle, less than a turn apart; at rest it is 0. It grows as the beam turns about
     the axis of the hinge by the right-hand rule, against what the hinge is joined to."""
+    offset: Annotated[float, unit("rad")] = 0.0
+    """Zero error of the motor: the angle that is commanded and measured, less the true one."""
     rate: Annotated[float | None, unit("rad/s", gt=0.0)] = None
     """Greatest speed; by default no limit."""
     torque: Annotated[OpenRange, unit("N m"), allows_zero("no torque")] = NO_LIMITS

@@ -7,8 +7,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
+import numpy as np
 from pydantic import Field, PrivateAttr
 from pydantic.fields import FieldInfo
+from scipy.spatial.transform import Rotation
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene.actuator_entries import (
@@ -32,6 +34,7 @@ from softrobot_twin.scene.body_entries import (
 )
 from softrobot_twin.scene.entry import (
     Acceleration,
+    Angles,
     Entry,
     Name,
     OpenNumber,
@@ -117,6 +120,40 @@ class Marker(Entry):
     """The body it is on; optional when there is only one."""
     point: Vector
     """Where it is at rest."""
+
+
+class MarkerFrame(Entry):
+    """Where the frame of the cameras is that measure the markers."""
+
+    position: Vector = (0.0, 0.0, 0.0)
+    """Its origin, in the frame of the robot."""
+    rotation: Angles = (0.0, 0.0, 0.0)
+    """Angles about the x, y and z axes of the robot's frame, in this order."""
+
+    @property
+    def is_usual(self) -> bool:
+        """Whether the cameras measure in the frame of the robot."""
+        return not any((*self.position, *self.rotation))
+
+    def of_robot(self, points: np.ndarray) -> np.ndarray:
+        """Measured points in the frame of the robot [m], shape (..., 3).
+
+        Args:
+            points: In the frame of the cameras [m], shape (..., 3).
+        """
+        return points if self.is_usual else points @ self._turn.T + self.position
+
+    def of_cameras(self, points: np.ndarray) -> np.ndarray:
+        """Points in the frame of the cameras, the inverse of `of_robot`.
+
+        Args:
+            points: In the frame of the robot [m], shape (..., 3).
+        """
+        return points if self.is_usual else (points - self.position) @ self._turn
+
+    @property
+    def _turn(self) -> np.ndarray:
+        return Rotation.from_euler("xyz", self.rotation).as_matrix()
 
 
 WantedStiffness = Annotated[float | None, unit("N/m", gt=0.0)]
@@ -273,6 +310,7 @@ class Scene(Entry):
     effectors: tuple[Effector, ...] = ()
     touches: tuple[Touch, ...] = ()
     markers: tuple[Marker, ...] = ()
+    marker_frame: MarkerFrame = MarkerFrame()
     solver: Solver = Solver()
     path: Path | None = Field(default=None, exclude=True)
     """The scene file; set by the loader."""

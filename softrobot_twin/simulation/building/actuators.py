@@ -90,7 +90,7 @@ class Actuators:
         self.takes_efforts = np.array([kind.takes_efforts for kind in self.kinds], bool)
         self.one_sided = np.array([kind.one_sided for kind in self.kinds], bool)
         self.stalls = np.array([getattr(kind, "stalls", False) for kind in self.kinds], bool)
-        self.pulleys = Pulleys(scene, self.names, self.rest_setpoints)
+        self.pulleys = Pulleys(scene, self.names, self._rest_extents)
 
     def _joined(self, field: str) -> np.ndarray:
         width = (0, 2) if field.endswith("bounds") else (0,)

@@ -61,10 +61,10 @@ class CableActuator(ActuatorKind):
         names = _limit_by_pulleys(entries, pulleys, ranges, rates) if pulleys else ()
         ranges[:, 1] = np.where(np.isinf(ranges[:, 1]), cables.rest_lengths, ranges[:, 1])
         return ActuatorGroup(
-            self, tuple(cable.name for cable in entries), cables, None, cables.rest_lengths,
-            cables.scales, ranges, rates,
+            self, tuple(cable.name for cable in entries), cables, None,
+            cables.rest_lengths + [cable.offset for cable in entries], cables.scales, ranges, rates,
             np.array([cable.tension for cable in entries]), np.ones(len(entries)),
-            limit_names=names,
+            rest_extents=cables.rest_lengths, limit_names=names,
         )  # fmt: skip
 
     def doubts(self, model, group: ActuatorGroup) -> Iterator[str]:
@@ -98,6 +98,8 @@ class CableActuator(ActuatorKind):
             words.append(f"wound by a pulley of radius {1e3 * entry.pulley.radius:.6g} mm")
         if _stretches(entry):
             words.append(f"stretches, EA {entry.axial_stiffness:.6g} N")
+        if entry.offset:
+            words.append(f"zero error {1e3 * entry.offset:.6g} mm")
         if entry.friction:
             words.append(f"friction {entry.friction:.6g} along its path")
         return ", ".join(words)

@@ -43,8 +43,8 @@ class HingeMotorActuator(ActuatorKind):
         term = HingeAngles(layout.hinged, hinges, ranges, bending)
         radii = layout.hinged.hinges.radii[term.hinges]
         return ActuatorGroup(
-            self, tuple(motor.name for motor in entries), term, None, np.zeros(len(entries)),
-            term.scales, ranges,
+            self, tuple(motor.name for motor in entries), term, None,
+            np.array([motor.offset for motor in entries]), term.scales, ranges,
             np.array([np.inf if motor.rate is None else motor.rate for motor in entries]),
             np.array([motor.torque for motor in entries]), 1.0 / radii,
         )  # fmt: skip
@@ -68,7 +68,8 @@ class HingeMotorActuator(ActuatorKind):
 
     def details(self, entry: HingeMotor, group: ActuatorGroup, index: int) -> str:
         """See `ActuatorKind.details`."""
-        return f"turns {entry.beam} at its {entry.at}"
+        zero = f", zero error {entry.offset:.6g} rad" if entry.offset else ""
+        return f"turns {entry.beam} at its {entry.at}{zero}"
 
 
 def _bending(beam: BeamBody) -> float:

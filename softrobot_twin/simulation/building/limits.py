@@ -66,15 +66,15 @@ class Pulleys:
     """
 
     def __init__(
-        self, scene: Scene | None, actuator_names: Sequence[str], rest_setpoints: np.ndarray
+        self, scene: Scene | None, actuator_names: Sequence[str], zeros: np.ndarray
     ):
         """Find what each pulley winds.
 
         Args:
             scene: The scene; None for no pulleys.
             actuator_names: Names of its actuators.
-            rest_setpoints: Their setpoints at rest, of cables lengths [m],
-                shape (actuator_count,).
+            zeros: Their setpoints where the angle is 0, of cables lengths [m], shape
+                (actuator_count,).
         """
         places = {name: index for index, name in enumerate(actuator_names)}
         cables, motors = ((), ()) if scene is None else (scene.cables, scene.motors)
@@ -88,7 +88,7 @@ class Pulleys:
             self.is_wound[driven] = True
         self.wound = np.array([pulley.wound for _, pulley, _ in own])
         self._first = np.array([driven[0] for driven in self.driven], np.int64)
-        self._rest = np.array(rest_setpoints, float)
+        self._rest = np.array(zeros, float)
 
     @property
     def count(self) -> int:
