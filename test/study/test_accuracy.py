@@ -269,24 +269,10 @@ def test_what_cannot_be_chosen_from_is_refused_by_name(
     assert not (tmp_path / output).exists()
 
 
-def test_a_scene_without_effector_is_refused(family, tmp_path, call):
-    content = yaml.safe_load(family.read_text())
-    del content["effectors"]
-    bare = family.parent / "bare.yaml"
-    bare.write_text(yaml.safe_dump(content))
-    done = call("accuracy", bare, "--output", tmp_path)
-    assert done.code == 2 and "lacks cables and cavities, or effectors" in done.errors
-
-
 def test_too_few_meshes_for_a_reference_are_refused(family, tmp_path):
     levels = mesh_family(load_scene(family), tmp_path)
     with pytest.raises(AccuracyError, match="needs two quadratic meshes of at most 100 dof"):
         study_meshes(levels, Limits(100, 100), lambda words: None)
-
-
-@pytest.mark.parametrize("rate", ["0", "-5", "nan", "abc"])
-def test_an_invalid_rate_is_refused(family, rate, call):
-    assert call("choose", family, "--rate", rate).code == 2
 
 
 def left_out_of(scene_file, tmp_path):

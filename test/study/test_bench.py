@@ -41,15 +41,10 @@ def measured(column):
     return measure(given_cases([column])[0], 5)
 
 
-def test_bench_prints_and_writes_a_row_for_each_stage_and_a_picture(column, tmp_path, call):
+def test_bench_writes_a_row_for_each_stage_and_a_picture(column, tmp_path, call):
     done = call("bench", column, "--steps", 5, "--output", tmp_path / "made")
     assert done.code == 0, done.errors
     simulation = Simulation.from_scene_file(column)
-    for words in (*simulation.stages, OUTSIDE, WHOLE_STEP, "one SuperLU factorization",
-                  f"{simulation.dof_count} dof", "dgemm", "OPENBLAS_NUM_THREADS=1", "numpy",
-                  "factor's buffers", "multifrontal Cholesky", "garbage collection off"):
-        assert words in done.output, words
-    assert "required 0.16" not in done.output  # it is set for the default Diamond only
     rows = rows_of(tmp_path / "made" / "bench.csv")
     assert list(rows[0]) == COLUMNS.split()
     assert [row["stage"] for row in rows] == [*simulation.stages, OUTSIDE, WHOLE_STEP]
@@ -147,14 +142,6 @@ def test_a_column_fills_its_box_with_good_elements():
     assert radius_ratios(mesh).min() > 0.15
 
 
-def test_a_scene_without_targets_or_commands_is_refused_by_name(column, tmp_path, call):
-    bare = tmp_path / "bare.yaml"
-    bare.write_text(column.read_text().partition("cables:")[0].replace(
-        "column.vtk", str(column.parent / "column.vtk")))
-    done = call("bench", bare, "--steps", 5)
-    assert done.code == 2 and "circle" in done.errors and "column" in done.errors
-
-
 def test_garbage_collection_is_off_inside_and_restored_after():
     assert gc.isenabled()
     with pytest.raises(KeyError), without_garbage_collection():
@@ -222,16 +209,3 @@ def test_a_step_that_grew_is_marked_beside_an_earlier_run(column, tmp_path, call
     assert same.code == 0 and "An earlier run" in same.output and "slower" not in same.output
     grown = call("bench", column, "--steps", 4, "--compare", lean)
     assert "slower, more calls" in grown.output
-
-
-@pytest.mark.parametrize("option, words", [
-    ("--compare other.csv", ("other.csv", "no bench.csv")), ("--compare none.csv", ("none.csv",)),
-    ("--steps 0", ("--steps",)),
-])  # fmt: skip
-def test_no_file_of_a_bench_and_no_steps_are_refused_before_anything_is_timed(
-    column, tmp_path, call, monkeypatch, option, words
-):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "other.csv").write_text("stage,x\nwhole step,1\n")
-    done = call("bench", column, *option.split())
-    assert done.code == 2 and all(one in done.errors for one in words), done.errors

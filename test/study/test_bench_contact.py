@@ -86,10 +86,6 @@ def test_an_option_that_is_impossible_in_contact_gives_one_line(
     assert not list(tmp_path.iterdir()), "nothing is left behind"
 
 
-def test_commands_without_a_scene_are_refused(call):
-    assert "--commands: requires" in call("bench", "--commands", "x.csv").errors
-
-
 def test_a_picture_holds_sizes_with_and_without_contact(tmp_path, held, column):
     pytest.importorskip("matplotlib")
     plain = measure(given_cases([column])[0], 2)

@@ -187,31 +187,6 @@ def test_lost_chains_are_told_and_the_rest_is_used(column, call, tmp_path, monke
     assert read_body_reduction(tmp_path / "r.npz").training["states"] == 30
 
 
-@pytest.mark.parametrize("arguments, told", [
-    (("--body", "arm"), "--body names one of body"),
-    (("--targets", "hand=0:1,0:1,0:1"), "has no effector hand"),
-    (("--range", "a_shortening_m=0"), "two numbers"),
-    (("--load-points", "0,0,0.1"), "--load-points: requires --loads"),
-    (("--targets", "tip=0:1,0:1,0:1", "--range", "a_shortening_m=0:1"), "--range: has no effect"),
-    (("--modes", "6", "--energy", "0.1"), "--energy: has no effect"),
-    (("--workers", "2", "--scheduler", "tcp://127.0.0.1:1"), "--workers: has no effect"),
-    (("--tilts", "0"), "--tilts"), (("--loads", "-1"), "--loads"), (("--error", "120%"), "--error"),
-    (("--targets", "tip=1:0,0:1,0:1"), "--targets"),
-    (("--load-points", "0,0", "--loads", "1"), "--load-points"),
-])  # fmt: skip
-def test_arguments_that_do_not_fit_are_refused_by_name(column, call, tmp_path, arguments, told):
-    done = call("reduce", column, "--output", tmp_path / "r.npz", *arguments)
-    assert done.code == 2 and told in done.errors, done.errors
-    assert not list(tmp_path.iterdir())
-
-
-def test_tilts_without_gravity_are_refused(column, call, tmp_path):
-    scene = column.parent / "weightless.yaml"
-    scene.write_text(column.read_text().replace("-9.81", "0.0"))
-    done = call("reduce", scene, "--output", tmp_path / "r.npz", "--tilts", 10)
-    assert done.code == 2 and "no gravity that could be tilted" in done.errors
-
-
 def test_a_stopped_run_goes_on_where_it_was(column, stop, call, tmp_path):
     output, part = tmp_path / "r.npz", tmp_path / "r.npz.part"
     arguments = ["reduce", column, "--output", output, "--workers", 1, "--snapshots", 60,

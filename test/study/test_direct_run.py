@@ -87,15 +87,10 @@ def test_steps_are_even_and_end_with_the_last_row(stamp):
     assert len(step_times(table, 200.0)) == 140
 
 
-def test_a_run_writes_all_columns_and_prints_its_figures(tmp_path, stamp, call):
+def test_a_run_writes_all_columns(tmp_path, stamp, call):
     done = call("simulate", stamp, "--commands", stamp.parent / "stamping.csv", "--rate", 100,
                 "--output", tmp_path / "run.csv")
     assert done.code == 0, done.errors
-    for words in ("cube, highest", "cube, creep while held", "0.2..0.5 s", "force on pad by cube",
-                  "force on cube by floor", "sum of magnitudes",
-                  "compute time", "p99", "contacts, maximum",
-                  "status ok", "100 Hz"):
-        assert words in done.output, words
     rows = rows_of(tmp_path / "run.csv")
     pose = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
     assert list(rows[0]) == [
@@ -120,14 +115,3 @@ def test_two_direct_runs_are_the_same_to_the_last_bit(tmp_path, stamp, call):
         tables.append([{k: v for k, v in row.items() if k != "compute_time_s"}
                        for row in rows_of(tmp_path / name)])
     assert tables[0] == tables[1]
-
-
-@pytest.mark.parametrize("options, words", [
-    ("--commands {stamping} --settle 2", "--settle: requires --targets"),
-    ("--commands {stamping} --picture-at 0.1", "--picture-at: requires --picture"),
-    ("--commands a.csv --targets b.csv", "not allowed with"), ("", "required"),
-])  # fmt: skip
-def test_options_that_exclude_or_require_others_are_refused(tmp_path, stamp, call, options, words):
-    given = options.format(stamping=stamp.parent / "stamping.csv").split()
-    done = call("simulate", stamp, "--output", tmp_path / "run.csv", *given)
-    assert done.code == 2 and words in done.errors

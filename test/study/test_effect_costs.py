@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import yaml
 
-from softrobot_twin.__main__ import main
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.study.effect_costs import EFFECTS, NOTHING, effect_costs, path_of
@@ -97,11 +96,3 @@ def test_actuators_move_within_their_rates_and_then_hold(beam):
 def test_an_actuator_without_limits_needs_an_actuation(beam):
     with pytest.raises(ActuationError, match="--at"):
         costs(beam(cable={"shortening": [float("-inf"), float("inf")]}))
-
-
-def test_the_command_prints_the_table(beam, capsys):
-    scene = beam()
-    assert main(["explain", "--effects", str(scene.path), "--at", "cable_shortening_m=0.005"]) == 0
-    printed = capsys.readouterr().out
-    assert "gravity" in printed and "nothing" in printed and "µs a step" in printed
-    assert main(["explain", "--effects", "--stiffness", str(scene.path)]) != 0

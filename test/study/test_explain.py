@@ -1,6 +1,5 @@
 """``explain``: the text about a scene."""
 
-import re
 from io import StringIO
 from pathlib import Path
 
@@ -23,38 +22,6 @@ from softrobot_twin.study.terminal import listing
 SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
 
 
-@pytest.mark.parametrize("name", ["column", "stamp"])
-def test_explain_tells_entries_terms_stages_sizes_and_errors_of_the_mesh(request, name, call):
-    """All of it, as plain text; percentages and times are left out, and spaces that align."""
-    scene = request.getfixturevalue(name)
-    done = call("explain", scene)
-    assert done.code == 0, done.errors
-    warnings = [line for line in done.errors.splitlines() if line.startswith("warning: ")]
-    told = "\n".join([done.output.replace(str(scene.parent), "..."), *warnings])
-    told = re.sub(" *\n *", "\n", re.sub("  +", "  ", re.sub(r"[\d.]+ (%|ms)", r"# \1", told)))
-    assert told == (Path(__file__).parent / f"explained_{name}.txt").read_text().rstrip()
-
-
-def test_an_effect_that_a_scene_omits_makes_no_term(column, tmp_path, call):
-    text = column.read_text().replace("[0.0, 0.0, -9.81]", "[0.0, 0.0, 0.0]")
-    bare = tmp_path / "bare.yaml"
-    bare.write_text(text.partition("cables:")[0].replace("column.vtk",
-                                                         str(column.parent / "column.vtk")))
-    output = call("explain", bare).output
-    for absent in ("gravity", "cables", "term effectors", "optimise"):
-        assert absent not in output
-    assert len(terms(Simulation.from_scene_file(bare))) == 1
-
-
-def test_a_scene_with_an_unknown_effect_is_refused_by_name(column, tmp_path, call):
-    scene = tmp_path / "haunted.yaml"
-    scene.write_text(column.read_text() + "ghosts: [1]\n")
-    done = call("explain", scene)
-    assert done.code == 2
-    assert len(done.errors.splitlines()) == 1
-    assert "haunted.yaml" in done.errors and "ghosts" in done.errors
-
-
 @pytest.mark.parametrize("scene", sorted(SCENES.glob("*.yaml")), ids=lambda path: path.stem)
 def test_every_scene_of_the_package_is_explained(scene, call):
     done = call("explain", scene, "--no-mesh-error")
@@ -62,20 +29,6 @@ def test_every_scene_of_the_package_is_explained(scene, call):
     assert "Estimated error of the effectors" not in done.output
     without = "octoleg", "octoleg_device", "fetch_reduced"
     assert "sag by gravity" in done.output or scene.stem in without
-
-
-def test_a_too_small_energy_weight_is_reported_with_the_used_one(column, tmp_path, call):
-    told = {}
-    for weight in (1e-12, 1e-6):
-        scene = tmp_path / f"light_{weight}.yaml"
-        text = "".join(
-            line for line in column.read_text().splitlines(keepends=True)
-            if not line.startswith("solver:")
-        ).replace("column.vtk", str(column.parent / "column.vtk"))
-        scene.write_text(f"{text}\nsolver: {{energy_weight: {weight:.1e}}}\n")
-        told[weight] = " ".join(call("explain", scene).output.split())
-    assert "1.49012e-08 in the inverse problem, the least" in told[1e-12]
-    assert "1e-06 in the inverse" in told[1e-6] and "the least" not in told[1e-6]
 
 
 @pytest.mark.parametrize("entry, words", [
@@ -214,10 +167,3 @@ def test_a_picture_of_the_scene_at_rest_is_drawn_with_names(column, tmp_path, ca
     assert done.code == 0, done.errors
     assert f"picture: {tmp_path / 'column.png'}" in done.output
     assert image.imread(tmp_path / "column.png").shape[0] > 400
-
-
-def test_options_of_the_picture_are_refused_without_it(column, tmp_path, call):
-    done = call("explain", column, "--picture-view", 10, -40)
-    assert done.code == 2 and "--picture-view: requires --picture" in done.errors
-    done = call("explain", column, "--stiffness", "--picture", tmp_path / "no.png")
-    assert done.code == 2 and "--picture: cannot be combined with --stiffness" in done.errors

@@ -29,14 +29,6 @@ def test_a_time_has_its_unit(text, value):
     assert step_time(text) == pytest.approx(value, rel=1e-12)
 
 
-@pytest.mark.parametrize("text", ["6furlong", "mm", "-6mm", "0", "inf", "nan"])
-def test_what_is_no_length_is_refused(text, capsys):
-    with pytest.raises(SystemExit) as ended:
-        main(["mesh", "part.stl", f"--size={text}"])
-    assert ended.value.code == 2
-    assert "--size" in capsys.readouterr().err
-
-
 def power_law(exponent):
     """Time of a step by size: 10 ms at 5 mm."""
     tried = []

@@ -48,7 +48,6 @@ def values_of(path):
 def test_a_hanging_body_stretches_under_its_weight(hung, tmp_path, call):
     done = call("simulate", hung, "--steps", 8, "--output", tmp_path / "run.csv")
     assert done.code == 0, done.errors
-    assert "warning" not in done.errors and "largest displacement" in done.output
     row = values_of(tmp_path / "run.csv")[-1]
     length, stress = SIZE[2], DENSITY * 9.81 * SIZE[2]
     stretch = stress * length / (2.0 * YOUNG)
@@ -65,7 +64,6 @@ def test_a_cube_falls_by_the_square_of_time_and_rests_on_the_floor(falling, tmp_
     done = call("simulate", falling, "--seconds", 0.5, "--rate", 1000, "--output",
                 tmp_path / "run.csv")
     assert done.code == 0, done.errors
-    assert "cube, position" in done.output
     rows = values_of(tmp_path / "run.csv")
     assert len(rows) == 500
     flying, resting = rows[99], rows[-1]
@@ -112,10 +110,3 @@ def test_two_passive_runs_are_the_same_to_the_last_bit(falling, tmp_path, call):
     for row in first + second:
         del row["compute_time_s"]
     assert first == second
-
-
-def test_a_run_needs_exactly_one_of_targets_commands_and_duration(column, tmp_path, call):
-    neither = call("simulate", column, "--output", tmp_path / "run.csv")
-    both = call("simulate", column, "--steps", 3, "--seconds", 1, "--output", tmp_path / "run.csv")
-    assert neither.code == both.code == 2
-    assert "--seconds" in neither.errors and "not allowed with" in both.errors

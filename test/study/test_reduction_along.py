@@ -117,15 +117,3 @@ def test_a_body_trained_along_a_path_keeps_its_gap_and_presses_as_the_full_one(
     pressed = np.array(pressed)
     assert pressed[:, 0].max() > 0.02
     np.testing.assert_allclose(pressed[:, 1], pressed[:, 0], atol=0.05 * pressed.max())
-
-
-@pytest.mark.parametrize("options, told", [
-    (("--around", 0.01), "--around: requires --along"),
-    (("--along", "PATH", "--loads", 0.1), "--loads: has no effect with --along"),
-    (("--along", "PATH", "--targets", "tip=0:1,0:1,0:1"), "--targets: has no effect"),
-    (("--along", "PATH", "--error", "1%"), "--error: has no effect with --along"),
-])  # fmt: skip
-def test_options_without_effect_are_refused_by_name(beside_a_rod, call, options, told):
-    scene, path = beside_a_rod
-    done = call("reduce", scene, *(path if option == "PATH" else option for option in options))
-    assert done.code == 2 and told in done.errors

@@ -1,7 +1,6 @@
 """``explain --stiffness``: principal stiffnesses, compliance and Jacobian of each effector."""
 
 import numpy as np
-import pytest
 
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.apparent_compliance import apparent_compliance
@@ -52,23 +51,3 @@ def test_a_setpoint_and_a_displacement_name_the_same(column):
     one = actuation(simulation, ["a_shortening_m=0.004"])
     np.testing.assert_allclose(actuation(simulation, [f"a_length_m={length!r}"]), one, atol=1e-12)
     assert one[0] == 0.004 and not one[1:].any()
-
-
-@pytest.mark.parametrize("given, told", [
-    ("a_shortening_m", "must end with a number"), ("a_shortening_mm=3", "is no column of a_short"),
-    ("a_shortening_m=nan", "must be finite"), ("a_length_m=0.1 a_shortening_m=0", "moves what"),
-])  # fmt: skip
-def test_an_actuation_that_does_not_fit_is_refused_by_name(column, call, given, told):
-    done = call("explain", "--stiffness", column, "--at", *given.split())
-    assert done.code == 2 and told in done.errors and given.split()[-1] in done.errors
-    assert len(done.errors.splitlines()) == 1
-
-
-def test_an_actuation_without_stiffness_is_refused(column, call):
-    done = call("explain", column, "--at", "a_shortening_m=0.0")
-    assert (done.code, done.errors) == (2, "softrobot_twin: --at: requires --stiffness or --effects\n")
-
-
-def test_a_scene_without_effectors_is_told(stamp, call):
-    done = call("explain", "--stiffness", stamp)
-    assert done.code == 1 and "no effectors" in done.errors

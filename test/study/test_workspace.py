@@ -271,24 +271,17 @@ def test_an_actuator_without_bounds_is_refused_by_name(air_scene, tmp_path, call
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize("options, told", [
-    ("--range a_shortening_m=0", ("two numbers", "--range a_shortening_m=0")),
-    ("--range a_shortening_m=1:0", ("the lower one first", "--range a_shortening_m=1:0")),
-    ("--range z_shortening_m=0:1", ("is no column", "--range z_shortening_m=0:1")),
-    ("--workers 2 --scheduler tcp://127.0.0.1:1", ("--workers: has no effect",)),
-    (f"--samples 2 {NOBODY}", (f"{NOBODY}: cannot be reached",)),
-    (f"--samples 2 {NOBODY}", ("distributed is not installed",)),
-], ids=lambda value: value if isinstance(value, str) else value[0])  # fmt: skip
-def test_an_option_that_does_not_fit_is_refused_by_name(
-    column, call, tmp_path, monkeypatch, options, told
-):
-    if "distributed is not installed" in told:
+@pytest.mark.parametrize("told", [
+    f"{NOBODY}: cannot be reached", "distributed is not installed",
+])
+def test_a_cluster_that_is_not_there_is_refused_by_name(column, call, tmp_path, monkeypatch, told):
+    if "installed" in told:
         monkeypatch.setitem(sys.modules, "distributed", None)
-    elif NOBODY in options:
+    else:
         pytest.importorskip("distributed")
         monkeypatch.setattr(sample_workers, "CONNECTION_TIMEOUT", 1.0)
-    done = call("workspace", column, "--output", tmp_path / "w.csv", *options.split())
-    assert done.code == 2 and all(words in done.errors for words in told)
+    done = call("workspace", column, "--output", tmp_path / "w.csv", "--samples", 2, *NOBODY.split())
+    assert done.code == 2 and told in done.errors
 
 
 def test_the_views_show_the_widest_planes():
