@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from softrobot_twin.simulation import CommandSetpoints, Simulation
 from softrobot_twin.study.figure import MissingExtraError
 from softrobot_twin.study.rasterization import Triangles, camera_at, rasterize
 from softrobot_twin.study.scene_picture import layers_of, take_snapshot
-from softrobot_twin.study.workspace import joint_axes
+from softrobot_twin.study.workspace import Axis, driven_by, joint_axes
 
 try:
     import gymnasium
@@ -38,24 +38,6 @@ _MOST_STEPS, _MOST_DRAWS = 100, 20
 # Rows and columns of a picture, where its eye is, and the colours of cables and cavities.
 _PICTURE, _CAMERA = (480, 640), camera_at(15.0, -70.0)
 _COLOURS = {"cable": np.array([0.60, 0.15, 0.40]), "cavity": np.array([0.80, 0.30, 0.25])}
-
-
-class Drive(NamedTuple):
-    """Actuators that an action moves together: one, or the cables of a motor.
-
-    Attributes:
-        name: Name of the actuator or motor.
-        places: The actuators among all of the scene.
-        least: Least displacement from rest or, where the effort is what is set, least effort.
-        most: The greatest.
-        rate: Its greatest change in a second.
-    """
-
-    name: str
-    places: tuple[int, ...]
-    least: float
-    most: float
-    rate: float
 
 
 class ReachingEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
@@ -275,19 +257,19 @@ class ReachingEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
         return {"distance": distance, "is_success": bool(distance < self.reached_within)}
 
 
-def _drives_of(simulation: Simulation) -> tuple[Drive, ...]:
+def _drives_of(simulation: Simulation) -> tuple[Axis, ...]:
     """What an action moves: motors with their cables, and all other actuators."""
-    actuators, limits = simulation.actuators, simulation.limits
-    drives = []
-    for name, places, least, most in joint_axes(simulation, limits.drive_min, limits.drive_max):
-        kind, rate = actuators.kinds[places[0]], float(limits.rate[list(places)].min())
-        word = (kind.effort if kind.is_effort_driven else kind.displacement).word
-        if not (math.isfinite(least) and math.isfinite(most) and least < most):
-            raise CommandError(name, f"has a {word} from {least:g} to {most:g}; an environment "
-                               f"needs finite limits: give {word}: [least, most] in the scene")
-        if not math.isfinite(rate):
-            raise CommandError(name, "has no rate, which an environment needs: give it in the scene")
-        drives.append(Drive(name, places, least, most, rate))
+    limits = simulation.limits
+    drives = joint_axes(simulation, limits.drive_min, limits.drive_max)
+    for drive in drives:
+        if not (math.isfinite(drive.least) and math.isfinite(drive.most) and drive.least < drive.most):
+            word = driven_by(simulation, drive).word
+            raise CommandError(
+                drive.name, f"has a {word} from {drive.least:g} to {drive.most:g}; an environment "
+                f"needs finite limits: give {word}: [least, most] in the scene")
+        if not math.isfinite(drive.rate):
+            raise CommandError(drive.name,
+                               "has no rate, which an environment needs: give it in the scene")
     if not drives:
         raise CommandError(simulation.scene.name, "has no actuator that could learn")
     return tuple(drives)

@@ -26,6 +26,7 @@ import numpy as np
 from softrobot_twin.errors import NamedError
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.apparent_compliance import EffectorCompliance
+from softrobot_twin.simulation.building.actuator_kinds import Quantity
 from softrobot_twin.simulation.building.table_columns import STATUS, column, position_columns
 from softrobot_twin.simulation.result import Status
 from softrobot_twin.simulation.runs.run_columns import (
@@ -65,14 +66,16 @@ class Axis(NamedTuple):
     Attributes:
         name: Name of the actuator, or of the motor of several cables.
         places: Places of the actuators, all of which it moves alike.
-        low: Least displacement, or effort of what is driven by its effort.
-        high: Greatest.
+        least: Least displacement, or effort of what is driven by its effort.
+        most: The greatest.
+        rate: Its greatest change in a second; infinite without a limit.
     """
 
     name: str
     places: tuple[int, ...]
-    low: float
-    high: float
+    least: float
+    most: float
+    rate: float
 
 
 def sampled_axes(simulation: Simulation, ranges: Sequence[str] = ()) -> tuple[Axis, ...]:
@@ -115,19 +118,30 @@ def joint_axes(simulation: Simulation, low: np.ndarray, high: np.ndarray) -> lis
               for motor, cables in simulation.motors.items()}
     taken = {place for own in groups.values() for place in own}
     groups |= {name: [place] for place, name in enumerate(names) if place not in taken}
-    return [Axis(name, tuple(own), float(low[own].max()), float(high[own].min()))
-            for name, own in groups.items()]
+    rate = simulation.limits.rate
+    return [Axis(name, tuple(own), float(low[own].max()), float(high[own].min()),
+                 float(rate[own].min())) for name, own in groups.items()]
+
+
+def driven_by(simulation: Simulation, axis: Axis) -> Quantity:
+    """The quantity whose limits are those of an axis, a displacement or an effort.
+
+    Args:
+        simulation: The scene.
+        axis: One of its axes.
+    """
+    actuators = simulation.actuators
+    return actuators.driven_quantities(actuators.is_effort_driven)[axis.places[0]]
 
 
 def _check_axis(simulation: Simulation, axis: Axis) -> None:
-    if np.isfinite([axis.low, axis.high]).all():
+    if np.isfinite([axis.least, axis.most]).all():
         return
-    kind = simulation.actuators.kinds[axis.places[0]]
-    quantity = kind.effort if kind.is_effort_driven else kind.displacement
-    end = "greatest" if np.isfinite(axis.low) else "least"
+    section, quantity = simulation.actuators.kinds[axis.places[0]].section, driven_by(simulation, axis)
+    end = "greatest" if np.isfinite(axis.least) else "least"
     raise WorkspaceError(
         simulation.scene.path,
-        f"{kind.section}: {axis.name} has no {end} {quantity.word} [{quantity.unit}]; name it in "
+        f"{section}: {axis.name} has no {end} {quantity.word} [{quantity.unit}]; name it in "
         f"the scene, or by --range {column(axis.name, quantity)}=LOW:HIGH",
     )  # fmt: skip
 
@@ -188,7 +202,7 @@ def setpoints_between(
     actuators = simulation.actuators
     drives = np.tile(actuators.drives(simulation.rest_setpoints), (len(shares), 1))
     for axis, share in zip(axes, shares.T, strict=True):
-        drives[:, list(axis.places)] = (axis.low + share * (axis.high - axis.low))[:, None]
+        drives[:, list(axis.places)] = (axis.least + share * (axis.most - axis.least))[:, None]
     return actuators.setpoints(drives)
 
 
@@ -500,7 +514,7 @@ def workspace(
     content = scene_fingerprint(simulation.scene)
     header = _workspace_header(simulation)
     run = {"scene": content, "seed": seed, "number of samples": samples,
-           "range": [[axis.name, axis.low, axis.high] for axis in axes],
+           "range": [[axis.name, axis.least, axis.most] for axis in axes],
            "columns": hashlib.sha256(",".join(header).encode()).hexdigest()}  # fmt: skip
     # Before anything is computed: an unfinished run of something else is refused.
     unfinished = UnfinishedFile(output, run, header)

@@ -70,7 +70,7 @@ def test_a_training_has_the_corners_of_the_box_where_they_are_few(finder):
     assert len(ends) == 16
     wound = (finder.simulation.rest_setpoints - cornered[1:17]).round(9)
     for axis, column in zip(axes, wound.T, strict=True):
-        assert sorted(set(column)) == pytest.approx([axis.low, axis.high])
+        assert sorted(set(column)) == pytest.approx([axis.least, axis.most])
     np.testing.assert_array_equal(setpoints(60, True), plain[:60])
 
 

@@ -92,7 +92,7 @@ def test_samples_fill_the_box_and_more_of_them_begin_with_the_same(column):
     few, many = (sampled_setpoints(simulation, axes, count, 5) for count in (50, 257))
     np.testing.assert_array_equal(few, many[:50])
     drives = np.array([simulation.actuators.drives(sample) for sample in many[1:]])
-    low, high = (np.array([getattr(axis, end) for axis in axes]) for end in ("low", "high"))
+    low, high = (np.array([getattr(axis, end) for axis in axes]) for end in ("least", "most"))
     shares = (drives - low) / (high - low)
     assert shares.min() >= -1e-12 and shares.max() <= 1.0 + 1e-12
     for column_of in shares.T:
@@ -265,7 +265,7 @@ def test_an_actuator_without_bounds_is_refused_by_name(air_scene, tmp_path, call
     assert "--range low_pressure_Pa=LOW:HIGH" in done.errors
     assert not list(tmp_path.glob("w.csv*"))
     axes = sampled_axes(Simulation.from_scene_file(scene), ["low_pressure_Pa=0:1000"])
-    assert [(axis.name, axis.low, axis.high) for axis in axes] == [
+    assert [(axis.name, axis.least, axis.most) for axis in axes] == [
         ("east", 0.0, 0.01), ("low", 0.0, 1000.0), ("high", -5.0e3, 1.0e4),
         ("syringe", -4.0e-7, 1.0e-6),
     ]  # fmt: skip
