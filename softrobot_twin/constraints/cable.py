@@ -236,7 +236,7 @@ def share_kernel(x, nodes, coefficients, constants, least, rounding, free, move)
 
 @njit(**KERNEL)
 def shorten(rest_lengths, lengths):
-    """Turn lengths into shortenings [m], both of shape (cable_count,)."""
+    """Turn `lengths` into shortenings from `rest_lengths` [m], all of shape (cable_count,)."""
     for c in range(len(lengths)):
         lengths[c] = rest_lengths[c] - lengths[c]
 

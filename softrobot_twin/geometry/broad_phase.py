@@ -28,6 +28,8 @@ Arguments of the kernels here:
     frame: Lower corner [m], upper corner [m] and cells per length [1/m], shape (3, 3).
     keep: Items to use, shape (item_count,), or (0,) for all.
     p: A point, three numbers [m].
+    value: A coordinate of a point [m].
+    vertices: Some rows of x, shape (count,).
     x: Points [m], shape (point_count, 3).
 """
 

@@ -12,6 +12,7 @@ Arguments of the kernels here:
     links: Corners, neighbours and ownership of each triangle, shape (triangle_count, 15).
     normals: Unit normal and offset [m] of each triangle, shape (triangle_count, 4).
     ridges: Whether each edge is a ridge, shape (edge_count,).
+    v: A vertex, a row of x.
     x: Points [m], shape (point_count, 3).
 """
 

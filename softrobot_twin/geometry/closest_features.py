@@ -9,11 +9,13 @@ their loops, because numba counts references for each array that is passed on, w
 than the geometry itself.
 
 Arguments of the kernels here:
+    a, b, c: Corners of a triangle: rows of x or, where there is no x, points, three numbers [m].
     box: Lower and upper corner of a box, six numbers [m].
     boxes: Those of all items [m], shape (item_count, 6).
     found: Indices of triangles, shape (triangle_capacity,).
     items: Items of all cells, concatenated, shape (item_capacity,).
     p: A point, three numbers [m].
+    s, t: Two triangles, rows of `normals`.
     skipped: First and last mark, two numbers.
     stamps: Marks of the triangles, shape (triangle_count,) or (0,).
     w: Barycentric weights, three numbers.

@@ -6,7 +6,8 @@ loop over elements from becoming vector instructions.
 
 Arguments of the kernels here:
     A, B, dA: Matrices, three rows of three numbers.
-    a, v: Vectors, three numbers.
+    a, b, v: Vectors, three numbers.
+    x: An array of shape (3, 3).
 """
 
 from __future__ import annotations

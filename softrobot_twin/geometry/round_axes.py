@@ -11,9 +11,16 @@ Where a range of an axis is equally near, its middle counts: a term ε L (s - ½
 place notices, makes the minimum unique, and keeps it where it is as the bodies move.
 
 Arguments of the kernels here:
+    axis, first, second: A `RoundAxis`.
     balls, others: Centre and radius of the ball of each element [m], shape (element_count, 4).
+    e, f: An element of the first, and of the second axis.
+    kind, extents: Of the convex shape, see `shape_distance`.
+    least: A distance [m].
     out: The same in `_write_balls`; in `axis_distances` the distance of each element of the
         first axis from each of the second [m], shape (first_count, second_count).
+    placed: Origin [m] and axes of the shape in the world, shape (4, 3).
+    s: Share of an element, 0 to 1.
+    x: Vectors at both ends of each element, shape (element_count, 2, 3).
 """
 
 from __future__ import annotations

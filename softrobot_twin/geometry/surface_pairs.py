@@ -42,13 +42,21 @@ _DEPTH_IN_EDGES = 2.0
 
 @njit(**KERNEL)
 def are_apart(x, vertices, y, others, margin):
-    """Whether the bounding boxes of two sets of points are farther apart than the margin."""
+    """Whether the bounding boxes of two sets of points are farther apart than the margin [m].
+
+    Args:
+        x: Points [m], shape (point_count, 3).
+        vertices: Some of them, shape (count,).
+        y: Other points [m], shape (other_point_count, 3).
+        others: Some of these, shape (other_count,).
+        margin: The distance [m].
+    """
     return is_empty(shared_box(bounding_box(x, vertices), bounding_box(y, others), margin))
 
 
 @njit(**INNER)
 def find_features(side):
-    """Compute the current normals and ridges; returns half the length of the longest ridge [m]."""
+    """Compute normals and ridges of a `SurfaceSide`, `side`; returns half the longest ridge [m]."""
     compute_normals(side.x, side.surface.links, side.normals)
     if len(side.leaders) == 0:
         return find_ridges(side.x, side.surface.edges, side.normals, side.ridges)

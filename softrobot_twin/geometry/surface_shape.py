@@ -30,12 +30,22 @@ own feature. A fold of the surface around the edge of the box has no cone; it ke
 as long as this agrees with the normal.
 
 Arguments of the kernels here:
+    a, b, c: Vertices of a triangle, rows of x.
+    across: Sine of the angle between an axis and a normal.
+    count: Number of candidates found so far.
     distances: Signed distance of each vertex from the shape [m], shape (vertex_count,).
     edge: One row of `edges`, shape (2 or more,).
     edges, sides: Points, and triangles on both sides, shape (edge_count, 2). Where cones are tested
         there are no sides, and edges have shape (edge_count, 6).
     extents: Extents of the shape [m], shape (3,).
+    first_key, key: Key of the first, or of one candidate.
+    found: Buffer of candidates, `Candidates`.
+    gap, height: Distance from the shape, or from the plane of a triangle [m].
+    i: One of `rim_numbers`.
+    kind: Kind of the shape, such as `BOX`.
+    margin: Gap below which there is a candidate [m].
     rows, span, reach: See `proximities.py`.
+    source, target: Rows of `found`.
     weights: Three numbers.
     gradients: Gradient of each of the distances, shape (vertex_count, 3).
     normal, p: A unit vector and a point [m], three numbers.

@@ -12,13 +12,18 @@ body. The orientation of n follows from these normals and not from the vector be
 n does not flip when the edges pass through each other; the gap changes its sign instead.
 
 Arguments of the kernels here:
+    a, b: The first and the second surface, each a `SurfaceSide`.
     boxes: Lower and upper corner of the box of each item [m], shape (item_count, 6).
+    e, f: An edge of the first, and of the second surface.
     end: A point, three numbers [m].
     frame: Lower corner [m], upper corner [m] and cells per length [1/m], shape (3, 3).
     low, high: First and last cell along each axis, shape (3,).
     others: Edges of the other surface, shape (other_edge_count, 6).
     rest: Excluded pairs of one surface, see `ExcludedPairs`.
+    s, t: Fractions along these, 0 to 1.
+    side: A `SurfaceSide`.
     stamps: Marks of the triangles, shape (triangle_count,).
+    start: A point, three numbers [m].
     w: Barycentric weights, three numbers.
     y: Points of the other surface [m], shape (other_point_count, 3).
 Those of a surface are as in `closed_surface`.

@@ -4,6 +4,7 @@ All functions are inlined into the kernel that calls them.
 
 Arguments of the kernels here:
     a, b: Vectors, three numbers.
+    x: An array, shape (n, 3).
 """
 
 from __future__ import annotations

@@ -1,6 +1,9 @@
 """Sums and comparisons of whole arrays, as kernels: what a traced stage does between its terms.
 
 Arguments of the kernels here:
+    gathered: Vectors that are written, one for each place.
+    left, right: Matrices, shape (row_count, n).
+    product: What is written, shape (n, n) or (1,).
     vectors, first, second: Vectors, shape (count, 3).
     differences, sums, copies: Vectors that are written, same shape.
 """

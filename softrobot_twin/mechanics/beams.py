@@ -52,6 +52,7 @@ Arguments of the kernels here; those of one element have no first axis:
     out: t and ψ, shape (element_count, 6); or the stiffness of one element, shape (12, 12).
     points: Place of each end in its frame [m], shape (element_count, 2, 3).
     predicted: t and ψ, shape (element_count, 6), or (0, 6) where there are none.
+    square: φ² [rad²].
     vector: Three numbers, shape (3,).
 """
 

@@ -114,7 +114,14 @@ def add_contiguous_blocks(offsets, K, storage):
 
 @njit(**KERNEL)
 def add_blocks(offsets, strides, K, storage):
-    """The same for blocks whose columns lie `strides` apart, shape (BATCH,)."""
+    """The same for blocks whose columns lie apart.
+
+    Args:
+        offsets: Place of each block, -1 where a node is fixed, shape (BATCH,).
+        strides: Distance of its columns, shape (BATCH,).
+        K: The blocks, column by column, shape (9 BATCH,).
+        storage: The factorization's storage [N/m]; added to.
+    """
     for e in range(BATCH):
         o = offsets[e]
         if o >= 0:

@@ -13,6 +13,7 @@ products are with the elements' stiffness. Conjugate gradients need some ten of 
 nearly block diagonal (3×3) on any mesh.
 
 Arguments of the kernels here:
+    deformations: ∇x, shape (element_count, point_count, 3, 3).
     gradients: ∇L_c of each element [1/m], shape (element_count, 4, 3).
     lame: λ and µ of each element [Pa], shape (element_count, 2).
     rotations: Of each point, shape (element_count, point_count, 3, 3).

@@ -17,16 +17,25 @@ quantities lie in memory. Kernels that take a law are not kept on disk one by on
 assemblies are, and only of laws inside this package (`assembly_of`).
 
 Arguments of the kernels here; those of one batch or point have no first axis:
+    A: Matrices that gradients are multiplied with, shape (9 × BATCH,).
     C: ∂P/∂F at a point, shape (81 × BATCH,).
     D, F, shifted: Matrices at a point, shape (9 × BATCH,).
+    e: An element of a batch.
     G: ∇N_a at a point [1/m], shape (3 nodes × BATCH,).
     K: One block of each element [N/m], shape (9 × BATCH,).
+    L: Rows of `linearize` of the law, shape (3 rows × BATCH,).
+    law: Parameters of the law.
+    moves: Of the nodes from where gradients were taken [m], shape (node_count, 3).
+    P: Sums of stresses times gradients of the nodes [N], shape (3 nodes × BATCH,).
+    projected: Whether the differential must be positive semidefinite.
+    R: Rotations, shape (9 × BATCH,).
     T: Three matrices at a point, shape (27 × BATCH,).
     cells, free: Nodes and unknowns, shape (batch_count, most nodes of a batch, BATCH).
     deformations: F, shape (batch_count, point_count, 9 × BATCH).
     forces: On the unknowns [N], shape (free_node_count, 3).
     gradients: ∇N_a [1/m], shape (batch_count, point_count, 3 nodes × BATCH).
     negative: Whether a point is not positive semidefinite, shape (BATCH,).
+    U, X, g: Moves [m], vectors and gradients [1/m] of the nodes, shape (3 nodes × BATCH,).
     upright: 1.0 where a point is upright, else 0.0, shape (batch_count, point_count, BATCH).
     weights: Volumes of the points [m³], shape (batch_count, point_count, BATCH).
     x: Vectors of the nodes, shape (node_count, 3).

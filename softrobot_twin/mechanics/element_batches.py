@@ -8,9 +8,15 @@ the entries' numbers are constants and what is read and what is written are diff
 `matrix_at` and `vector_at` read the entries of one element as the tuples of `matrix3`.
 
 Arguments of the kernels here:
+    A: Matrices of all elements of a batch, shape (9 matrix_count × BATCH,).
+    count: Number of nodes.
+    e: An element of the batch.
+    entries: Number of entries.
+    index: Number of a vector or matrix among those of an element.
     V: Some entries of all elements of a batch, shape (entry_count × BATCH,).
     matrix: Three rows of three numbers.
     source, target: Arrays of one shape (count,).
+    v: A vector, three numbers.
 """
 
 from __future__ import annotations

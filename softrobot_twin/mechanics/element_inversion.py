@@ -19,6 +19,8 @@ at their quadrature points.
 
 Arguments of the kernels here; those of one batch have no first axis:
     A, B, C: Matrices, three rows of three numbers.
+    a, b, c: Rows of a matrix, three numbers each.
+    e: An element of the batch.
     F, first, second: F at the corners of one element, shape (4, 3, 3).
     corners: F at the corners, shape (4, 9 × BATCH).
     edges: Local nodes of one corner, shape (4,).

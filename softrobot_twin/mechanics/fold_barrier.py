@@ -30,6 +30,7 @@ Arguments of the kernels here; those of one batch have no first axis:
     corners: F at the four corners, shape (4, 9 × BATCH).
     gradients: ∇N_a at each place [1/m], shape (batch_count, place_count, 3 nodes × BATCH).
     places: F at each place, shape (batch_count, place_count, 9 × BATCH).
+    stiffness: κ of the law [Pa].
     triple: Three places, shape (3,).
     triples: All of them, shape (triple_count, 3).
     weights: Volume of a place [m³], shape (batch_count, BATCH).

@@ -44,6 +44,7 @@ Arguments of the kernels here; those of one hinge have no first axis:
     out: Angles, shape (hinge_count,); rotations, shape (hinge_count, 3, 3); turns of the unknowns,
         shape (free_node_count, 3); levers, shape (count, 3, 3, 3); or blocks, shape (count, 3, 3).
     points: Hinge points in the frames of the parents [m], shape (hinge_count, 3).
+    R_parent, R_own: R_A and R_B, three rows of three numbers.
     relative, rests: Rotation of each in its parent's frame, shape (hinge_count, 3, 3).
     storage: The factorization's storage, shape (size,); added to.
     twists: Force [N] and moment [N m] on each frame, shape (2 hinge_count, 3).

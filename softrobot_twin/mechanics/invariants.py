@@ -15,6 +15,7 @@ A kernel `linearize` stores what depends on F alone, and its `differential` take
     dP = s dF + p dC + (FF F : dF + FC J̇) F + (FC F : dF + CC J̇) C,    J̇ = C : dF
 
 Arguments of the kernels here:
+    dF: Change of F, three rows of three numbers.
     F: A matrix, three rows of three numbers.
     rows: Eight rows of three numbers.
 """

@@ -92,7 +92,7 @@ def longest_row(vectors):
 
 @njit(**KERNEL)
 def write_longest_row(vectors, largest):
-    """Write the length of `longest_row` into an array of shape (1,)."""
+    """Write `longest_row` of `vectors`, shape (count, 3), into `largest`, shape (1,)."""
     largest[0] = longest_row(vectors)
 
 

@@ -14,9 +14,11 @@ g_i = ∂v/∂x_i and s = x_i + x_j + x_k the forces and their derivative are
 Arguments of the kernels here; those of one triangle have no first axis:
     cavity: Cavity of each triangle, shape (triangle_count,).
     forces: At the vertices [N], shape (vertex_count, 3); added to.
+    m: Number of a vertex in its triangle; 3 is the first one again.
     offsets, strides: Places of the blocks in storage, shape (triangle_count, pair_count).
     points: Vertices [m], shape (vertex_count, 3).
     shares: Weights of the nodes that carry the vertices, shape (triangle_count, 3, width).
+    t: A triangle.
     tops, weights: Top [m], and w [N/m³], of each cavity, shape (cavity_count, 3).
     triangles: Vertices of each, shape (triangle_count, 3).
     x: Three vertices of one triangle, each three numbers [m].

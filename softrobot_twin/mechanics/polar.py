@@ -1,6 +1,7 @@
 """The rotation of a deformation: polar decomposition F = R S, also of inverted elements.
 
 Arguments of the kernels here:
+    e: An element of the batch.
     F, R: Of all elements of a batch, shape (9 × BATCH,).
     upright: 1.0 or 0.0 of each element, shape (BATCH,).
 """

@@ -13,6 +13,10 @@ Pairs are in the order 23, 31, 12: pair k has the two axes other than k.
 
 Arguments of the kernels here:
     A, diagonal: Entries 11, 22, 33, 23, 31, 12 of a symmetric matrix, six numbers.
+    a, b: a_ij and b_ij of a pair [Pa].
+    dF: Change of F, three rows of three numbers.
+    first, second: dF̂_ij and dF̂_ji.
+    p, q: Numbers of two eigenvalues that are neighbours, p < q.
     U, V: Matrices, three rows of three numbers.
     rows: Ten rows of three numbers.
     spins, twists, v, values: Three numbers.

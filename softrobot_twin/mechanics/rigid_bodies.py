@@ -40,11 +40,15 @@ at 0.05 rad a step, in 36 at 0.5 rad, and not at all from about 1 rad on (moment
 one iteration where they are equal).
 
 Arguments of the kernels here; those of one body have no first axis:
+    are_forces: Whether the vectors are forces [N] and [N m]; else moves [m] and [rad].
     before, after, x: Node positions [m], shape (node_count, 3).
     bodies, nodes: Free body and node of each attached point, shape (point_count,).
+    centre: Its place [m], three numbers.
     centres, pushes, twists: Of each free body [m], [N] and [N m], shape (body_count, 3).
+    first_unknown: Unknown of the translation of the first free body.
     forces, rates, vectors, velocities, move: Of the unknowns, shape (free_node_count, 3); forces of
         `add_lever_turning` at the points, shape (point_count, 3).
+    in_middle: Whether J is that of the middle of the turn.
     inertias, inverses, rotations: Of each free body, shape (body_count, 3, 3).
     inertia: One of them, shape (3, 3).
     local: Attached points in the frames of their bodies [m], shape (point_count, 3).
@@ -53,6 +57,8 @@ Arguments of the kernels here; those of one body have no first axis:
     origins: Origin node of each free body, or of that of each point, shape (count,).
     out: Of the unknowns, shape (free_node_count, 3); levers, shape (point_count, 2, 3, 3); blocks,
         shape (body_count, 3, 3); or momenta, shape (body_count, 3).
+    R: Rotation, three rows of three numbers.
+    scale: s [1/s²].
     storage: The factorization's storage, shape (size,); added to.
 """
 

@@ -3,6 +3,10 @@
 A rotation vector θ is the axis times the angle [rad]; exp([θ]×) is its matrix (Rodrigues). The
 logarithm is computed from the quaternion, whose largest component is found first (Shepperd 1978),
 so that it is equally accurate for all angles from zero to π.
+
+Arguments of the kernels here:
+    R, before, after: Rotations, three rows of three numbers.
+    vector: A rotation vector [rad], three numbers.
 """
 
 from __future__ import annotations

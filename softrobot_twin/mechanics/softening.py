@@ -18,6 +18,9 @@ soften. With G(x) = x erf(x) + exp(-x²)/√π,
 the same. It is remembered at the end of the step.
 
 Arguments of the kernels here:
+    constants: r, m and β of the law, m in Pa.
+    energy, greatest: Ψ and Ψ_m [J/m³].
+    F: The deformation gradient, three rows of three numbers.
     law: A `SoftenedLaw`, whose `greatest` has shape (batch_count, point_count, BATCH), or a
         `SoftenedPoint`.
     linearized: F, P and three factors, seven rows of three numbers.

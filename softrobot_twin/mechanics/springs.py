@@ -63,7 +63,14 @@ LEAST_ACROSS = 1.0e-3
 def spring_law(length, least, stiffness, rest_length, drag, length_before, take_up):
     """T/L, ∂T/∂L and the stiffness across, which is T/L; isotropic where length ≤ `least`.
 
-    Where `take_up`, w, is positive, it is the law of a thread.
+    Args:
+        length: L [m].
+        least: Length up to which the spring has no direction [m].
+        stiffness: k [N/m].
+        rest_length: L₀ [m].
+        drag: c/h [N/m].
+        length_before: L_begin [m].
+        take_up: w [m]; where it is positive, the law is that of a thread.
     """
     if take_up > 0.0:
         stretch = length - rest_length

@@ -53,7 +53,7 @@ class StrainOutside(NamedTuple):
 
 @njit(**KERNEL)
 def extreme_eigenvalues(C):
-    """Least and greatest eigenvalue of a symmetric 3×3 matrix (Smith 1961)."""
+    """Least and greatest eigenvalue of a symmetric matrix C, three rows of three (Smith 1961)."""
     mean = trace(C) / 3.0
     D = plus_identity(C, -mean)
     size = math.sqrt(inner(D, D) / 6.0)

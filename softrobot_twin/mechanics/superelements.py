@@ -49,10 +49,12 @@ Arguments of the kernels here; those of one superelement have no first axis:
     chords, chord: x_B - x_A as a sum of the frame nodes, shape (count, 8).
     compliance: Growth by pressure [m³/Pa], shape (all_cavities, same); added to.
     curvature: ∂²Π/∂(e, p)², shape (count, n, n).
+    deformations: Number of entries of e.
     drawn: What turns the weight along the axes of A, shape (count, 3, 3).
     e, rests, rest: Deformations, and those at rest, shape (count, 6).
     ends: Middles of the faces on A and B [m], shape (count, 2, 3).
     entry: Entry of H of each cavity and unknown, -1 for none, shape (count, most cavities, 4).
+    first, second: Numbers of two of the four unknowns.
     forces: On the unknowns [N] and [N m], shape (free_node_count, 3); added to.
     gradient: ∂Π/∂(e, p), shape (count, n).
     gradients, curvatures: Coefficients of the derivatives of Π by monomial, shape (count,
@@ -71,8 +73,10 @@ Arguments of the kernels here; those of one superelement have no first axis:
     ranges: Largest |z|, shape (count,).
     scaling: z by (e, p), shape (count, n, n); `by_z` and `by_variables` are of one superelement.
     by_z, by_variables: Second derivatives, shape (n²,) and (n, n).
+    share: Factor of the block.
     slopes: ∂e/∂x of the frame nodes, shape (count, 6, 8, 3).
     unknowns: Translation and rotation of A and B, -1 where none, shape (count, 4).
+    weight: m g of one superelement [N], three numbers.
     weights: Weight [N], shape (count, 3).
     work, bend: Memory, shape (n, n) and (n²,); in `_write_stiffness` shape (12,).
     x: Node positions [m], shape (node_count, 3).

@@ -22,7 +22,12 @@ Along a move, J of a point is a cubic polynomial. `largest_share` follows it, so
 before an element folds.
 
 Arguments of the kernels here:
+    a, b, e: Two nodes of an element, and the element of the batch.
+    curvature, slope: w κ b''/J₀² and w κ b'/J₀ [J].
     deformations: F, shape (batch_count, point_count, 9 × BATCH).
+    F: That of one point, shape (9 × BATCH,).
+    G, gradients: ∇N_a at one point [1/m], shape (3 nodes × BATCH,).
+    stiffness: κ [Pa].
     storage: The factorization's storage [N/m], shape (size,); added to.
     volumes: J, shape (BATCH,).
     weights: Volumes of the points [m³], shape (batch_count, point_count, BATCH).

@@ -3,6 +3,10 @@
 They grow without bound as J approaches zero. Below `LEAST_VOLUME` each is continued by its quadratic
 Taylor polynomial there, so that value, slope and curvature are continuous and finite at every J: a
 point that is flat or inside out is pushed back by finite forces.
+
+Arguments of the kernels here:
+    exponent: The power.
+    J: The volume ratio.
 """
 
 from __future__ import annotations

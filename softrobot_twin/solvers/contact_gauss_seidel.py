@@ -129,14 +129,28 @@ class ContactGaussSeidel:
 
 @njit(**INNER)
 def measure_contacts(W, actuator_count, friction, local):
-    """`measure_contact` of all contacts; local has shape (contact_count, CONTACT_SIZE)."""
+    """`measure_contact` of all contacts.
+
+    Args:
+        W: Compliance [m/N], shape (n, n).
+        actuator_count: Rows before those of contacts.
+        friction: µ of each contact, shape (contact_count,).
+        local: Written, shape (contact_count, CONTACT_SIZE).
+    """
     for k in range(len(friction)):
         measure_contact(W, actuator_count + 3 * k, local[k])
 
 
 @njit(**KERNEL)
 def motion(W, violation, force, delta):
-    """δ ← W λ + violation, shape (n,)."""
+    """δ ← W λ + violation.
+
+    Args:
+        W: Compliance [m/N], shape (n, n).
+        violation: Motion without forces [m], shape (n,).
+        force: λ [N], shape (n,).
+        delta: δ [m], written, shape (n,).
+    """
     for i in range(len(delta)):
         delta[i] = violation[i]
     for i in range(len(force)):

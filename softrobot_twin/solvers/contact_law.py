@@ -270,7 +270,13 @@ def _larger(gap, newtons, error, w):
 
 @njit(**INNER)
 def own_compliance(W, actuators, per_contact):
-    """W_ii of every row, for both tangents of a contact their mean [m/N], shape (n,)."""
+    """W_ii of every row, for both tangents of a contact their mean [m/N], shape (n,).
+
+    Args:
+        W: Compliance [m/N], shape (n, n).
+        actuators: Number of actuators, whose rows come first.
+        per_contact: Rows of a contact, 1 or 3.
+    """
     own = np.empty(len(W))
     for i in range(len(W)):
         own[i] = W[i, i]

@@ -332,7 +332,7 @@ def _own_by_factor(Yt, actuators, per_contact):
 
 @njit(**INNER)
 def gather(Yt, force, x):
-    """x ← Y λ, with Yᵀ of shape (n, rank), λ [N] of shape (n,) and x of shape (rank,)."""
+    """x ← Y λ, with `Yt` of shape (n, rank), `force` λ [N] of shape (n,) and x of shape (rank,)."""
     x[:] = 0.0
     for i in range(len(force)):
         if force[i] != 0.0:
@@ -359,7 +359,15 @@ def move(Yt, violation, x, delta):
 
 @njit(**KERNEL)
 def fill_jacobian(Yt, slope, actuators, per_contact, matrix):
-    """∂g/∂x = 1 + Y K Yᵀ, shape (rank, rank)."""
+    """∂g/∂x = 1 + Y K Yᵀ.
+
+    Args:
+        Yt: Yᵀ, shape (n, rank).
+        slope: Of `law` [N/m], shape (n, 3).
+        actuators: Number of actuators, whose rows come first.
+        per_contact: Rows of a contact, 1 or 3.
+        matrix: Written, shape (rank, rank).
+    """
     rank = matrix.shape[1]
     matrix[:] = 0.0
     for p in range(rank):

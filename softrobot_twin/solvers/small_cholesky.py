@@ -9,7 +9,7 @@ from softrobot_twin.compilation import INNER, njit
 
 @njit(**INNER)
 def dot_product(a, b):
-    """Sum of the products of the numbers of two arrays, of the first to the last, shape (n,)."""
+    """Sum of the products of the numbers of a and b, the first to the last, shape (n,)."""
     total = 0.0
     for i in range(len(a)):
         total += a[i] * b[i]

@@ -13,6 +13,9 @@ The differential is exact, so Newton's method converges quadratically. At rest t
 
 Arguments of the kernels here:
     A: A matrix, three rows of three numbers.
+    spin_stiffness: c G⁻¹ [Pa], what `linearize` returned, three rows of three numbers.
+    V: The left stretch, three rows of three numbers.
+Others are as in `neo_hookean`.
 """
 
 from __future__ import annotations

@@ -10,6 +10,7 @@ with the invariants and G of `invariants.py`. It fits rubber up to about 100 % s
 
 Arguments of the kernels here:
     F: A matrix, three rows of three numbers.
+Others are as in `neo_hookean`.
 """
 
 from __future__ import annotations

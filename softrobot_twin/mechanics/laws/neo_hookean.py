@@ -3,6 +3,13 @@
     Ψ = µ/2 (Ī₁ - 3) + κ U(J),    U = (J² - 1 - 2 ln J)/4
 
 `invariants.py` gives stress and differential. It fits most silicones up to about 50 % strain.
+
+Arguments of the kernels here:
+    F, dF: The deformation gradient and its change, three rows of three numbers.
+    law: The parameters, the NamedTuple of the law.
+    linearized: What `linearize` returned, rows of three numbers.
+    projected: Whether the differential must be positive semidefinite.
+    upright: Whether the point is neither flat nor inside out.
 """
 
 from __future__ import annotations

@@ -21,6 +21,11 @@ Taylor polynomials, as those of J are in `volume_change.py`.
 
 Arguments of the kernels here:
     a, l, x, y, z: Areas, stretches and powers of them, three numbers.
+    alpha: α of a term.
+    exponent: A positive power.
+    first, second: Two stretches or areas.
+    J: det F.
+Others are as in `neo_hookean`.
 """
 
 from __future__ import annotations

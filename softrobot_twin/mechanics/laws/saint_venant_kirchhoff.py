@@ -11,6 +11,7 @@ not push back from a flat shape by itself; `volume_barrier.py` does.
 Arguments of the kernels here:
     F: A matrix, three rows of three numbers.
     linearized: F and S, six rows of three numbers.
+Others are as in `neo_hookean`.
 """
 
 from __future__ import annotations

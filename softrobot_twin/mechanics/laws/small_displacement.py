@@ -4,6 +4,10 @@
 
 It is the cheapest law, and it is wrong where a body rotates: a rotation by θ gives the strain cos θ
 - 1.
+
+Arguments of the kernels here:
+    strain: ε, three rows of three numbers.
+Others are as in `neo_hookean`.
 """
 
 from __future__ import annotations

@@ -5,6 +5,10 @@
 `invariants.py` gives stress and differential. It is fitted to a tensile curve alone with less risk than
 the law of Mooney and Rivlin, because Ī₁ says nothing of the kind of deformation (Yeoh
 1993).
+
+Arguments of the kernels here:
+    at: What `first_invariant` returned.
+Others are as in `neo_hookean`.
 """
 
 from __future__ import annotations

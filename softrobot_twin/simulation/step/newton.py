@@ -74,7 +74,7 @@ MOST_UNFOLDINGS = 40
 
 @njit(**KERNEL)
 def is_within(number, limit):
-    """Whether a number, shape (1,), is finite, and no more than another one."""
+    """Whether a `number`, shape (1,), is finite, and no more than `limit`, shape (1,)."""
     return number[0] <= limit[0] and number[0] < np.inf
 
 

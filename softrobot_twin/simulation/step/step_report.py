@@ -178,7 +178,7 @@ def judge(
 
 @njit(**KERNEL)
 def are_within(first, second, slack):
-    """Whether no two numbers differ by more than their slack, all of shape (n,); NaN does."""
+    """Whether `first` and `second` are within `slack`, all of shape (n,); NaN is not."""
     for i in range(len(first)):
         if not abs(first[i] - second[i]) <= slack[i]:
             return False

@@ -190,7 +190,7 @@ class ActuatorPath:
 
 @njit(**KERNEL)
 def are_equal(first, second):
-    """Whether two arrays of shape (n,) have equal entries; NaN equals NaN."""
+    """Whether `first` and `second`, shape (n,), have equal entries; NaN equals NaN."""
     for i in range(len(first)):
         is_same_nan = np.isnan(first[i]) and np.isnan(second[i])
         if first[i] != second[i] and not is_same_nan:

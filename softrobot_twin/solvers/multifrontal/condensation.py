@@ -24,6 +24,10 @@ rows of the panel. Elsewhere L's columns are multiplied with a single vector.
 
 Everything follows from the rows of the step, of which there may be none or hundreds; the memory is
 one buffer that only grows.
+
+Arguments of the kernels here:
+    rank: Place of each node in the elimination order, shape (node_count,).
+    result: What is written.
 """
 
 from __future__ import annotations

@@ -23,6 +23,14 @@ diagonal entry in its place: every use of T divides by its diagonal.
 so that the vector is read and written once for six columns; memory, not arithmetic, is the limit.
 
 All kernels work on raw addresses.
+
+Arguments of the kernels here:
+    a, b, c, columns, rows, triangle, x: Addresses of A, B, C, L, the rows of a panel, T and x.
+    a_stride, b_stride, c_stride, stride: Distance of the columns of A, B, C and L.
+    depth: Columns of A and B.
+    skipped: Rows of L that are left out.
+    strips: Height in strips of eight rows.
+    width: Columns of a bar, `WIDE` or `NARROW`.
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ _DIAGONAL_STRIPS = 2
 
 @njit(**INNER)
 def bar_width(start, end):
-    """Columns of the bar that starts here: two nodes, or the last one."""
+    """Columns of the bar from column `start` of those before `end`: two nodes, or the last one."""
     return WIDE if start + WIDE <= end else NARROW
 
 

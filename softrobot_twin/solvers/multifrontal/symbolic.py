@@ -133,7 +133,12 @@ def inverse(order: np.ndarray) -> np.ndarray:
 
 @njit(**KERNEL)
 def elimination_tree(indptr, indices):
-    """Parent of each column, -1 at roots, shape (node_count,)."""
+    """Parent of each column, -1 at roots, shape (node_count,).
+
+    Args:
+        indptr: Where the neighbours of each node begin, shape (node_count + 1,).
+        indices: Neighbours of all nodes, shape (neighbour_count,).
+    """
     count = len(indptr) - 1
     parent = np.full(count, NONE)
     ancestor = np.full(count, NONE)  # shortcuts towards the root
