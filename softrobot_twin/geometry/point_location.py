@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -167,13 +167,43 @@ class _Boxes(NamedTuple):
     halves: np.ndarray
 
 
-# A scene asks for the points of each of its entries, and each change of its numbers once more.
-_BOXES: WeakKeyDictionary[TetMesh | HexahedralMesh, dict[str, _Boxes]] = WeakKeyDictionary()
+# A scene asks for the points of each of its entries, and each change of its numbers once more: of
+# each mesh this keeps what was laid out, by its name, and where the last sets of points are.
+_KNOWN: WeakKeyDictionary[TetMesh | HexahedralMesh, dict[str | bytes, Any]] = WeakKeyDictionary()
+_MOST_KNOWN = 256
+
+
+def remembered_location(mesh: TetMesh | HexahedralMesh, points: np.ndarray) -> PointLocation:
+    """The same as `locate_points` for a set of points that may be asked for again soon.
+
+    Args:
+        mesh: Mesh of the body, by its corners.
+        points: Points [m], shape (point_count, 3).
+    """
+    known, key = _KNOWN.setdefault(mesh, {}), points.tobytes()
+    if key not in known:
+        if len(known) > _MOST_KNOWN:
+            for old in [one for one in known if isinstance(one, bytes)][: _MOST_KNOWN // 2]:
+                del known[old]
+        known[key] = locate_points(mesh, points)
+    found: PointLocation = known[key]
+    return found
+
+
+def _surface_of(mesh: TetMesh | HexahedralMesh) -> tuple[np.ndarray, np.ndarray]:
+    """Triangles of the surface, and the cells that they belong to; found once."""
+    if isinstance(mesh, HexahedralMesh):
+        return mesh.surface_triangles, mesh.cells_of_surface
+    known = _KNOWN.setdefault(mesh, {})
+    if "surface" not in known:
+        known["surface"] = boundary_faces(mesh.cells)
+    surface, owners = known["surface"]
+    return surface, owners
 
 
 def _boxes_of(mesh: TetMesh | HexahedralMesh, kind: str) -> _Boxes:
     """The cells of a mesh of one kind, which are laid out once."""
-    known = _BOXES.setdefault(mesh, {})
+    known = _KNOWN.setdefault(mesh, {})
     if kind not in known:
         corners = mesh.node_positions[getattr(mesh, kind)]
         middles = corners.mean(axis=1)
@@ -182,7 +212,8 @@ def _boxes_of(mesh: TetMesh | HexahedralMesh, kind: str) -> _Boxes:
         diagonals = np.linalg.norm(highest - lowest, axis=1, keepdims=True)
         known[kind] = _Boxes(corners, middles, cKDTree(middles), reaches, 0.5 * (lowest + highest),
                              0.5 * (highest - lowest) + 1e-6 * diagonals)
-    return known[kind]
+    boxes: _Boxes = known[kind]
+    return boxes
 
 
 def _deepest(
@@ -284,10 +315,7 @@ def _nearest_on_surface(
     mesh: TetMesh | HexahedralMesh, points: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The cells, weights and distances [m] of the nearest points on the surface."""
-    if isinstance(mesh, HexahedralMesh):
-        surface, owners = mesh.surface_triangles, mesh.cells_of_surface
-    else:
-        surface, owners = boundary_faces(mesh.cells)
+    surface, owners = _surface_of(mesh)
     corners = mesh.node_positions[surface]
     centroids = corners.mean(axis=1)
     reach = np.linalg.norm(corners - centroids[:, None], axis=2).max() * (1.0 + 1e-6)

@@ -213,6 +213,23 @@ def written_out(mapping: Any, path: Path | None = None) -> Any:
     return plain(expand_patterns(mapping, Scene, path))
 
 
+def text_of(scene: Scene) -> str:
+    """A scene as the text of a file that may stand in any folder, with all that was changed.
+
+    Args:
+        scene: The scene.
+    """
+    def plain(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: plain(one) for key, one in value.items()}
+        if isinstance(value, list | tuple):
+            return [plain(one) for one in value]
+        return str(scene.file_path(value)) if isinstance(value, Path) else value
+
+    content = plain(scene.model_dump(exclude_unset=True))
+    return yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None, width=100)
+
+
 # --- YAML ----------------------------------------------------------------------------------------
 
 

@@ -60,11 +60,64 @@ class Parameter(NamedTuple):
         Raises:
             SceneError: The scene does not take the value.
         """
-        return changed_scene(scene, {self.key: float(value)})
+        return changed_scene(scene, self.changes(value))
+
+    def changes(self, value: float) -> dict[str, float]:
+        """The value by its key.
+
+        Args:
+            value: In the parameter's unit.
+        """
+        return {self.key: float(value)}
 
     def scale(self, scene: Scene, factor: float) -> Scene:
         """A scene in which the value is multiplied by a factor; see `set`."""
         return self.set(scene, factor * self.read(scene))
+
+    @property
+    def sections(self) -> set[str]:
+        """The sections of the scene that it changes, such as ``cables``."""
+        return {str(_steps(self.key)[0])}
+
+
+class JointParameter(NamedTuple):
+    """Several numbers of a scene that change together, by one number that is 0 at first.
+
+    Attributes:
+        key: Its name.
+        unit: Unit of the number.
+        numbers: What it changes.
+        first: Their values at first, each in its unit.
+        shares: By how much each changes by one unit.
+    """
+
+    key: str
+    unit: str
+    numbers: tuple[Parameter, ...]
+    first: tuple[float, ...]
+    shares: tuple[float, ...]
+
+    def read(self, scene: Scene) -> float:
+        """See `Parameter.read`."""
+        return (self.numbers[0].read(scene) - self.first[0]) / self.shares[0]
+
+    def changes(self, value: float) -> dict[str, float]:
+        """Values of its numbers, by their keys.
+
+        Args:
+            value: The number.
+        """
+        each = zip(self.numbers, self.first, self.shares, strict=True)
+        return {one.key: first + share * value for one, first, share in each}
+
+    def set(self, scene: Scene, value: float) -> Scene:
+        """See `Parameter.set`."""
+        return changed_scene(scene, self.changes(value))
+
+    @property
+    def sections(self) -> set[str]:
+        """See `Parameter.sections`."""
+        return set().union(*(one.sections for one in self.numbers))
 
 
 def parameters(scene: Scene, *keys: str) -> tuple[Parameter, ...]:

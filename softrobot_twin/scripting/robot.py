@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, cast
@@ -29,6 +29,15 @@ from softrobot_twin.scripting.named_commands import (
     hold,
     one_number,
     unknown,
+)
+from softrobot_twin.scripting.named_design import (
+    Bounds,
+    Design,
+    Variables,
+    Wanted,
+    optimised,
+    poses_of,
+    variables_of,
 )
 from softrobot_twin.scripting.notebook_html import (
     actuators_html,
@@ -67,6 +76,7 @@ from softrobot_twin.simulation.runs.input_tables import (
 from softrobot_twin.simulation.runs.run_columns import RunColumns, RunRow
 from softrobot_twin.simulation.sensitivities import Sensitivities
 from softrobot_twin.study import direct_run
+from softrobot_twin.study.design import DesignModel, Objective
 from softrobot_twin.study.direct_run import DEFAULT_RATE, run_commands
 from softrobot_twin.study.equilibrium import is_at_rest
 from softrobot_twin.study.figure import MissingExtraError, load_pyplot
@@ -378,6 +388,60 @@ class Robot:
         columns = [one.key for one in found.parameters]
         return LabelledMatrix(found.effectors.reshape(len(rows), -1), tuple(rows), tuple(columns),
                               "change of the effectors [m] by one unit of a parameter")
+
+    def optimise(
+        self, objective: Wanted | Objective, parameters: Variables,
+        bounds: Bounds | tuple[float, float], commands: Sequence[NamedCommand] = (),
+        tolerance: float | None = None,
+    ) -> Design:  # fmt: skip
+        """Finds numbers of the scene by which its poses are as wanted; the robot stays as it is.
+
+        Args:
+            objective: One of these:
+
+                - pairs of a command and wanted positions of effectors [m], such as
+                  ``[(st.setpoints(flexor_shortening_m=0.01), {"tip": [0.09, None, -0.02]}), ...]``;
+                - a function that is made as small as possible. It takes `Equilibria` of all
+                  commands and returns its value and its derivatives by them, as `Equilibria`.
+
+            parameters: Keys, perhaps with ``*``; or names of variables, each with its key or with
+                several keys and their shares: ``{"height": {"cables[0].points[0][2]": 1.0, ...}}``
+                is a change of all of them, 0 at first.
+            bounds: Least and greatest value of each, by key or name; or one pair for all.
+            commands: Poses of a function, each from rest.
+            tolerance: Change of the objective that does not matter: of places, RMS, by default
+                0.1 mm; of a function by default 1 % of what the design gains.
+
+        Returns:
+            The design: values, flatness, a scene.
+
+        Raises:
+            DesignError: The robot itself has no such poses, or an actuator is at its limit there;
+                the error names the actuator, the pose and the limit.
+            SceneError: No number has such a key.
+            CommandError: A command or a wanted position does not fit the robot.
+            SensitivityError: A derivative does not exist.
+        """
+        return optimised(self.scene, objective, parameters, bounds, commands, tolerance)
+
+    def design_model(
+        self, parameters: Variables, commands: Sequence[NamedCommand]
+    ) -> DesignModel:
+        """Poses of the robot as a differentiable function of numbers of its scene.
+
+        Args:
+            parameters: See `optimise`.
+            commands: Of each pose, each from rest.
+
+        Returns:
+            What solves them at values of the variables, and gives derivatives and their adjoint.
+
+        Raises:
+            SceneError: No number has such a key.
+            CommandError: A command does not fit the robot.
+        """
+        return DesignModel(
+            self.scene, variables_of(self.scene, parameters), poses_of(self.scene, commands))
 
     def reset(self) -> None:
         """Goes back to rest. What follows is the same, to the bit, as the first time."""

@@ -25,7 +25,7 @@ import numpy as np
 from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.errors import NamedError, SceneError
 from softrobot_twin.scene import Scene
-from softrobot_twin.scene.scene_parameters import Parameter
+from softrobot_twin.scene.scene_parameters import JointParameter, Parameter
 from softrobot_twin.simulation.apparent_compliance import HeldTangent, Saddle
 from softrobot_twin.simulation.build import Terms, build_terms, with_cables
 from softrobot_twin.simulation.building.scene_layout import Layout
@@ -98,7 +98,7 @@ class Sensitivity(NamedTuple):
             its slopes are those of both.
     """
 
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[Parameter | JointParameter, ...]
     effectors: np.ndarray
     efforts: np.ndarray
     moves: np.ndarray
@@ -232,7 +232,7 @@ class Sensitivities(HeldTangent):
                      np.zeros((self._count, 3, len(above))))  # fmt: skip
 
     def gradient(
-        self, parameters: Sequence[Parameter], effectors: np.ndarray, efforts: np.ndarray,
+        self, parameters: Sequence[Parameter | JointParameter], effectors: np.ndarray, efforts: np.ndarray,
         holds_setpoints: bool | np.ndarray = True,
     ) -> np.ndarray:  # fmt: skip
         """Derivatives of one function of effectors and efforts, by the adjoint: one solution for all.
@@ -259,7 +259,7 @@ class Sensitivities(HeldTangent):
         return found
 
     def of_parameters(
-        self, parameters: Sequence[Parameter], holds_setpoints: bool | np.ndarray = True
+        self, parameters: Sequence[Parameter | JointParameter], holds_setpoints: bool | np.ndarray = True
     ) -> Sensitivity:
         """Derivatives of effectors and efforts by parameters.
 
@@ -283,7 +283,7 @@ class Sensitivities(HeldTangent):
         effectors = explicit + carried.reshape(self._count, 3, count)
         return Sensitivity(tuple(parameters), effectors, answer.efforts, answer.moves, roughness)
 
-    def loads(self, parameter: Parameter, holds_setpoints: bool | np.ndarray = True) -> Loads:
+    def loads(self, parameter: Parameter | JointParameter, holds_setpoints: bool | np.ndarray = True) -> Loads:
         """What a parameter changes per its unit, while unknowns and efforts stay.
 
         Args:
@@ -363,7 +363,7 @@ class Sensitivities(HeldTangent):
             self._at = state, by_effort
         return self._solver, len(self._held.held)
 
-    def _terms(self, parameter: Parameter | None, side: int, value: float) -> Terms:
+    def _terms(self, parameter: Parameter | JointParameter | None, side: int, value: float) -> Terms:
         """The terms of the scene, or of one with another number; they are built once.
 
         Raises:
@@ -374,7 +374,7 @@ class Sensitivities(HeldTangent):
             scene = self._model.scene
             scene = scene if parameter is None else parameter.set(scene, value)
             base = self._built.get((None, 0))
-            is_cable = parameter is not None and parameter.key.startswith("cables[")
+            is_cable = parameter is not None and parameter.sections == {"cables"}
             if is_cable and not self._simulation.has_reduced_bodies:
                 terms = with_cables(base, scene)
                 kept = {id(term) for term in (*base.forces, *base.constraints)}

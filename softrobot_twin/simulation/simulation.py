@@ -243,18 +243,19 @@ class Simulation(Readouts):
         ):
             raise CommandError("state", "is not of this scene: its shapes differ")
 
-    def take_over(self, other: Simulation) -> None:
+    def take_over(self, other: Simulation, state: State | None = None) -> None:
         """Stand as a simulation of the same structure, whose nodes may rest elsewhere.
 
         Args:
             other: The other one; its displacements, setpoints and efforts are taken.
+            state: A state of it; None for that where it stands.
 
         Raises:
             CommandError: It is of another scene or mesh.
         """
-        self._check_fits(other.state)
-        nodes, state = self.model.nodes, other.state
-        places = nodes.placed_like(other.model.nodes, state.positions)
+        state = other.state if state is None else state
+        self._check_fits(state)
+        places = self.model.nodes.placed_like(other.model.nodes, state.positions)
         self.restore(replace(state, positions=places))
 
     def _begin_anew(self) -> None:

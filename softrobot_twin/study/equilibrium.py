@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.simulation import CommandSetpoints, Simulation, Status, StepResult
+from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Simulation, Status, StepResult
 
 # Steps of the way to the setpoints, and most steps after it.
 WAY, MOST_STEPS = 10, 200
@@ -40,13 +40,17 @@ class Rest(NamedTuple):
         return "not_converged"
 
 
-def bring_to_rest(simulation: Simulation, setpoints: np.ndarray, way: int = WAY) -> Rest:
+def bring_to_rest(
+    simulation: Simulation, setpoints: np.ndarray, way: int = WAY, efforts: np.ndarray | None = None
+) -> Rest:
     """Move the actuators on a straight line to setpoints, then step until nothing moves.
 
     Args:
         simulation: The simulation, at any state.
         setpoints: Each in the unit of its kind, shape (actuator_count,).
         way: Steps of the way.
+        efforts: With which actuators act in place of setpoints, NaN for the others, shape
+            (actuator_count,); None for no efforts.
     """
     in_motion = simulation.model.is_dynamic
     time_step = TIME_STEP if in_motion else ANY_TIME
@@ -57,7 +61,8 @@ def bring_to_rest(simulation: Simulation, setpoints: np.ndarray, way: int = WAY)
         # At the end exactly the setpoints.
         wanted = setpoints if share == 1.0 else begin + share * (setpoints - begin)
         before = simulation.state.positions
-        result = simulation.step(CommandSetpoints(wanted, time_step))
+        result = simulation.step(CommandSetpoints(wanted, time_step) if efforts is None
+                                 else CommandEfforts(share * efforts, time_step))
         failures = failures + 1 if result.status.is_failure else 0
         if failures == MOST_FAILURES:
             break

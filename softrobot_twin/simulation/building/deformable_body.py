@@ -26,6 +26,7 @@ from softrobot_twin.geometry.point_location import (
     PointLocation,
     extrapolated_weights,
     locate_points,
+    remembered_location,
 )
 from softrobot_twin.geometry.regions import nodes_in_box, nodes_in_sphere
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
@@ -859,7 +860,9 @@ def spread_mapping(
         for centre in centres for spacing, part in lattices
     ]  # fmt: skip
     places = [own for _, _, own, _ in samples]
-    at = locate_points(body.mesh.corner_mesh, placed_in_world(body.entry, np.concatenate(places)))
+    located = (remembered_location(body.mesh.corner_mesh, placed_in_world(body.entry, own))
+               for own in places)  # fmt: skip
+    at = PointLocation(*map(np.concatenate, zip(*located, strict=True)))
     rows = np.split(np.arange(len(at.cells)), np.cumsum([len(own) for own in places])[:-1])
     shares = np.empty(len(at.cells))
     for (spacing, part, _, weights), own in zip(samples, rows, strict=True):
