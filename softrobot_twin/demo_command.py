@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import sys
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -46,7 +47,8 @@ _SETTLING = 2.0
 """Presses count from so many transitions onto a path on."""
 
 
-def demo(robot: str, folder: Path, run_time: float, view: bool) -> int:
+def demo(robot: str, folder: Path, run_time: float, view: bool,
+         changes: Sequence[str] = ()) -> int:
     """Runs the demo and writes report.json, pictures and samples beside run.rrd.
 
     Args:
@@ -54,6 +56,7 @@ def demo(robot: str, folder: Path, run_time: float, view: bool) -> int:
         folder: Folder for the results.
         run_time: Length of each run [s]: open loop and closed loop, or one of commands.
         view: Serve a live view, and open a viewer where there is a display.
+        changes: Other values of entries of the twin's scene; see `read_changes`.
 
     Returns:
         Exit code: 0; 1 when a process ended too early or not cleanly; 130 after Ctrl-C.
@@ -61,7 +64,7 @@ def demo(robot: str, folder: Path, run_time: float, view: bool) -> int:
     Raises:
         SoftRobotTwinError: The robot, its scene or an output cannot be used.
     """
-    plan = plan_demo(robot, folder, run_time, view)
+    plan = plan_demo(robot, folder, run_time, view, changes)
     for name in RESULTS:
         # Old results must not remain after an interrupted demo.
         (folder / name).unlink(missing_ok=True)

@@ -762,7 +762,8 @@ def enable_interrupts() -> None:
 
 def demo(
     *, robot: str = "diamond", output: Path = Path("out/demo"),
-    seconds: Annotated[float, Read(seconds)] = 30.0, view: bool = True,
+    seconds: Annotated[float, Read(seconds)] = 30.0,
+    set_: Annotated[Sequence[str] | None, Read(action="extend")] = None, view: bool = True,
 ) -> int:  # fmt: skip
     """Drive a simulated robot live over ROS 2.
 
@@ -773,11 +774,14 @@ def demo(
     Examples:
         softrobot_twin demo
         softrobot_twin demo --robot trunk --seconds 10 --no-view
+        softrobot_twin demo --set body.material.young_modulus=1.5e5
 
     Args:
         robot (NAME): Name of a file config/NAME.yaml (default $default).
         output (FOLDER): Folder for report.json, run.rrd and tracking.png (default $default).
         seconds (S): Length of each run [s] (default 30).
+        set_ (KEY=VALUE): Other values of entries of the twin's scene, such as
+            body.material.young_modulus=1.5e5; the device keeps its own scene.
         view: Neither serve nor open a live view; run.rrd is still recorded.
     """
     enable_interrupts()
@@ -787,7 +791,7 @@ def demo(
     except ImportError as error:
         raise NoRosError(str(error)) from error
     from softrobot_twin import demo_command
-    return demo_command.demo(robot, output, seconds, view)
+    return demo_command.demo(robot, output, seconds, view, set_ or ())
 
 
 def completion(shell: Annotated[str, Read(choices=("bash", "zsh", "tcsh"))]) -> int:

@@ -240,18 +240,21 @@ def recorded_scene(run: RunFile, changes: Mapping[str, Any]) -> Scene:
 
     Args:
         run: The run.
-        changes: Other values of its entries; see `changed_scene`.
+        changes: Other values of its entries, beside those of the run; see `changed_scene`.
 
     Raises:
         RunFileError: A file is missing or has changed.
         SceneError: A change cannot be used.
     """
     mapping, path = read_yaml(run.description.scene_text), Path(run.description.scene_path)
+    recorded = run.description.parameters.get("scene_changes", ())  # earlier releases had none
+    changes = {**read_changes(filter(None, recorded)), **changes}
     scene = changed_scene(scene_from_mapping(mapping, path), changes)
     moved = _moved_files(run, scene)
     if not moved:
         return scene
-    return changed_scene(scene_from_mapping(_with_files(mapping, moved), path), changes)
+    return changed_scene(scene_from_mapping(_with_files(mapping, moved), path),
+                         _with_files(changes, moved))
 
 
 def _moved_files(run: RunFile, scene: Scene) -> dict[str, str]:

@@ -40,8 +40,9 @@ from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.errors import ParameterError, SoftRobotTwinError
 from softrobot_twin.ros.messages import READERS
 from softrobot_twin.ros.parameters import DEVICE, TARGET, TWIN
-from softrobot_twin.ros.scene_file import config_folders, find_scene_file
+from softrobot_twin.ros.scene_file import config_folders, find_scene, find_scene_file
 from softrobot_twin.scene import load_scene
+from softrobot_twin.shared_files import ScenePath
 
 NOTICEABLE_SHARE = 0.1
 """If other programs use a larger share of the processor, the demo's times are affected."""
@@ -135,7 +136,7 @@ class DemoPlan:
     Attributes:
         robot: Name of the robot.
         parameter_file: ROS parameters of all three nodes.
-        scene_file: The twin's scene.
+        scene_file: The twin's scene, with other values of its entries.
         effector: Effector that is driven or, where commands are played, compared.
         touch: Touch where the device's fingertip presses; empty for none.
         runs: Names of the runs, in order: `RUNS`, only the first of them where no marker measures
@@ -152,7 +153,7 @@ class DemoPlan:
 
     robot: str
     parameter_file: Path
-    scene_file: Path
+    scene_file: ScenePath
     effector: str
     touch: str
     runs: tuple[str, ...]
@@ -187,14 +188,15 @@ class DemoPlan:
             node: ``twin``, ``device`` or ``target``.
         """
         view = {} if self.view_port is None else {"view_port": self.view_port}
+        scene = {"scene_changes": self.scene_file.changes} if self.scene_file.changes else {}
         # The target's other parameters belong to paths.
         of_paths = {"target_sequence": list(self.paths), "target_sequence_time": self.turn_time,
                     "target_ramp_time": self.ramp_time}  # fmt: skip
         overrides: Mapping[str, Mapping[str, object]] = {
-            "twin": {"use_device": True, "closed_loop": False,
+            "twin": {**scene, "use_device": True, "closed_loop": False,
                      "record_file": str(self.record_file.resolve()), "view": bool(view),
                      "view_spawn": self.opens_viewer, **view},
-            "device": {}, "target": {} if self.is_direct else of_paths,
+            "device": {}, "target": scene if self.is_direct else of_paths,
         }  # fmt: skip
         arguments = ["softrobot_twin.ros.process", node, "--ros-args",
                      "--params-file", str(self.parameter_file)]
@@ -206,7 +208,8 @@ class DemoPlan:
         return arguments
 
 
-def plan_demo(robot: str, folder: Path, run_time: float, view: bool) -> DemoPlan:
+def plan_demo(robot: str, folder: Path, run_time: float, view: bool,
+              changes: Sequence[str] = ()) -> DemoPlan:
     """Plans a demo.
 
     Args:
@@ -214,6 +217,7 @@ def plan_demo(robot: str, folder: Path, run_time: float, view: bool) -> DemoPlan
         folder: Folder for results; created if necessary.
         run_time: Length of each run [s].
         view: Serve viewers, and open one where there is a display.
+        changes: Other values of entries of the twin's scene, after those of its parameter file.
 
     Raises:
         ParameterError: There is no such robot, it neither follows targets nor plays commands, or
@@ -237,7 +241,8 @@ def plan_demo(robot: str, folder: Path, run_time: float, view: bool) -> DemoPlan
     # A path keeps its own pace: in a short run there are fewer of them, not faster ones.
     count = int(min(len(paths), max(1.0, run_time // (_LEAST_RAMPS * ramp_time or run_time))))
     turn_time = run_time / count
-    scene_file = find_scene_file(str(values["scene_file"]), "scene_file")
+    values["scene_changes"] = (*values["scene_changes"], *changes)
+    scene_file = find_scene(values)
     is_measured = any(effector.measured_by for effector in load_scene(scene_file).effectors)
     try:
         folder.mkdir(parents=True, exist_ok=True)

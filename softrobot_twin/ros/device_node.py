@@ -34,7 +34,7 @@ from softrobot_twin.ros.messages import (
 )
 from softrobot_twin.ros.outputs import Output, open_outputs, rows_of
 from softrobot_twin.ros.parameters import DEVICE, Entry, declare
-from softrobot_twin.ros.scene_file import find_scene_file
+from softrobot_twin.ros.scene_file import find_scene
 from softrobot_twin.ros.ticking_node import TickingNode
 from softrobot_twin.ros.topics import DEVICE_TOPICS as TOPICS
 from softrobot_twin.simulation import Simulation
@@ -92,7 +92,7 @@ class DeviceNode(TickingNode):
             SoftRobotTwinError: A parameter, the scene or its mesh cannot be used.
         """
         flaws = DeviceFlaws(**{one.name: values[f"device_{one.name}"] for one in fields(DeviceFlaws)})
-        path = find_scene_file(str(values["device_scene_file"]), "device_scene_file")
+        path = find_scene(values, "device_scene")
         simulation = Simulation.from_scene_file(path)
         for note in simulation.notes:
             self.get_logger().warning(note)

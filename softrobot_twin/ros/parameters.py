@@ -225,12 +225,15 @@ RUNTIME = (
              "s", 0.001, 60.0),
 )
 
-_SCENE_FILE = Entry("scene_file", "scenes/diamond.yaml", "Path of the scene: absolute, or relative to "
-                    "the working directory, the folder of the parameter file or the package's config "
-                    "folder.")
+_SCENE = (
+    Entry("scene_file", "scenes/diamond.yaml", "Path of the scene: absolute, or relative to the working "
+          "directory, the folder of the parameter file or the package's config folder."),
+    Entry("scene_changes", [""], "Other values of its entries, each as KEY=VALUE, such as "
+          "body.material.young_modulus=1.5e5; [''] for none."),
+)
 
 TWIN = COMMON + RUNTIME + _fixed(
-    _SCENE_FILE,
+    *_SCENE,
     Entry("mode", Mode.INVERSE.value, "What drives the robot: targets, or setpoints and efforts of "
           "its actuators: lengths and tensions of cables, pressures and volumes of cavities.",
           choices=tuple(mode.value for mode in Mode)),
@@ -275,6 +278,7 @@ DEVICE = COMMON + _fixed(
     _TWIN_NAME,
     Entry("device_scene_file", "scenes/diamond_device.yaml",
           "Path of the simulated robot's scene, searched like scene_file."),
+    Entry("device_scene_changes", [""], "Other values of its entries, as scene_changes."),
     Entry("device_rate", 50.0, "Measurements per second.", "Hz", 0.1, 2000.0),
     Entry("device_delay", 0.02, "Time from a command's arrival to its effect.", "s", 0.0, 10.0),
     Entry("device_servo_rate", 0.1, "Greatest speed of the servos of cables and slides.", "m/s", 1e-6,
@@ -303,7 +307,7 @@ DEVICE = COMMON + _fixed(
 )
 
 TARGET = _fixed(
-    COMMON[0], _TWIN_NAME, _SCENE_FILE,
+    COMMON[0], _TWIN_NAME, *_SCENE,
     Entry("target_effector", "tip",
           "Effector that receives targets; with target_commands, the one that the demo compares."),
     Entry("target_path", "circle", "circle, lemniscate, or a CSV file, searched like scene_file, with "

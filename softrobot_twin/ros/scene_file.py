@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
 
 from softrobot_twin.errors import ParameterError
+from softrobot_twin.shared_files import ScenePath
 
 _PACKAGE = "softrobot_twin"
 
@@ -58,3 +59,20 @@ def find_scene_file(name: str, parameter: str) -> Path:
             return candidate.resolve()
     looked = ", ".join(str(candidate) for candidate in candidates)
     raise ParameterError(parameter, name, "", f"no such file; looked for {looked}")
+
+
+def find_scene(values: Mapping[str, object], name: str = "scene") -> ScenePath:
+    """Finds the file of a node's scene.
+
+    Args:
+        values: Values of the node's parameters.
+        name: Begin of the names of its parameters ``..._file`` and ``..._changes``.
+
+    Returns:
+        The path, with other values of the scene's entries.
+
+    Raises:
+        ParameterError: There is no such file; the message lists the searched places.
+    """
+    path = find_scene_file(str(values[f"{name}_file"]), f"{name}_file")
+    return ScenePath(path, filter(None, values[f"{name}_changes"]))

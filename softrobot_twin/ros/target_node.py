@@ -31,7 +31,7 @@ from softrobot_twin.ros.messages import (
     vector_message,
 )
 from softrobot_twin.ros.parameters import TARGET, declare
-from softrobot_twin.ros.scene_file import find_scene_file
+from softrobot_twin.ros.scene_file import find_scene, find_scene_file
 from softrobot_twin.ros.ticking_node import TickingNode
 from softrobot_twin.ros.topics import TARGET_TOPICS as TOPICS
 from softrobot_twin.ros.topics import open_publisher
@@ -134,7 +134,7 @@ class TargetNode(TickingNode):
 
     def _open_table(self, values: Mapping[str, object]) -> str:
         """Reads the table of commands; returns what the node is ready for."""
-        scene = find_scene_file(str(values["scene_file"]), "scene_file")
+        scene = find_scene(values)
         file = find_scene_file(str(values["target_commands"]), "target_commands")
         # The table may give shortenings, so lengths at rest are needed.
         simulation = Simulation.from_scene_file(scene)

@@ -49,7 +49,7 @@ from softrobot_twin.ros.messages import (
 )
 from softrobot_twin.ros.outputs import Output, open_outputs, rows_of
 from softrobot_twin.ros.parameters import TWIN, declare, loop_settings, plain
-from softrobot_twin.ros.scene_file import find_scene_file
+from softrobot_twin.ros.scene_file import find_scene
 from softrobot_twin.ros.status import StatusOutput
 from softrobot_twin.ros.thread_priority import Priority, ThreadPriority
 from softrobot_twin.ros.ticking_node import TickingNode, publishing_nodes
@@ -332,7 +332,7 @@ class TwinNode(TickingNode):
         self._values = values
         settings = loop_settings(values)
         self.claim = TopicClaim(self, self.resolve_topic_name(TOPICS["~/cables"].full_name()))
-        path = find_scene_file(str(values["scene_file"]), "scene_file")
+        path = find_scene(values)
         if values["record"]:
             # Only a recorded run loads the room that writes it.
             from softrobot_twin.ros.run_recording import RunRecording

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.command_line.commands import enable_interrupts
-from softrobot_twin.errors import ParameterError
+from softrobot_twin.errors import ParameterError, SceneError
 from softrobot_twin.ros.demo import (
     RUNS,
     START_TOPIC,
@@ -32,6 +32,7 @@ from softrobot_twin.ros.demo import (
     share_of_others,
     stop_all,
 )
+from softrobot_twin.scene import load_scene
 
 ROOT = Path(__file__).parents[2]
 NODES = ("twin", "device", "target")
@@ -75,6 +76,18 @@ def test_a_robot_without_markers_runs_open_loop_only(tmp_path, monkeypatch):
         f"/**: {{ros__parameters: {{mode: inverse, scene_file: {tmp_path / 'blind.yaml'}}}}}")
     monkeypatch.setattr("softrobot_twin.ros.demo.config_folders", lambda: [tmp_path])
     assert plan_demo("robot", tmp_path / "demo", 5.0, view=False).runs == ("open_loop",)
+
+
+def test_changes_reach_the_twins_scene_and_who_reads_it_and_not_the_device(tmp_path):
+    stiffer = "body.material.young_modulus=2e5"
+    plan = plan_demo("diamond", tmp_path, 5.0, view=False, changes=(stiffer,))
+    assert load_scene(plan.scene_file).body.material.young_modulus == 2e5
+    told = f'scene_changes:=["{stiffer}"]'
+    assert [told in plan.command(node) for node in NODES] == [True, False, False]
+    played = plan_demo("grasper", tmp_path, 5.0, view=False, changes=("gravity=[0,0,-1]",))
+    assert 'scene_changes:=["gravity=[0,0,-1]"]' in played.command("target")
+    with pytest.raises(SceneError, match="rat = 1: is not a key"):
+        plan_demo("diamond", tmp_path, 5.0, view=False, changes=("cables.north.rat=1",))
 
 
 def test_a_robot_that_is_driven_directly_plays_its_commands_in_one_run(tmp_path):

@@ -48,6 +48,11 @@ def test_it_measures_lengths_markers_and_effectors_with_one_stamp(world, make_de
     assert len(set.intersection(*stamps)) >= 3
 
 
+def test_its_scene_has_other_values_where_the_parameter_gives_them(make_device):
+    device = make_device(device_scene_changes=["cables.north.tension=[0, 7]"])
+    assert device.device.simulation.limits.effort_max[:2].tolist() == [7.0, 20.0]
+
+
 def test_the_device_moves_to_a_command_at_the_rate_of_its_servos(world, make_device):
     device = make_device(device_servo_rate=0.01)
     rest = rest_of(device)

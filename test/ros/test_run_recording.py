@@ -167,6 +167,23 @@ def test_hostile_messages_of_every_kind_are_replayed_to_the_bit(
     assert {len(row) for row in rows} == {len(table.header)}
 
 
+def test_changes_of_the_scene_are_recorded_and_replayed_to_the_bit(
+    world, make_twin, small_scene_file, tmp_path
+):
+    path = tmp_path / "run.mcap"
+    changes = ["body.material.young_modulus=1.2e5", "cables.north.rate=0.02"]
+    twin = make_twin(record=str(path), scene_changes=changes)
+    assert twin.loop.simulation.scene.body.material.young_modulus == 1.2e5
+    assert twin.loop.simulation.limits.rate[0] == 0.02
+    run_ticks(world, twin, 10)
+    twin.recording.close()
+    run = RunFile(path)
+    assert run.description.parameters["scene_changes"] == changes
+    assert Replay(run).all_ticks().is_equal
+    assert Replay(run, changes=("cables.north.rate=0.03",)).loop.simulation.limits.rate[0] == 0.03
+    assert not Replay(run, small_scene_file).all_ticks().is_equal
+
+
 def test_a_run_on_simulated_time_is_replayed_to_the_bit(world, make_twin, tmp_path):
     path = tmp_path / "run.mcap"
     twin = make_twin(use_sim_time=True, record=str(path), message_timeout=0.0)
