@@ -353,8 +353,8 @@ class Robot:
             CommandError: Its bodies would have other unknowns, which its state does not fit.
             MeshError: A mesh cannot be used.
         """
+        # Its kernels are compiled already, so its steps set up what they need: there is no warm-up.
         simulation = Simulation(changed_scene(self.scene, values), with_warnings=False)
-        simulation.warm_up()
         simulation.take_over(self.simulation)
         if self._view is not None:
             self._view.close()

@@ -15,6 +15,7 @@ import pytest
 import softrobot_twin as st
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.errors import CommandError, SceneError
+from softrobot_twin.scene.scene_parameters import changed_scene
 from softrobot_twin.simulation.apparent_compliance import apparent_compliance
 from softrobot_twin.study.direct_run import DEFAULT_RATE
 from softrobot_twin.view import ViewError
@@ -296,6 +297,23 @@ def test_the_time_step_is_the_same_by_default_wherever_a_robot_runs(finger):
     assert 1.0 / step == DEFAULT_RATE == LoopSettings().rate
     for table in (finger.run(steps=2), finger.run(st.hold(), steps=2)):
         assert np.diff(table["time_s"]) == pytest.approx(step)
+
+
+@pytest.mark.parametrize(("name", "key", "value"), [
+    ("diamond", "body.material.young_modulus", 1.5e5), ("finger", "body.material.density", 900.0),
+])
+def test_a_changed_robot_steps_as_one_built_anew_to_the_bit(name, key, value):
+    with warnings.catch_warnings(action="ignore"):
+        robot = st.load(ROOT / f"config/scenes/{name}.yaml")
+    target = robot.effectors[robot.effector_names[0]] + np.array([0.001, 0.0, 0.002])
+    command = st.targets(**{robot.effector_names[0]: target})
+    robot.step(command)
+    anew = st.Robot(changed_scene(robot.scene, {key: value}), robot.state)
+    robot.change({key: value})
+    for one in (command, command, st.hold(), command):
+        robot.step(one), anew.step(one)
+        assert np.array_equal(robot.positions, anew.positions)
+        assert np.array_equal(robot.state.efforts, anew.state.efforts)
 
 
 def test_other_numbers_keep_the_state():
