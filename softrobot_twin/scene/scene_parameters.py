@@ -75,9 +75,9 @@ class Parameter(NamedTuple):
         return self.set(scene, factor * self.read(scene))
 
     @property
-    def sections(self) -> set[str]:
+    def sections(self) -> frozenset[str]:
         """The sections of the scene that it changes, such as ``cables``."""
-        return {str(_steps(self.key)[0])}
+        return frozenset({str(_steps(self.key)[0])})
 
 
 class JointParameter(NamedTuple):
@@ -115,9 +115,9 @@ class JointParameter(NamedTuple):
         return changed_scene(scene, self.changes(value))
 
     @property
-    def sections(self) -> set[str]:
+    def sections(self) -> frozenset[str]:
         """See `Parameter.sections`."""
-        return set().union(*(one.sections for one in self.numbers))
+        return frozenset[str]().union(*(one.sections for one in self.numbers))
 
 
 def parameters(scene: Scene, *keys: str) -> tuple[Parameter, ...]:

@@ -62,8 +62,8 @@ def variables_of(scene: Scene, asked: Variables) -> tuple[Parameter | JointParam
     if not isinstance(asked, Mapping):
         found += parameters(scene, *asked)
     else:
-        for name, keys in asked.items():
-            shares = {keys: 1.0} if isinstance(keys, str) else keys
+        for name, given in asked.items():
+            shares = {given: 1.0} if isinstance(given, str) else given
             each = [(one, float(share)) for key, share in shares.items() for one in parameters(scene, key)]
             if not each or not all(share for _, share in each):
                 raise DesignError(name, "needs keys of numbers, each with a share that is not 0")
