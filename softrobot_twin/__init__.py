@@ -24,6 +24,7 @@ from softrobot_twin.errors import SoftRobotTwinError
 
 if TYPE_CHECKING:
     from softrobot_twin.scripting import (
+        Equilibria,
         Pose,
         Result,
         Robot,
@@ -32,12 +33,14 @@ if TYPE_CHECKING:
         build,
         efforts,
         hold,
+        hull_volume,
         load,
         setpoints,
         targets,
     )
 
 __all__ = [
+    "Equilibria",
     "Pose",
     "Result",
     "Robot",
@@ -47,6 +50,7 @@ __all__ = [
     "build",
     "efforts",
     "hold",
+    "hull_volume",
     "load",
     "setpoints",
     "targets",

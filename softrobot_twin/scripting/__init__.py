@@ -15,9 +15,11 @@ from softrobot_twin.scripting.robot import Robot, SceneWarning, build, load
 from softrobot_twin.scripting.step_outcome import Result
 from softrobot_twin.simulation import Status
 from softrobot_twin.simulation.appearance import Pose
+from softrobot_twin.study.design import Equilibria, hull_volume
 
 __all__ = [
     "Efforts",
+    "Equilibria",
     "HoldAll",
     "NamedCommand",
     "Pose",
@@ -30,6 +32,7 @@ __all__ = [
     "build",
     "efforts",
     "hold",
+    "hull_volume",
     "load",
     "setpoints",
     "targets",

@@ -37,7 +37,7 @@ from softrobot_twin.study.output_file import output_file
 from softrobot_twin.study.terminal import by_key
 
 Variables: TypeAlias = Sequence[str] | Mapping[str, str | Mapping[str, float]]
-"""Keys of numbers; or names of design variables, with the key of each or the shares of several keys."""
+"""Keys of numbers; or names, each with a key, or with keys and shares by which these change together."""
 Wanted: TypeAlias = Sequence[tuple[NamedCommand, Mapping[str, Any]]]
 """Commands, each with wanted positions of effectors by name [m], None along a free axis."""
 Bounds: TypeAlias = Mapping[str, tuple[float, float]]
@@ -68,7 +68,8 @@ def variables_of(scene: Scene, asked: Variables) -> tuple[Parameter | JointParam
             if not each or not all(share for _, share in each):
                 raise DesignError(name, "needs keys of numbers, each with a share that is not 0")
             numbers, parts = zip(*each, strict=True)
-            first = tuple(one.read(scene) for one in numbers)
+            is_one = isinstance(given, str) and len(numbers) == 1
+            first = (0.0,) if is_one else tuple(one.read(scene) for one in numbers)
             found.append(JointParameter(name, numbers[0].unit, numbers, first, parts))
     keys = [key for one in found for key in one.changes(0.0)]
     twice = next((key for key in keys if keys.count(key) > 1), None)

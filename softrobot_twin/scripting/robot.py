@@ -404,9 +404,9 @@ class Robot:
                 - a function that is made as small as possible. It takes `Equilibria` of all
                   commands and returns its value and its derivatives by them, as `Equilibria`.
 
-            parameters: Keys, perhaps with ``*``; or names of variables, each with its key or with
-                several keys and their shares: ``{"height": {"cables[0].points[0][2]": 1.0, ...}}``
-                is a change of all of them, 0 at first.
+            parameters: Keys, perhaps with ``*``; or names, each with a key, or with several keys and
+                shares by which these change together: ``{"height": {"cables[0].points[0][2]": 1.0,
+                "cables[0].points[1][2]": 0.5}}`` is 0 at first.
             bounds: Least and greatest value of each, by key or name; or one pair for all.
             commands: Poses of a function, each from rest.
             tolerance: Change of the objective that does not matter: of places, RMS, by default

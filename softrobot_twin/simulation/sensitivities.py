@@ -297,7 +297,7 @@ class Sensitivities(HeldTangent):
         if self._middle is None:
             self._middle = self._evaluated(self._terms(None, 0, 0.0))
         value = parameter.read(self._model.scene)
-        step, sides = STEP_SHARE * self._scale(parameter.unit, value), dict[int, AtState]()
+        step, sides = STEP_SHARE * self._scale(parameter), dict[int, AtState]()
         for side in (1, -1, 2, -2):
             if len(sides) == 2 or (side == 2 and 1 not in sides):
                 continue
@@ -341,8 +341,12 @@ class Sensitivities(HeldTangent):
         length = size if np.isfinite(size) else 1.0
         return ROUND_OFF * np.array([load or 1.0, length, length])
 
-    def _scale(self, unit: str, value: float) -> float:
+    def _scale(self, parameter: Parameter | JointParameter) -> float:
         """The size of a number, of which a small share is its difference."""
+        if isinstance(parameter, JointParameter):
+            return min(self._scale(one) / abs(share)
+                       for one, share in zip(parameter.numbers, parameter.shares, strict=True))
+        unit, value = parameter.unit, parameter.read(self._model.scene)
         if unit == "m":
             size = self._model.nodes.size
             return max(abs(value), LEAST_LENGTH * size if np.isfinite(size) else 0.0) or 1.0

@@ -27,9 +27,9 @@ from softrobot_twin.simulation.building.limits import DISPLACEMENT_MARGIN, HOLDI
 from softrobot_twin.simulation.sensitivities import Sensitivities
 from softrobot_twin.study.equilibrium import WAY, bring_to_rest
 
-# Least squares and quasi-Newton steps end where variables move by less than this share of their
-# bounds, or the objective changes by less than this share.
-STILL, MOST_TRIALS = 1.0e-7, 100
+# A search ends where variables move by less than this share of their bounds, or the objective changes
+# by less than this share.
+STILL, MOST_TRIALS = 1.0e-5, 100
 # Least squares end where no move over the whole bounds betters half of the square of the misfit, in
 # tolerances, by more than this.
 ENOUGH = 1.0e-3
@@ -471,7 +471,7 @@ def _least(
         bounds = np.clip([best[0] - reach, best[0] + reach], 0.0, 1.0)
         try:
             minimize(scaled, best[0], jac=True, method="L-BFGS-B", bounds=bounds.T,
-                     options={"ftol": STILL**1.5, "gtol": STILL, "maxfun": MOST_TRIALS})
+                     options={"ftol": STILL**2, "gtol": STILL, "maxfun": MOST_TRIALS})
         except _Refused as refused:
             reach = 0.5 * np.abs(refused.shares - best[0]).max()
             continue

@@ -28,10 +28,10 @@ def run(tmp_path, monkeypatch):
     pyplot.close("all")
 
 
-def test_there_are_six_scripts_and_a_notebook():
+def test_there_are_nine_scripts_and_a_notebook():
     assert [path.stem for path in SCRIPTS] == [
-        "calibration", "closed_loop", "finger", "learning", "pneumatic_gripper",
-        "trunk_in_contact"]
+        "calibration", "closed_loop", "design", "finger", "gradients_jax", "gradients_torch", "learning",
+        "pneumatic_gripper", "trunk_in_contact"]
     assert [path.name for path in EXAMPLES.glob("*.ipynb")] == ["finger.ipynb"]
 
 
@@ -103,6 +103,46 @@ def test_a_policy_learns_within_a_few_generations(run, tmp_path):
     assert seen["history"][-1] < 0.7 * before
     assert np.isfinite(finger.target).all()
     assert (tmp_path / "learning.png").is_file()
+
+
+def test_a_cable_is_led_so_that_the_tip_passes_four_places(run, tmp_path, capsys):
+    seen = run("design")
+    places = seen["tips"](seen["st"].load("designed.yaml"))
+    errors = np.linalg.norm(places - 1e3 * np.array(seen["wanted"]), axis=1)  # mm
+    assert seen["design"].before > 4e-3 and errors.max() < 0.6
+    assert "flatness" in capsys.readouterr().out and (tmp_path / "design.png").is_file()
+
+
+def slopes_by_differences(model, values, weights):
+    """Derivatives of weighted places and efforts of the poses of a model."""
+    ends = [[sum(map(np.vdot, weights, model.solve(values + side * step).found)) for side in (1, -1)]
+            for step in 1e-3 * np.eye(len(values))]
+    return np.array([(one - other) / 2e-3 for one, other in ends])
+
+
+@pytest.fixture
+def drawn(drawn_rng):
+    """Heights [mm], and weights of places and efforts of two poses."""
+    return (drawn_rng.uniform(-1.0, 1.0, 2), 1e3 * drawn_rng.normal(size=(2, 1, 3)), drawn_rng.normal(size=(2, 2)))
+
+
+def test_gradients_inside_torch_are_those_of_differences(run, drawn):
+    torch = pytest.importorskip("torch")
+    seen, (heights, *weights) = run("gradients_torch"), drawn
+    assert np.allclose(seen["values"].detach().numpy(), [0.8, -1.2], atol=1e-3)
+    values = torch.tensor(heights, requires_grad=True)
+    sum((torch.tensor(by) * one).sum() for by, one in zip(weights, seen["poses"](values))).backward()
+    expected = slopes_by_differences(seen["model"], heights, weights)
+    np.testing.assert_allclose(values.grad.numpy(), expected, rtol=1e-4, atol=1e-5)
+
+
+def test_gradients_inside_jax_are_those_of_differences(run, drawn):
+    jax = pytest.importorskip("jax")
+    seen, (heights, *weights) = run("gradients_jax"), drawn
+    assert np.allclose(seen["found"].x, [0.8, -1.2], atol=1e-3)
+    slopes = jax.jit(jax.grad(lambda own: sum((by * one).sum() for by, one in zip(weights, seen["poses"](own)))))
+    expected = slopes_by_differences(seen["model"], heights, weights)
+    np.testing.assert_allclose(np.asarray(slopes(heights)), expected, rtol=1e-4, atol=1e-5)
 
 
 def test_the_notebook_is_kept_without_outputs():

@@ -44,6 +44,13 @@ def moved(simulation):
 
 
 def exact(name, changes=None):
+    if name == "springy_sealed":
+        path = CONFIG / "scenes" / "springy.yaml"
+        mapping = yaml.safe_load(path.read_text())
+        (cavity,) = mapping.pop("cavities")
+        sealed = {"name": "air", "walls": cavity["walls"], "pressure": 700.0}
+        scene = scene_from_mapping({**mapping, "sealed_cavities": [sealed]}, path)
+        return scene.changed(solver={"residual_tolerance": 1.0e-11, "newton_iterations": 20})
     if name == "bar_of_a_box":
         scene = scene_from_mapping(yaml.safe_load(BAR_OF_A_BOX), Path("bar.yaml"))
         return scene.changed(solver={"residual_tolerance": 1.0e-11, "newton_iterations": 20})
@@ -76,7 +83,7 @@ CASES = [
     ("trunk", "cables[0].points[3][1]"), ("finger_held", "cables.flexor.points[1][2]"),
     ("finger_held", "cables.flexor.hold_radius"), ("stifface", "cables[0].points[0][0]"),
     ("bar_of_a_box", "body.mesh.box.size[2]"), ("bar_of_a_box", "body.mesh.box.size[0]"),
-    ("bar_of_a_box", "body.mesh.translation[2]"), ("bar_of_a_box", "cables[0].pull_point[2]"),
+    ("springy_sealed", "sealed_cavities[0].pressure"), ("bar_of_a_box", "body.mesh.translation[2]"), ("bar_of_a_box", "cables[0].pull_point[2]"),
 ]  # fmt: skip
 
 
@@ -99,7 +106,7 @@ def test_derivatives_are_those_of_states_that_are_solved_again(name, key):
     )
     bar = REDUCED_BAR if simulation.has_reduced_bodies else BAR
     assert np.abs(found.effectors[..., 0] - places).max() < bar * np.abs(places).max()
-    assert np.abs(found.efforts[:, 0] - efforts).max() <= bar * np.abs(efforts).max()
+    assert (np.abs(found.efforts[:, 0] - efforts) <= bar * np.abs(efforts).max(initial=0.0)).all()
     assert found.roughness[0] < 1.0e-3
 
 
