@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import meshio
 import pytest
+import yaml
 
 from softrobot_twin.__main__ import main
 from test.builder import builder
@@ -72,6 +73,22 @@ def stamp(tmp_path_factory, block) -> Path:
     scene.write_text(_PRESS_SCENE)
     (folder / "stamping.csv").write_text(_STAMPING)
     return scene
+
+
+@pytest.fixture(scope="session")
+def cantilever(tmp_path_factory) -> Path:
+    """Scene file of a cantilever whose tip is pulled up by a cable."""
+    path = tmp_path_factory.mktemp("rod") / "rod.yaml"
+    path.write_text(yaml.safe_dump({
+        "name": "cantilever", "gravity": [0.0, 0.0, -9.81],
+        "beams": [{
+            "name": "rod", "points": [[0, 0, 0], [0.2, 0, 0]], "elements": 2,
+            "section": {"circle": {"radius": 0.004}}, "fixed": ["start"],
+            "material": {"young_modulus": 1.0e8, "poisson_ratio": 0.4, "density": 1100.0}}],
+        "effectors": [{"name": "tip", "body": "rod", "points": [[0.2, 0, 0]]}],
+        "cables": [{"name": "up", "body": "rod", "pull_point": [0, 0, 0.2],
+                    "points": [[0.2, 0, 0]], "tension": [0, 10]}]}))
+    return path
 
 
 @builder

@@ -72,20 +72,6 @@ def test_the_robots_of_the_package_hold_and_have_the_papers_figures():
     assert isinstance(given, BenchCase) and given.commands == cases["grasper"].commands
 
 
-@pytest.mark.parametrize("arguments", [
-    ("accuracy",), ("choose", "--rate", 50), ("bench", "--steps", 2)])
-def test_an_option_that_is_impossible_in_contact_gives_one_line(
-    stamp, call, tmp_path, arguments, monkeypatch
-):
-    monkeypatch.chdir(tmp_path)
-    done = call(arguments[0], stamp, *arguments[1:])
-    assert done.code == 2
-    # Lines of progress end so.
-    told = [line for line in done.errors.splitlines() if not line.endswith("…")]
-    assert len(told) == 1 and "stamp" in told[0]
-    assert not list(tmp_path.iterdir()), "nothing is left behind"
-
-
 def test_a_picture_holds_sizes_with_and_without_contact(tmp_path, held, column):
     pytest.importorskip("matplotlib")
     plain = measure(given_cases([column])[0], 2)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import shlex
 
 import pytest
@@ -13,7 +12,7 @@ from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.mesh_reading import read_solid_mesh
 from softrobot_twin.study import meshing
 from softrobot_twin.study.meshing import MeshingError, StepTime, scene_command, size_for
-from test.cad_parts import box, finger, lines_of, need_gmsh, write_stl
+from test.cad_parts import box, lines_of, need_gmsh, write_stl
 
 
 @pytest.mark.parametrize("text, value", [
@@ -67,23 +66,6 @@ def test_a_size_that_cannot_be_meshed_is_too_large():
     assert size_for(wanted, 0.02, 0.05, measure_small) in tried
     with pytest.raises(MeshError, match="cannot be meshed"):
         size_for(wanted, 0.2, 0.5, measure_small)
-
-
-def test_a_part_is_meshed_and_its_quality_told(tmp_path, capsys):
-    need_gmsh()
-    part, output = write_stl(tmp_path / "finger.stl", finger()), tmp_path / "a finger.msh"
-    command = ["mesh", str(part), "--size", "9mm", "--output", str(output), "--element", "linear"]
-    assert main(command) == 0
-    out, err = capsys.readouterr()
-    reading = read_solid_mesh(output)
-    assert f"{reading.mesh.node_count}, {reading.mesh.cell_count}" in out
-    assert "60 × 20 × 16 mm" in out and "1920 mm³, a named surface" in out
-    assert re.search(r"thinnest part\s+3 mm, ", out)  # above the chamber
-    assert re.search(r"expected step\s+[\d.]+ ms with linear elements", out)
-    assert "error of about" in out
-    assert f"A scene for it: softrobot_twin init '{output}'\n" in out  # for a shell, in one line
-    assert "millimetres are assumed" in err and "linear elements lie across 3 mm" in err
-    assert reading.mesh.volume == pytest.approx(17280e-9, rel=1e-5)
 
 
 def test_the_size_is_searched_for_a_step_time(tmp_path, capsys, monkeypatch):

@@ -20,19 +20,22 @@ from test.run_files import TARGETS
 ROOT, FILES = Path(__file__).parents[2], Path(__file__).parent / "print_outs"
 NAMES = ("softrobot_twin", *(command.__name__.replace("_", "-") for command in COMMANDS))
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
-# Times, shares (some are of times), what another processor or a busy machine changes, the usage before
-# an error, which a file holds already, and spaces that align.
+# Times, shares (some are of times), what another processor or a busy machine changes, the usage
+# before an error, which a file holds already, and spaces that align.
 MASKS = (
-    (r"[-\d.]+ (ms|µs|%|s in all)(?!\w)", r"# \1"), (r"(of the training +)\d+ s$", r"\1#"),
-    (r"(on this machine,) \d+", r"\1 #"), (r"about [\d.]+ \w+ on this machine", "about # on this machine"),
+    (" +", " "), (r"\s*\n\s*", "\n"),
+    (r"[-\d.]+ (ms|µs|%|s in all)(?!\w)", r"# \1"), (r"(of the training) \d+ s$", r"\1 #"),
+    (r"(on this machine,) \d+", r"\1 #"),
+    (r"about [\d.]+ \w+ on this machine", "about # on this machine"),
     (r"^.* …$|^.*: \d+ of \d+.*$|^.*slowed this one down.*$", ""), (r"_[0-9a-f]{16}\.", "_#."),
     (r"^softrobot_twin \d[\d.]*$", "softrobot_twin #"), (r"(\+0\.00 mm) at [\d.]+ s", r"\1"),
     (r"(sum of magnitudes median) [\d.]+ N, max [\d.]+ N", r"\1 #"),
-    (r"^(quadrature points +\d+|spare modes, .* \d+,|linearizations for a state) +[\d.]+$", r"\1 #"),
-    (r"[\d.]+ mm \(largest\)", "# mm (largest)"), (r"^(gravity|nothing) +-?\d\S* +-?\d\S* ", r"\1 # # "),
+    (r"^(quadrature points \d+|spare modes, .* \d+,|linearizations for a state) [\d.]+$", r"\1 #"),
+    (r"[\d.]+ mm \(largest\)", "# mm (largest)"),
+    (r"^(gravity|nothing) +-?\d\S* +-?\d\S* ", r"\1 # # "),
     (r"usage: [^\x00]*?\n(softrobot_twin.* error:)", r"\1"),
     (r"error of about [^\x00]*? a step;[^\x00]*? a step", lambda told: " ".join(told[0].split())),
-    (" +", " "), (r"\s*\n\s*", "\n"),
+    (r"\n+", "\n"),
 )  # fmt: skip
 MASKS_OF = {"bench": (
     (r"^.*; OPENBLAS_NUM_THREADS=1.*", "# OPENBLAS_NUM_THREADS=1 #"), (r"\d+\.\d+", "#"),
@@ -42,9 +45,9 @@ MASKS_OF = {"bench": (
 
 
 @pytest.fixture
-def inputs(column, stamp, tmp_path, monkeypatch):
+def inputs(column, stamp, cantilever, tmp_path, monkeypatch):
     """Makes the folder that commands are typed in."""
-    for scene in (column, stamp):
+    for scene in (column, stamp, cantilever):
         shutil.copytree(scene.parent, tmp_path, dirs_exist_ok=True)
     (tmp_path / "bare.yaml").write_text(column.read_text().partition("cables:")[0])
     (tmp_path / "targets.csv").write_text(TARGETS)
