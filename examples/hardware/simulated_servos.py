@@ -60,7 +60,7 @@ class SimulatedServo:
 
     def __init__(self, ticks: int, speed: float = 4096.0,
                  now: Callable[[], float] = time.monotonic):  # fmt: skip
-        self.table, self._speed, self._now = bytearray(256), speed, now
+        self.table, self.speed, self._now = bytearray(256), speed, now
         self._position, self._moved, self._heard = float(ticks), now(), now()
         self.current = 0
         self.table[OPERATING_MODE] = 3
@@ -91,7 +91,7 @@ class SimulatedServo:
         if self.has_torque and self.table[WATCHDOG] != 255:
             goal = int.from_bytes(self.table[GOAL_POSITION : GOAL_POSITION + 4], "little",
                                   signed=True)  # fmt: skip
-            reach = self._speed * passed
+            reach = self.speed * passed
             self._position += max(-reach, min(reach, goal - self._position))
         self._put(PRESENT_POSITION, round(self._position), 4)
         self._put(PRESENT_CURRENT, self.current, 2)

@@ -514,14 +514,14 @@ class FrictionCables(ElasticCables):
         super().__init__(
             paths, free_index, rest_positions, axial_stiffness=materials.axial_stiffness
         )
-        self._materials, self._flexibility = materials, 1.0 / materials.axial_stiffness
+        self.materials, self._flexibility = materials, 1.0 / materials.axial_stiffness
         count = len(self.cable_of_stretch)
         self._firsts = np.searchsorted(self.cable_of_stretch, np.arange(len(paths) + 1))
         widest = int(np.diff(self._firsts).max(initial=0))
         self._base = np.zeros((len(self.entry_rows), 3))
         self._lengths, self.angles = np.zeros(count), np.zeros(count)
         self.shares, self.tensions = np.zeros(count), np.zeros(count)
-        self._strains, self._beyond = np.zeros(count), np.zeros(count)
+        self._strains, self.beyond = np.zeros(count), np.zeros(count)
         self._force_slopes, self._length_slopes = np.ones(count), np.ones(count)
         self._stick = np.zeros((count, widest))
         self.recall(self.memory_at_rest(), rest_positions, np.zeros(len(paths)))
@@ -542,17 +542,17 @@ class FrictionCables(ElasticCables):
             efforts: Tensions at the winches [N], shape (row_count or more,).
         """
         shares = memory["shares"]
-        self._begin_shares = np.array(shares)
-        self._begin_beyond = np.zeros(len(shares))
+        self.begin_shares = np.array(shares)
+        self.begin_beyond = np.zeros(len(shares))
         self._measure(positions)
         tensions, strains = np.zeros(len(shares)), np.zeros(len(shares))
         for k, winch in enumerate(efforts[: self.row_count]):
             own = slice(self._firsts[k], self._firsts[k + 1])
             write_tensions(
-                winch, self._materials.friction[k], self._flexibility[k], self.angles[own],
-                self._begin_shares[own], tensions[own], strains[own],
+                winch, self.materials.friction[k], self._flexibility[k], self.angles[own],
+                self.begin_shares[own], tensions[own], strains[own],
             )  # fmt: skip
-            write_beyond(self._lengths[own], strains[own], self._begin_beyond[own])
+            write_beyond(self._lengths[own], strains[own], self.begin_beyond[own])
 
     def memory_after(self, positions: np.ndarray, efforts: np.ndarray) -> dict[str, np.ndarray]:
         """z at a state of this step, as `recall` takes it.
@@ -580,9 +580,9 @@ class FrictionCables(ElasticCables):
         self._measure(positions)
         compliances = np.zeros(self.row_count)
         solve_cables(
-            self._firsts, self._told, self._materials.friction, self._flexibility,
-            self._materials.presliding, self._lengths, self.angles, self._begin_shares,
-            self._begin_beyond, self.shares, self.tensions, self._strains, self._beyond,
+            self._firsts, self._told, self.materials.friction, self._flexibility,
+            self.materials.presliding, self._lengths, self.angles, self.begin_shares,
+            self.begin_beyond, self.shares, self.tensions, self._strains, self.beyond,
             self._force_slopes, self._length_slopes, self._stick, compliances,
         )  # fmt: skip
         np.fill_diagonal(self.compliance, compliances)
@@ -596,7 +596,7 @@ class FrictionCables(ElasticCables):
         self.solve(positions)
         of = self.stretch_of_entry
         np.multiply(self._base, self._force_slopes[of, None], out=blocks)
-        np.subtract(self.rest_lengths, self._beyond[self._firsts[:-1]], out=values)
+        np.subtract(self.rest_lengths, self.beyond[self._firsts[:-1]], out=values)
 
     def length_blocks(self) -> np.ndarray:
         """Entries of ∂δ/∂q at the state evaluated last, shape (entry_count, 3)."""

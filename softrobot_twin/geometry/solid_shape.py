@@ -286,7 +286,7 @@ class SolidShapeDetector(SurfaceShapeDetector):
         surface = self._surface
         return _search_solid(
             self.shape.kind, self._extents, *self._frame, origin, rotation, points,
-            self._vertices, self._clusters, self._triangles, surface.links, surface.edges,
+            self._vertices, self.clusters, self._triangles, surface.links, surface.edges,
             surface.fans, self._regions.leaders, self._crests, self._ridges, self._ridge_points,
             self._ridge_sides, self._normals, reach, self._placed, *self._work, self._found,
         )  # fmt: skip

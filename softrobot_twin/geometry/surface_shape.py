@@ -1057,7 +1057,7 @@ class SurfaceShapeDetector:
         self._work = (np.empty((count, 3)), np.empty(count), np.empty((count, 3)))
         self._found = _empty_candidates(2 * count + 64)
         # Computed from the positions in the first call; neighbours stay neighbours.
-        self._clusters: Clusters | None = None
+        self.clusters: Clusters | None = None
 
     def write(self, points, origin, rotation, reach, rows: Proximities, span: np.ndarray) -> None:
         """Write the pairs that are near: of vertices, then edges, then triangles; may be traced.
@@ -1074,8 +1074,8 @@ class SurfaceShapeDetector:
             rows: See there.
             span: See there.
         """
-        if self._clusters is None:
-            self._clusters = cluster_triangles(points[self._vertices], self._triangles)
+        if self.clusters is None:
+            self.clusters = cluster_triangles(points[self._vertices], self._triangles)
         while missing := self._search(points, origin, rotation, reach):
             self._found = _empty_candidates(2 * missing)
         _place_candidates(tuple(self._found), points, self._vertices, self._placed, rows, span)
@@ -1083,7 +1083,7 @@ class SurfaceShapeDetector:
     def _search(self, points, origin, rotation, reach) -> int:
         return _search_surface(
             self.shape.kind, self._extents, *self._frame, origin, rotation, points,
-            self._vertices, tuple(self._clusters), self._edges, self._sides, self._triangles,
+            self._vertices, tuple(self.clusters), self._edges, self._sides, self._triangles,
             self._fans, self._apexes, reach, self._placed, *self._work, tuple(self._found),
         )  # fmt: skip
 

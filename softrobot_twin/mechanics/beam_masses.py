@@ -241,6 +241,9 @@ class MassTerm(ForceTerm):
 
     Attributes:
         masses: The mass of the elements.
+        aims: a of the ends, shape (element_count, 8, 3).
+        constants: F₀ on the ends, same shape.
+        factors: c of each element, shape (element_count,).
     """
 
     def __init__(self, masses: BeamMasses):
@@ -252,15 +255,15 @@ class MassTerm(ForceTerm):
         self.masses = masses
         count = len(masses.origins)
         self._stencils = of_frames(masses.unknowns)
-        self._aims, self._constants = np.zeros((2, count, 8, 3))
-        self._factors = np.zeros(count)
+        self.aims, self.constants = np.zeros((2, count, 8, 3))
+        self.factors = np.zeros(count)
 
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
         """Add the forces [N] and torques [N m]; it inverts no element."""
         m = self.masses
         _add_mass_forces(
-            writable(positions), m.origins, m.unknowns, m.matrices, self._aims, self._factors,
-            self._constants, forces,
+            writable(positions), m.origins, m.unknowns, m.matrices, self.aims, self.factors,
+            self.constants, forces,
         )  # fmt: skip
         return 0
 
@@ -268,13 +271,17 @@ class MassTerm(ForceTerm):
         """Add forces, and stiffness to the system matrix; see `ForceTerm.add`."""
         m, bound = self.masses, self._bound
         _add_mass_stiffness(
-            writable(positions), m.origins, m.unknowns, m.matrices, self._aims, self._factors,
-            self._constants, projected, bound.order, bound.offsets, bound.strides, forces, storage,
+            writable(positions), m.origins, m.unknowns, m.matrices, self.aims, self.factors,
+            self.constants, projected, bound.order, bound.offsets, bound.strides, forces, storage,
         )  # fmt: skip
 
-    def _ends(self, positions: np.ndarray) -> np.ndarray:
-        """z of every element [m] and [-], shape (element_count, 8, 3)."""
-        ends = np.empty_like(self._aims)
+    def ends(self, positions: np.ndarray) -> np.ndarray:
+        """z of every element [m] and [-], shape (element_count, 8, 3).
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
+        ends = np.empty_like(self.aims)
         _write_all_ends(writable(positions), self.masses.origins, ends)
         return ends
 
@@ -293,7 +300,7 @@ class BeamWeight(MassTerm):
             gravity: Acceleration [m/s²], shape (3,).
         """
         super().__init__(masses)
-        self._constants[:] = masses.borne[:, :, None] * np.asarray(gravity, float)
+        self.constants[:] = masses.borne[:, :, None] * np.asarray(gravity, float)
 
     def potential(self, positions: np.ndarray) -> float:
         """Potential energy of the weight, zero at the origin of the world [J].
@@ -301,7 +308,7 @@ class BeamWeight(MassTerm):
         Args:
             positions: Node positions [m], shape (node_count, 3).
         """
-        return -float(np.sum(self._constants * self._ends(positions)))
+        return -float(np.sum(self.constants * self.ends(positions)))
 
 
 class BeamDamping(MassTerm):
@@ -315,8 +322,8 @@ class BeamDamping(MassTerm):
         self, positions: np.ndarray, velocities: np.ndarray, time_step: float
     ) -> None:
         """Remember where the step of h [s] begins; see `ForceTerm.begin_step`."""
-        _write_all_ends(writable(positions), self.masses.origins, self._aims)
-        np.divide(self.masses.damping, time_step, out=self._factors)
+        _write_all_ends(writable(positions), self.masses.origins, self.aims)
+        np.divide(self.masses.damping, time_step, out=self.factors)
 
 
 class BeamInertia(MassTerm, InertiaTerm):
@@ -350,11 +357,11 @@ class BeamInertia(MassTerm, InertiaTerm):
             time_step: h [s].
         """
         if time_step == np.inf:
-            self._factors[:] = 0.0
+            self.factors[:] = 0.0
             return
         before = self._left(positions, velocities, time_step)
-        self._aims = 2.0 * self._ends(positions) - self._ends(before)
-        self._factors[:] = self.weight / time_step**2
+        self.aims = 2.0 * self.ends(positions) - self.ends(before)
+        self.factors[:] = self.weight / time_step**2
 
     def begin_second_order(
         self, positions: np.ndarray, ahead: np.ndarray, velocities: np.ndarray,
@@ -388,10 +395,10 @@ class BeamInertia(MassTerm, InertiaTerm):
         end = self._moved(positions, velocities + 0.5 * h * accelerations, h)
         forced = velocities + 0.5 * h * accelerations - ahead
         then = velocities + h * accelerations
-        bend = self._ends(self._moved(end, then, h)) + self._ends(self._left(end, then, h))
-        bend -= 2.0 * self._ends(end)
-        self._aims = self._ends(self._left(end, forced, h)) - bend / self.weight
-        self._factors[:] = self.weight / h**2
+        bend = self.ends(self._moved(end, then, h)) + self.ends(self._left(end, then, h))
+        bend -= 2.0 * self.ends(end)
+        self.aims = self.ends(self._left(end, forced, h)) - bend / self.weight
+        self.factors[:] = self.weight / h**2
 
     def _moved(self, positions, rates, time_step: float) -> np.ndarray:
         moved = positions.copy()
@@ -440,7 +447,7 @@ class BeamInertia(MassTerm, InertiaTerm):
                 lines.append(np.repeat(3 * line + np.arange(3), 3))
                 columns.append(np.tile(3 * unknown + np.arange(3), 3))
 
-        for e, ends in enumerate(self._ends(positions)):
+        for e, ends in enumerate(self.ends(positions)):
             for end in (0, 1):
                 u = int(m.unknowns[e, end])
                 if u < 0:

@@ -67,7 +67,7 @@ class Elements(ForceTerm):
         self.law = law
         self.name = f"{law_of(law).name} elements"
         self.stays_upright = not law_of(law).is_linear
-        self._mesh, self._free_index = mesh, free_index
+        self.mesh, self._free_index = mesh, free_index
         self._shape = mesh.shape_functions
         self._points = points_of(mesh)
         self._node_counts = node_counts_of(mesh)
@@ -77,12 +77,12 @@ class Elements(ForceTerm):
         self._corners = watched_corners(mesh)
         # Where F is constant, its one point tells all.
         has_places = len(self._to_corners) > 0 or len(self._corners.edges) > 0
-        self._fold_barrier: FoldBarrier | RingBarrier | None = None
+        self.fold_barrier: FoldBarrier | RingBarrier | None = None
         self._folded_count = 0
         if self.stays_upright and has_places:
-            self._fold_barrier = FoldBarrier(mesh.cells, self._to_corners, self._corners)
+            self.fold_barrier = FoldBarrier(mesh.cells, self._to_corners, self._corners)
         elif self.stays_upright and isinstance(mesh, EdgeRings):
-            self._fold_barrier = RingBarrier(mesh.tets, free_index)
+            self.fold_barrier = RingBarrier(mesh.tets, free_index)
         # Displacements are relative to the positions at which the gradients were computed.
         self._reference = mesh.node_positions
         self._constant_stiffness = None
@@ -98,14 +98,14 @@ class Elements(ForceTerm):
             slots: The factorization's `slots`.
         """
         batches = lay_out_elements(
-            self._mesh.cells, self._node_counts, self._points, self._free_index, elimination_rank,
+            self.mesh.cells, self._node_counts, self._points, self._free_index, elimination_rank,
             slots,
         )  # fmt: skip
         self._cells, self._free, self._gradients, self._weights = batches[:4]
         self._offsets, self._strides = batches.offsets, batches.strides
         self._are_contiguous = are_contiguous(batches.offsets, batches.strides)
         batch_count, point_count = self._weights.shape[:2]
-        self._deformations = np.zeros((batch_count, point_count, 9 * BATCH))
+        self.deformations = np.zeros((batch_count, point_count, 9 * BATCH))
         entries = 9 if law_of(self.law).turns else 0
         self._rotations = np.zeros((batch_count, point_count, entries * BATCH))
         self._uprights = np.zeros((batch_count, point_count, BATCH))
@@ -114,20 +114,20 @@ class Elements(ForceTerm):
         self._forget()
         self._constant_stiffness = None
         self._barrier_stiffness = self._stretch_stiffness()
-        if isinstance(self._fold_barrier, RingBarrier):
-            self._fold_barrier.bind(elimination_rank, slots)
-        elif self._fold_barrier is not None:
-            self._fold_barrier.bind(batches)
+        if isinstance(self.fold_barrier, RingBarrier):
+            self.fold_barrier.bind(elimination_rank, slots)
+        elif self.fold_barrier is not None:
+            self.fold_barrier.bind(batches)
         if law_of(self.law).is_linear:
             self._constant_stiffness = self._sum_stiffness_once()
 
     def _add_fold_forces(self) -> None:
         """Add the forces of the barrier between points to those of the state that is known."""
-        barrier = self._fold_barrier
+        barrier = self.fold_barrier
         self.nearly_flat_count, self.crossed_count = self._nearly_flat_points, 0
         if barrier is None:
             return
-        acts = barrier.take(self._known_at, self._deformations)
+        acts = barrier.take(self._known_at, self.deformations)
         self.crossed_count, self._folded_count = barrier.crossed_count, barrier.folded_count
         if acts and self._uprights.all():
             barrier.add_forces(self._barrier_stiffness, self._forces)
@@ -169,7 +169,7 @@ class Elements(ForceTerm):
         add_vectors(self._forces, forces)
         if len(self._corners.edges):
             return count_folded(
-                writable(positions), self._mesh.cells, *self._corners, self._uprights
+                writable(positions), self.mesh.cells, *self._corners, self._uprights
             )
         return max(inverted_count, self._folded_count)
 
@@ -187,7 +187,7 @@ class Elements(ForceTerm):
         inverted_count, self._nearly_flat_points = self._assembly.add_forces(
             self.law, self._moved(positions), self._cells, self._free,
             self._gradients, self._weights, self._barrier_stiffness, self._to_corners,
-            self._deformations, self._rotations, self._uprights, self._forces,
+            self.deformations, self._rotations, self._uprights, self._forces,
         )  # fmt: skip
         self._add_fold_forces()
         return inverted_count
@@ -213,8 +213,8 @@ class Elements(ForceTerm):
             positions: Node positions [m], shape (node_count, 3).
         """
         if self._is_stored(positions):
-            return self._deformations
-        deformations = np.empty_like(self._deformations)
+            return self.deformations
+        deformations = np.empty_like(self.deformations)
         deform_all(positions - self._reference, self._cells, self._gradients, deformations)
         return deformations
 
@@ -237,15 +237,15 @@ class Elements(ForceTerm):
         if self._nearly_flat_points:
             add_barrier_stiffness(
                 self._barrier_stiffness, self._cells, self._gradients, self._weights,
-                self._deformations, projected, self._offsets, self._strides, storage,
+                self.deformations, projected, self._offsets, self._strides, storage,
             )  # fmt: skip
-        if self._fold_barrier is not None and self._fold_barrier.acting_count:
-            self._fold_barrier.add_stiffness(self._barrier_stiffness, projected, storage)
+        if self.fold_barrier is not None and self.fold_barrier.acting_count:
+            self.fold_barrier.add_stiffness(self._barrier_stiffness, projected, storage)
 
     def _add_stiffness(self, storage, projected: bool) -> None:
         self._assembly.add_stiffness(
             self.law, self._cells, self._gradients, self._weights, projected,
-            self._deformations, self._rotations, self._uprights,
+            self.deformations, self._rotations, self._uprights,
             self._offsets, self._strides, self._are_contiguous, storage,
         )  # fmt: skip
 
@@ -258,7 +258,7 @@ class Elements(ForceTerm):
         """
         if law_of(self.law).is_linear:
             return 1.0
-        barrier = self._fold_barrier
+        barrier = self.fold_barrier
         begin, end = self._deformations_at(before), self._deformations_at(after)
         share = largest_share_of_points(self._weights, begin, end - begin)
         if barrier is None:
@@ -304,8 +304,8 @@ class Elements(ForceTerm):
         if self._barrier_stiffness and is_upright:
             deformations = self._deformations_at(positions)
             energy += add_barrier_energies(self._barrier_stiffness, self._weights, deformations)
-            if self._fold_barrier is not None:
-                energy += self._fold_barrier.energy(
+            if self.fold_barrier is not None:
+                energy += self.fold_barrier.energy(
                     self._barrier_stiffness, positions, deformations
                 )
         return energy

@@ -481,10 +481,10 @@ class ReducedElements(ForceTerm):
         self._weights = weights.reshape(batch_count, BATCH)
         # Rows in the order of the batches: entry after entry, the points side by side.
         by_entry = padded.reshape(batch_count, BATCH, 9, self._width).transpose(0, 2, 1, 3)
-        self._gradients = np.ascontiguousarray(by_entry)
-        self._rows = self._gradients.reshape(-1, self._width)
+        self.gradients = np.ascontiguousarray(by_entry)
+        self._rows = self.gradients.reshape(-1, self._width)
         shape = (batch_count, 9 * BATCH)
-        self._deformations, self._stresses = np.empty(shape), np.empty(shape)
+        self.deformations, self._stresses = np.empty(shape), np.empty(shape)
         self._rotations = np.zeros(shape)
         self._uprights = np.ones((batch_count, BATCH))
         self._assembly = reduced_assembly_of(type(law))
@@ -497,9 +497,9 @@ class ReducedElements(ForceTerm):
             self._lay_out_spin_rows(padded, weights)
         elif kind.is_linear:
             self._evaluate_at(np.zeros(modes))
-            self._constant = self._by_matrices(np.empty_like(self._gradients), False)
+            self._constant = self.by_matrices(np.empty_like(self.gradients), False)
         else:
-            self._changes = np.empty_like(self._gradients)
+            self._changes = np.empty_like(self.gradients)
 
     def _lay_out_spin_rows(self, padded: np.ndarray, weights: np.ndarray) -> None:
         """Allocate what the corotational law needs, and sum its constant part."""
@@ -520,9 +520,9 @@ class ReducedElements(ForceTerm):
     def _evaluate(self, positions: np.ndarray) -> None:
         """Forces, stresses and states of all points at a state."""
         gather_vectors(writable(positions), self._nodes, self._at_nodes)
-        deform_points(self._rows, self._coordinates, self._deformations.reshape(-1))
+        deform_points(self._rows, self._coordinates, self.deformations.reshape(-1))
         self._inverted_count = self._assembly.find_stresses(
-            self.law, self._deformations, self._weights, self._rotations, self._uprights,
+            self.law, self.deformations, self._weights, self._rotations, self._uprights,
             self._stresses,
         )  # fmt: skip
         sum_forces(self._rows, self._stresses.reshape(-1), self._forces)
@@ -546,7 +546,7 @@ class ReducedElements(ForceTerm):
         if not self.knows(positions):
             self._evaluate(positions)
         subtract_forces(self._forces, self._unknowns, forces)
-        _add_to_storage(*self._bound, self._padded_stiffness(projected), storage)
+        _add_to_storage(*self._bound, self.padded_stiffness(projected), storage)
 
     def stiffness(self, projected: bool) -> np.ndarray:
         """K at the state evaluated last [N/m], shape (mode_count, mode_count).
@@ -554,32 +554,41 @@ class ReducedElements(ForceTerm):
         Args:
             projected: True for a part of it that is never negative.
         """
-        return self._padded_stiffness(projected)[: self.mode_count, : self.mode_count].copy()
+        return self.padded_stiffness(projected)[: self.mode_count, : self.mode_count].copy()
 
-    def _padded_stiffness(self, projected: bool) -> np.ndarray:
-        """The same with empty modes behind."""
+    def padded_stiffness(self, projected: bool) -> np.ndarray:
+        """The same with empty modes behind.
+
+        Args:
+            projected: As for `stiffness`.
+        """
         if isinstance(self.law, Corotational):
             return self._by_spin_rows(projected)
         if law_of(self.law).is_linear:
             return self._constant
-        return self._by_matrices(self._changes, projected)
+        return self.by_matrices(self._changes, projected)
 
     def _by_spin_rows(self, projected: bool) -> np.ndarray:
         write_spin_rows(
-            self.law, math.sqrt(max(self.law.lame_lambda, 0.0)), self._deformations, self._weights,
+            self.law, math.sqrt(max(self.law.lame_lambda, 0.0)), self.deformations, self._weights,
             self._rotations, self._uprights, projected, self._spin_rows, self._signs,
         )  # fmt: skip
         sum_spin_rows(
-            self._spin_rows, self._signs, self._gradients, self._constant, self._products,
+            self._spin_rows, self._signs, self.gradients, self._constant, self._products,
             self._squares, self._stiffness,
         )  # fmt: skip
         return self._stiffness
 
-    def _by_matrices(self, changes: np.ndarray, projected: bool) -> np.ndarray:
-        """The same of other laws; `changes` takes the derivatives of stresses along the basis."""
+    def by_matrices(self, changes: np.ndarray, projected: bool) -> np.ndarray:
+        """The same of any law, by the derivatives of its stresses along the basis.
+
+        Args:
+            changes: Takes these derivatives [Pa], the shape of `gradients`.
+            projected: As for `stiffness`.
+        """
         self._assembly.write_stress_changes(
-            self.law, self._deformations, self._weights, self._rotations, self._uprights, projected,
-            self._gradients, changes,
+            self.law, self.deformations, self._weights, self._rotations, self._uprights, projected,
+            self.gradients, changes,
         )  # fmt: skip
         multiply_transposed(self._rows, changes.reshape(-1, self._width), self._stiffness)
         return self._stiffness
@@ -597,7 +606,7 @@ class ReducedElements(ForceTerm):
         """
         self._evaluate_at(np.asarray(coordinates, float))
         batches = self._stresses.reshape(len(self._weights), 9, BATCH, 1)
-        forces = (batches * self._gradients).sum(axis=1)
+        forces = (batches * self.gradients).sum(axis=1)
         return forces.reshape(-1, self._width)[: self.point_count, : self.mode_count]
 
     def extreme_squares(
@@ -607,12 +616,12 @@ class ReducedElements(ForceTerm):
         ones; see `Elements.extreme_squares`."""
         if not self.knows(positions):
             self._evaluate(positions)
-        deformations, weights = self._deformations[:, None], self._weights[:, None]
+        deformations, weights = self.deformations[:, None], self._weights[:, None]
         return extreme_squares(deformations, weights, least, greatest)
 
     def energy(self, positions: np.ndarray) -> float:
         """Stored elastic energy [J]; see `ForceTerm.energy`."""
-        coordinates, deformations = np.zeros(self._width), np.empty_like(self._deformations)
+        coordinates, deformations = np.zeros(self._width), np.empty_like(self.deformations)
         coordinates[: self.mode_count] = positions[self._nodes].ravel()
         deform_points(self._rows, coordinates, deformations.reshape(-1))
         return self._assembly.sum_energies(

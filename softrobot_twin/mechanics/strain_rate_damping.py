@@ -132,7 +132,7 @@ class StrainRateDamping(Elements):
             raise ValueError(f"beta must be finite and not negative, not {beta} s")
         super().__init__(mesh, free_index, Corotational(*material))
         # The elastic term watches folds.
-        self._corners, self._fold_barrier = no_corners(), None
+        self._corners, self.fold_barrier = no_corners(), None
         self._law_at_start = SmallDisplacement(*material)
         self._at_start = assembly_of(SmallDisplacement)
         self.name = "strain-rate damping"
@@ -140,7 +140,7 @@ class StrainRateDamping(Elements):
 
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
         """Lay out the elements, and allocate the memory of a step."""
-        self._reference = self._mesh.node_positions.copy()
+        self._reference = self.mesh.node_positions.copy()
         super().bind(elimination_rank, slots)
         self._rest_gradients, self._volumes = self._gradients, self._weights
         self._gradients = self._rest_gradients.copy()
@@ -157,7 +157,7 @@ class StrainRateDamping(Elements):
             velocities: Not needed.
             time_step: h [s].
         """
-        moves = positions - self._mesh.node_positions
+        moves = positions - self.mesh.node_positions
         _begin_all(moves, self._cells, self._rest_gradients, self._gradients)
         rate = self.beta / time_step
         if rate != self._rate:
@@ -174,7 +174,7 @@ class StrainRateDamping(Elements):
         self._forget()
         self._at_start.add_stiffness(
             self._law_at_start, self._cells, self._gradients, self._weights, projected,
-            self._deformations, self._no_rotations, self._uprights, self._offsets, self._strides,
+            self.deformations, self._no_rotations, self._uprights, self._offsets, self._strides,
             self._are_contiguous, storage,
         )  # fmt: skip
 

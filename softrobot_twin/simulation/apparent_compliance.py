@@ -126,7 +126,7 @@ class HeldTangent:
         self._simulation, self._model = simulation, simulation.model
         model, effectors = self._model, simulation.model.effectors
         self._count = 0 if effectors is None else len(effectors.effectors)
-        self._own_rows = effector_rows(effectors, model.nodes)
+        self.own_rows = effector_rows(effectors, model.nodes)
         self._storage = self._own = self._lu = None
         # A free body, or a beam that only a motor holds, has a singular stiffness, of which a
         # factorization may take no notice.
@@ -196,7 +196,7 @@ class HeldTangent:
         place[chosen] = np.arange(len(chosen))
         row_index = place[rows.row_index]
         kept = row_index >= 0
-        effectors, count = self._own_rows, len(chosen)
+        effectors, count = self.own_rows, len(chosen)
         effectors.evaluate(positions)
         H = NodeRows(
             np.concatenate([row_index[kept], count + effectors.row_index]),

@@ -221,8 +221,8 @@ def test_many_points_of_any_angle_are_solved(seed):
             tension *= rng.uniform(0.3, 2.0)
             y = x + 0.005 * rng.standard_normal(x.shape)
             solved(term, y, tension)
-            z, s_0 = term.shares, term._materials.presliding[0]
-            missed = s_0 * (z - term._begin_shares) - (term._begin_beyond - term._beyond)
+            z, s_0 = term.shares, term.materials.presliding[0]
+            missed = s_0 * (z - term.begin_shares) - (term.begin_beyond - term.beyond)
             # Of lengths of metres.
             inside, allowed = np.abs(z[1:]) < 1.0, 1e-9
             assert np.abs(missed[1:][inside]).max(initial=0.0) < allowed

@@ -39,7 +39,6 @@ class Clocked:
     def tick(self, period=1.0 / RATE):
         self.now += period
         if not self._rests:
-            self.simulation._rest = None
             self.loop.wake()
         return self.loop.tick(self.now, round(1e9 * self.now))
 

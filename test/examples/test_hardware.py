@@ -263,7 +263,7 @@ def test_a_jump_is_refused_and_no_servo_moves(wired):
 def test_without_commands_the_servos_stop_where_they_are(wired):
     device = wired.device()
     for servo in wired.servos.values():
-        servo._speed = 200.0
+        servo.speed = 200.0
     device.read(0.0)
     device.apply(rest(device) - 0.01, 0.0)
     device.read(0.01)

@@ -52,7 +52,7 @@ def test_excluding_clusters_changes_no_bit(tube, shape):
     culled = SurfaceShapeDetector(triangles, len(points), shape)
     whole = SurfaceShapeDetector(triangles, len(points), shape)
     everything = np.unique(triangles)
-    whole._clusters = Clusters(everything, np.array([len(everything)]))
+    whole.clusters = Clusters(everything, np.array([len(everything)]))
     found = 0
     for _ in range(60):
         bent = points + 0.003 * rng.normal(size=points.shape)

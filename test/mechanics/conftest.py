@@ -144,16 +144,16 @@ class MaterialPoint:
         rows, columns = stencil_pairs(self.elements.stencils())
         matrix = SuperLU(rows, columns, 4)
         self.elements.bind(matrix.elimination_rank, matrix.slots)
-        self.time = 0.0
+        self.time, self.positions, self.memory = 0.0, self.corners, {}
 
     def step(self, F, time_step=0.0):
         """Deform it to F in a time, and remember it; the stress P [Pa] at its end."""
         positions = self.corners @ np.asarray(F).T
-        self.elements.begin_step(self.elements._begin_positions, np.empty(0), time_step)
-        P = self.stress(F)
-        memory = self.elements.memory_after(positions, None)
-        self.elements.recall(memory, None, None)
-        self.elements._begin_positions[:] = positions
+        self.elements.begin_step(self.positions, np.empty(0), time_step)
+        P, self.positions = self.stress(F), positions
+        self.memory = self.elements.memory_after(positions, None)
+        self.elements.recall(self.memory, None, None)
+        self.elements.begin_step(positions, np.empty(0), time_step)
         self.time += time_step
         return P
 

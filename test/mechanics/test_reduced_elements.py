@@ -86,14 +86,14 @@ def test_a_projected_stiffness_has_no_negative_eigenvalue(name, block, drawn_rng
 def test_the_products_of_rows_are_those_of_the_whole_derivative(block, drawn_rng):
     mesh, law = block(), law_named("corotational").of_moduli(1.0e5, 0.4)
     term = reduced(mesh, law, smooth_basis(mesh.node_positions, MODES, drawn_rng))
-    changes = np.empty_like(term._gradients)
+    changes = np.empty_like(term.gradients)
     for size in (1e-4, 1e-2, 1e-1):  # in the last state some points are inside out
         forces_of(term, size * drawn_rng.standard_normal(MODES))
         for projected in (False, True):
             if projected and size > 0.05:
                 continue
-            rows = term._padded_stiffness(projected).copy()
-            whole = term._by_matrices(changes, projected)
+            rows = term.padded_stiffness(projected).copy()
+            whole = term.by_matrices(changes, projected)
             np.testing.assert_allclose(rows, whole, atol=3e-6 * np.abs(whole).max())
 
 

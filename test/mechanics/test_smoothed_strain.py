@@ -200,7 +200,7 @@ def test_no_move_may_fold_a_tetrahedron(ring):
 
 def test_linear_tetrahedra_watch_no_ring(block, bind):
     bound = bind(("corotational", block(), YOUNG, POISSON))
-    assert bound.terms[0]._fold_barrier is None
+    assert bound.terms[0].fold_barrier is None
 
 
 def test_edge_rings_of_one_tetrahedron_are_the_tetrahedron():

@@ -68,7 +68,7 @@ def test_the_work_of_a_cycle_is_what_the_material_lost(material_point):
         found = point.step(F)
         work += 0.5 * np.sum((P + found) * (F - before))
         before, P = F, found
-        lost.append(lost_energy(point.elements._greatest[0, 0, 0]))
+        lost.append(lost_energy(point.memory["greatest"][0, 0, 0]))
     assert work == pytest.approx(lost[-1], rel=1e-4)
     assert (np.diff(lost) >= 0.0).all() and lost[-1] > 0.0
 

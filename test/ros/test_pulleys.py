@@ -74,7 +74,7 @@ def test_a_device_measures_angles_and_the_twin_starts_from_them(world, wound_fil
     assert list(measured[-1].name) == list(names[:2])
     assert world.ask(SetBool, "/twin/enable", SetBool.Request(data=True)).success
     command = world.speaker(JointState, "/twin/command/angles")
-    world.until(lambda: twin.loop.is_enabled and not twin.loop._engagement.reason)
+    world.until(lambda: twin.loop.is_enabled and twin.loop.activity.value == "holding")
     command.publish(angles_of(world, names[:2], [0.3, 0.0]))
     world.until(lambda: abs(measured[-1].position[0] - 0.3) < 1e-3)
     rest = twin.loop.simulation.rest_setpoints[0]

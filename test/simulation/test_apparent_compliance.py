@@ -26,7 +26,7 @@ class Push(ForceTerm):
     name = "push"
 
     def __init__(self, simulation: Simulation):
-        self._rows = EffectorCompliance(simulation)._own_rows
+        self._rows = EffectorCompliance(simulation).own_rows
         self.force = np.zeros(self._rows.row_count)
 
     def stencils(self):

@@ -65,10 +65,10 @@ def tangent(term, simulation, x, projected=False) -> np.ndarray:
 def potential(term, x) -> float:
     """½ c (z - a)ᵀ M (z - a) - F₀·z, whose slope are the forces of a term."""
     term = term.on_points
-    z, m = term._ends(x), term.masses.matrices
-    away = z - term._aims
-    bent = np.einsum("e,eki,ekl,eli->", term._factors, away, m, away)
-    return 0.5 * bent - np.sum(term._constants * z)
+    z, m = term.ends(x), term.masses.matrices
+    away = z - term.aims
+    bent = np.einsum("e,eki,ekl,eli->", term.factors, away, m, away)
+    return 0.5 * bent - np.sum(term.constants * z)
 
 
 @pytest.mark.parametrize("name", ["inertia of beams", "weight of beams", "mass damping of beams"])
@@ -146,7 +146,7 @@ def test_accelerations_solve_the_whole_mass_matrix(simulate, drawn_rng):
 def momentum(simulation, before, after, step) -> np.ndarray:
     """∫ρ (x - x₀)/h dV of beams and rigid bodies."""
     inertia = terms_of(simulation)["inertia of beams"].on_points
-    moved = inertia._ends(after) - inertia._ends(before)
+    moved = inertia.ends(after) - inertia.ends(before)
     total = np.einsum("ek,eki->i", inertia.masses.borne, moved)
     for part in simulation.model.rigid:
         total += part.mass * (after - before)[part.first_node]

@@ -94,7 +94,7 @@ def test_a_motor_bears_the_moment_of_the_weight_about_its_axis(scene):
     weight = next(term for term in terms if isinstance(term, BeamWeight))
     for angle in (0.3, 1.0, 2.0, -2.5):
         result = turn(simulation, angle)
-        places = weight._ends(simulation.state.positions)[:, :, 0]
+        places = weight.ends(simulation.state.positions)[:, :, 0]
         moment = -G * np.sum(weight.masses.borne * places)
         assert result.efforts[0] == pytest.approx(moment, rel=1e-6)
         assert abs(moment) > 1e-3

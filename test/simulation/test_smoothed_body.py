@@ -52,7 +52,7 @@ def test_other_elements_have_rings_and_patches_only_if_a_scene_names_them(beam):
         simulation = beam(element)
         assert not patches_of(simulation)
         (term,) = [term for term in simulation.model.forces if isinstance(term, Elements)]
-        assert not hasattr(term._mesh, "node_counts")
+        assert not hasattr(term.mesh, "node_counts")
 
 
 def test_smoothing_adds_no_unknown(beam):
@@ -85,7 +85,7 @@ def test_two_materials_share_no_ring(beam):
     half = {"box": {"minimum": [-1, -1, -1], "maximum": [SIZE[0] / 2, 1, 1]}}
     simulation = beam(body={"materials": [{**half, "young_modulus": 1e8}]}, cells=(10, 2, 2))
     terms = [term for term in simulation.model.forces if isinstance(term, Elements)]
-    edges = [{tuple(sorted(set(ring))) for ring in term._mesh.cells} for term in terms]
+    edges = [{tuple(sorted(set(ring))) for ring in term.mesh.cells} for term in terms]
     assert len(terms) == 2 and not edges[0] & edges[1]
     assert 0.0 < sag(simulation) < 0.3 * sag(beam())
 

@@ -1,6 +1,6 @@
 """What each command prints, whole: one file a command, which holds what is typed as well.
 
-A line that begins with ``$`` is typed, in a folder with the files that ``inputs`` makes; below it is
+A line that begins with ``$`` is typed, in a folder with the files of ``inputs``; below it is
 what is printed, then what is told beside it, then the exit code if it is not 0. With
 ``RENEW_PRINT_OUTS=1`` in the environment the test writes the files again: look at their difference.
 """

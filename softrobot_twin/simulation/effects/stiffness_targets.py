@@ -82,11 +82,11 @@ class StiffnessTargets(StepPart):
         """See `StepPart`."""
         if np.isnan(self._wanted).all():
             return None
-        rows = self._rows_of(state, self._wanted)
+        rows = self.rows_of(state, self._wanted)
         self._begun = rows, state
         return rows
 
-    def _rows_of(
+    def rows_of(
         self, state: LinearizedState, wanted: np.ndarray, holding: np.ndarray | None = None
     ) -> StiffnessRows:
         """The rows around a state.
@@ -108,7 +108,7 @@ class StiffnessTargets(StepPart):
         return StiffnessRows(
             lengths * np.log(targets), now, now + by_compliance * (gradient.free - compliance),
             by_compliance[:, None] * gradient.by_multiplier, np.where(is_stable, weights, 0.0),
-            lengths, directions, gradient, partial(self._rows_of, state, wanted),
+            lengths, directions, gradient, partial(self.rows_of, state, wanted),
         )  # fmt: skip
 
     def end(self, positions: np.ndarray, efforts: np.ndarray) -> dict[str, np.ndarray]:

@@ -512,7 +512,7 @@ class TargetTrust:
             self._rest_at(situation)
 
     def _rest_at(self, situation: Situation) -> None:
-        self.approach, self._resting = Approach.REST, situation
+        self.approach, self.resting = Approach.REST, situation
 
     def _settle_anew(self) -> None:
         self._is_within = self.is_at_targets = False
@@ -743,7 +743,7 @@ class TargetTrust:
     def end_look(self) -> None:
         """Follow on in the most promising branch, if there is one."""
         home, self._home, self.approach = self._home, None, self._otherwise
-        self._resting, self._is_trial = home, self.is_careful
+        self.resting, self._is_trial = home, self.is_careful
         if self._chosen is not self._before_leap:
             self._start_again()
             self._home, self.branch = home, self._chosen
@@ -769,7 +769,7 @@ class TargetTrust:
         if self.approach is Approach.LOOK:
             return
         if self._has_come(situation):
-            self._nearest, self._resting = self._home, situation
+            self._nearest, self.resting = self._home, situation
             self._home, self.approach = None, self._otherwise
             if self._was_careful:
                 self._take_care(situation)
@@ -842,10 +842,10 @@ class TargetTrust:
 
     def _watch(self, situation: Situation) -> None:
         """Follow again where the resting robot is moved by something else."""
-        if not self._resting.is_balanced:
-            self._resting = situation
+        if not self.resting.is_balanced:
+            self.resting = situation
             return
-        moved = situation.places - self._resting.places
+        moved = situation.places - self.resting.places
         if float(np.abs(moved).max(initial=0.0)) > self._tolerance:
             self._start_again()
 

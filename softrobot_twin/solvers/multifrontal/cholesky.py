@@ -83,7 +83,7 @@ class Multifrontal:
         self._nowhere = np.full(node_count, NONE)
         self._row_count = 0
         self._columns = ConstraintColumns(self.elimination)
-        self._Y, self._gram, self._work = aligned(0), aligned(0), aligned(0)
+        self.Y, self.gram, self.work = aligned(0), aligned(0), aligned(0)
         self._W, self._free, self._ranks = np.empty((0, 0)), np.empty(0), np.empty(0, np.int64)
         self.stages, self.memory_count = TracedStages(True, self._condense, self._is_placed), 0
         self.prepare_rows(np.zeros(0, dtype=np.int64))
@@ -124,7 +124,7 @@ class Multifrontal:
     def _reserve(self, size: int, widest: int, gram_size: int) -> None:
         """Enlarge Y and the buffers made from it where they are too small."""
         # Products are computed six columns at a time, and read that many past the last row.
-        for name, needed in (("_Y", size + WIDE), ("_gram", gram_size), ("_work", self._tallest * widest)):
+        for name, needed in (("Y", size + WIDE), ("gram", gram_size), ("work", self._tallest * widest)):
             if needed > len(getattr(self, name)):
                 setattr(self, name, aligned(needed))
                 self._forget()
@@ -153,7 +153,7 @@ class Multifrontal:
         self._solve_forward(H, b)
         condensation.gram(
             layout.fronts, columns.places, columns.trees, columns.strips, columns.rows,
-            self._Y, self._gram, self._W, self._free,
+            self.Y, self.gram, self._W, self._free,
         )  # fmt: skip
 
     def condense_low_rank(self, H: NodeRows, b: np.ndarray) -> LowRankCondensed | None:
@@ -169,7 +169,7 @@ class Multifrontal:
             return None
         self._solve_forward(H, b)
         Yt, free = np.zeros((k, rank)), np.zeros(k)
-        condensation.gather_factor(columns.trees, columns.rows, self._Y, Yt, free)
+        condensation.gather_factor(columns.trees, columns.rows, self.Y, Yt, free)
         return LowRankCondensed(Yt, free)
 
     def _is_placed(self, row_index: np.ndarray, node_index: np.ndarray) -> bool:
@@ -197,13 +197,13 @@ class Multifrontal:
         condensation.spread_rows(
             self._ranks, np.ascontiguousarray(H.blocks, dtype=np.float64), columns.column,
             columns.places, columns.tree, self.elimination.front, columns.trees, columns.size,
-            self._Y,
+            self.Y,
         )  # fmt: skip
         b = np.ascontiguousarray(b, dtype=np.float64).reshape(self._node_count, 3)
         condensation.by_rank(self.elimination_rank, b, self._y)
         condensation.forward(
             layout.fronts, layout.rows, self._panels, self._triangles, columns.places, columns.tree,
-            columns.trees, columns.strips, self._y, self._Y, self._work,
+            columns.trees, columns.strips, self._y, self.Y, self.work,
         )  # fmt: skip
 
     def expand(self, multipliers: np.ndarray) -> np.ndarray:
@@ -218,7 +218,7 @@ class Multifrontal:
         columns = self._columns
         condensation.combine(
             self.layout.fronts, columns.places, columns.trees, columns.strips, columns.rows,
-            columns.arrival, self._y, self._Y, multipliers, columns.chosen, self._work, self._x,
+            columns.arrival, self._y, self.Y, multipliers, columns.chosen, self.work, self._x,
         )  # fmt: skip
         return self._back()
 
@@ -241,7 +241,7 @@ class Multifrontal:
         condensation.forward(
             layout.fronts, layout.rows, self._panels, self._triangles,
             self._nowhere, self._columns.tree, self._columns.trees, self._columns.strips,
-            self._x, self._Y, self._work,
+            self._x, self.Y, self.work,
         )  # fmt: skip
         return self._back().copy()
 
@@ -249,7 +249,7 @@ class Multifrontal:
         """L⁻ᵀ x, in the order of nodes."""
         condensation.backward(
             self.layout.fronts, self.layout.rows, self._panels, self._triangles,
-            self._x, self._work,
+            self._x, self.work,
         )  # fmt: skip
         condensation.by_node(self.elimination_rank, self._x, self._dx)
         return self._dx

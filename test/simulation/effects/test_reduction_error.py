@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from softrobot_twin.mechanics.element_batches import BATCH
 from softrobot_twin.scene import load_scene
 from softrobot_twin.scene.scene_changes import with_reduced_entries, without_reductions
 from softrobot_twin.simulation import (
@@ -182,7 +183,7 @@ def test_the_strain_range_is_watched_at_the_sampled_points(half_trained):
     (strained,) = outside.report.strains
     assert "body.strain_range" in outside.report.active_limits
     (watch,) = simulation.model.strain_watches
-    F = watch.elements._deformations.reshape(-1, 3, 3, watch.elements._weights.shape[1])
+    F = watch.elements.deformations.reshape(-1, 3, 3, BATCH)
     stretches = np.linalg.svd(F.transpose(0, 3, 1, 2), compute_uv=False)
     assert strained.greatest == pytest.approx(stretches.max() - 1.0, rel=1e-6)
     assert outside.status in (Status.OK, Status.LINEARIZED)

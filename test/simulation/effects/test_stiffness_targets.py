@@ -169,9 +169,9 @@ def test_without_a_target_nothing_is_computed(pad):
 
 
 def test_warming_up_runs_what_a_message_may_ask_for(pad, monkeypatch):
-    asked, rows = [], StiffnessTargets._rows_of
+    asked, rows = [], StiffnessTargets.rows_of
     monkeypatch.setattr(
-        StiffnessTargets, "_rows_of", lambda *given: asked.append(given[2]) or rows(*given)
+        StiffnessTargets, "rows_of", lambda *given: asked.append(given[2]) or rows(*given)
     )
     before = pad.state
     pad.warm_up()

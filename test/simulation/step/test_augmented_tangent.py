@@ -236,8 +236,8 @@ def test_beside_the_limit_of_stability_an_inverse_neither_chatters_nor_misses():
 
 def test_a_tangent_that_is_hardly_definite_is_left_to_the_augmented_one_with_hysteresis():
     """Its softest way yields 1 / NEARLY_INDEFINITE times 1/ρ at most, and comes back at a half."""
-    tangent = AugmentedTangent(RowStack([]), None, np.ones(2, bool), np.array([2.0, 5.0]))
-    stiffness = AUGMENTATION * tangent._own
+    own = np.array([2.0, 5.0])
+    tangent, stiffness = AugmentedTangent(RowStack([]), None, np.ones(2, bool), own), AUGMENTATION * own
     turn = np.array([[0.6, -0.8], [0.8, 0.6]])
     for softest, near in ((99.0, False), (101.0, True)):
         W = turn @ np.diag([softest, 1.0]) @ turn.T / np.sqrt(np.outer(stiffness, stiffness))

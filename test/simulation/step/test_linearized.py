@@ -61,6 +61,23 @@ def counted(monkeypatch):
     return counts
 
 
+@pytest.fixture
+def condensed_whole(monkeypatch):
+    """Gives a system with all its rows condensed, and the first row of each contact."""
+    condense, made = Linearized.__init__, {}
+
+    def remembering(self, *given, **named):
+        made[self] = given
+        condense(self, *given, **named)
+
+    def whole(linear):
+        factorization, stack, forces, _, row_starts, *_ = made[linear]
+        return Linearized(factorization, stack, forces), row_starts
+
+    monkeypatch.setattr(Linearized, "__init__", remembering)
+    return whole
+
+
 def test_an_open_contact_that_closes_in_the_step_is_found(rubbing, counted, monkeypatch):
     # Nothing is expected beyond what pressed: all that closes must be found by its gap.
     monkeypatch.setattr(linearized, "CLOSE", 0.0)
@@ -97,24 +114,26 @@ def test_the_answer_without_open_contacts_solves_the_problem_of_all(rubbing, cou
     assert counted["left out"] > STEPS // 3 and counted["taken"] > 0
 
 
-def test_gaps_of_omitted_contacts_are_those_of_the_whole_linearization(rubbing, monkeypatch):
+def test_gaps_of_omitted_contacts_are_those_of_the_whole_linearization(
+    rubbing, condensed_whole, monkeypatch
+):
     simulation = Simulation(rubbing)
     rub(simulation, 0, STEPS)
     seen = []
     gaps = Linearized.open_gaps
 
     def comparing(self, multipliers):
-        found = gaps(self, multipliers)
-        whole = self._factorization.condense(self._H, self._forces)
-        all_multipliers = np.zeros(self._H.row_count)
+        whole, row_starts = condensed_whole(self)
+        all_multipliers = np.zeros(len(whole.violation))
         all_multipliers[self.rows] = multipliers
-        delta = whole.W @ all_multipliers + whole.free + self._values
-        normals = delta[self._all.contacts.start + self._row_starts[:-1]]
+        delta = whole.W @ all_multipliers + whole.violation
+        self.take(np.zeros(len(row_starts) - 1, bool))
+        found = gaps(self, multipliers)
+        normals = delta[whole.groups.contacts.start + row_starts[:-1]]
         opened = np.setdiff1d(np.arange(len(normals)), self.chosen)
         np.testing.assert_allclose(found[opened], normals[opened], rtol=0, atol=1e-12)
         assert np.isinf(found[self.chosen]).all()
         seen.append(len(opened))
-        self._condense_chosen()
         return found
 
     monkeypatch.setattr(Linearized, "open_gaps", comparing)
@@ -172,7 +191,7 @@ def pulled(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("tension", [0.5, 2.0])
 def test_the_path_of_a_pulled_cable_is_that_of_the_whole_linearization(
-    pulled, monkeypatch, tension
+    pulled, condensed_whole, monkeypatch, tension
 ):
     simulation = Simulation(pulled)
     rub(simulation, 0, STEPS)
@@ -180,14 +199,13 @@ def test_the_path_of_a_pulled_cable_is_that_of_the_whole_linearization(
     displacements = Linearized.actuator_displacements
 
     def comparing(self, efforts, contact):
+        whole, row_starts = condensed_whole(self)
+        assert whole.groups.contacts.start == 4  # the cable's row, and three of the effector
+        delta = whole.W @ np.concatenate([efforts, np.zeros(3), contact]) + whole.violation
+        self.take(np.zeros(len(row_starts) - 1, bool))
         found = displacements(self, efforts, contact)
-        whole = self._factorization.condense(self._H, self._forces)
-        assert self._all.contacts.start == 4  # the cable's row, and three of the effector
-        multipliers = np.concatenate([efforts, np.zeros(3), contact])
-        delta = whole.W @ multipliers + whole.free + self._values
         np.testing.assert_allclose(found, delta[:1], rtol=0, atol=1e-12)
         seen.append(found)
-        self._condense_chosen()
         return found
 
     monkeypatch.setattr(Linearized, "actuator_displacements", comparing)

@@ -380,7 +380,7 @@ def test_a_resting_robot_that_something_else_moves_follows_again(trust, moved, a
 
 def test_a_resting_robot_that_settles_goes_on_resting(trust):
     rest(trust)
-    trust._resting = situation(is_balanced=False)
+    trust.resting = situation(is_balanced=False)
     trust.begin(situation(place=5 * TOLERANCE, is_balanced=False))
     trust.begin(situation(place=9 * TOLERANCE, is_balanced=True))
     assert trust.approach is Approach.REST

@@ -48,10 +48,10 @@ def test_prepared_rows_need_no_further_memory(make_system):
     solver = system.solver
     solver.factor()
     solver.prepare_rows(np.arange(system.count), 24)
-    before = solver._Y, solver._gram, solver._work
+    before = solver.Y, solver.gram, solver.work
     for count in (24, 5, 0, 23):
         solver.condense(system.constraint_rows(count), np.zeros((system.count, 3)))
-    assert all(a is b for a, b in zip((solver._Y, solver._gram, solver._work), before, strict=True))
+    assert all(a is b for a, b in zip((solver.Y, solver.gram, solver.work), before, strict=True))
 
 
 def test_separate_bodies_are_coupled_only_by_rows_on_both(make_system):
