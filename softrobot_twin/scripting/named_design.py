@@ -210,8 +210,9 @@ class Design:
                  if np.abs(ends - value).min() < 1e-6 * own]  # fmt: skip
         notes += _untold(names, found)
         slack = by_key((name, index) for index, own in enumerate(found.solved.slack) for name in own)
-        notes += [f"{name} hangs slack in poses {', '.join(map(str, own))} (from 0): where it begins "
-                  "to pull, slopes jump" for name, own in slack.items()]
+        if slack:
+            poses = (f"{name} (pose {', '.join(map(str, own))})" for name, own in slack.items())
+            notes.append(f"slack, so that slopes jump where they begin to pull: {', '.join(poses)}")
         notes += [f"a trial was refused: {reason}" for reason in found.refusals]
         return cls(dict(zip(names, map(float, found.values), strict=True)),
                    dict(zip(names, map(float, found.flatness), strict=True)),

@@ -15,7 +15,7 @@ it as well as they can, until the poses tell the difference.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -356,7 +356,8 @@ class DesignSearch:
             return scale * found * self._width / tolerance
 
         start = self._shares(self._model.start)
-        before = self._first(start, errors)
+        self._model.solve(self._values(start))
+        before = errors(start)
         found = least_squares(errors, start, slopes, bounds=(0.0, 1.0), xtol=STILL, ftol=STILL,
                               gtol=ENOUGH, max_nfev=MOST_TRIALS)
         _, singular, directions = np.linalg.svd(slopes(found.x))
@@ -381,10 +382,15 @@ class DesignSearch:
             if solved is None:
                 raise _Refused(shares)
             value, weights = objective(solved.found)
+            shapes = [np.shape(one) for one in solved.found]
+            if not isinstance(weights, Equilibria) or [np.shape(one) for one in weights] != shapes:
+                raise DesignError("objective", "must return a number and its derivatives as Equilibria "
+                                  f"of the shapes {shapes[0]} and {shapes[1]}")
             return float(value), self._width * self._model.gradient(self._values(shares), weights)
 
         shares = self._shares(self._model.start)
-        before = self._first(shares, lambda place: value_and_slopes(place)[0])
+        self._model.solve(self._values(shares))
+        before, _ = value_and_slopes(shares)
         shares, after = _least(value_and_slopes, shares, before)
         if tolerance is None:
             tolerance = 0.01 * (abs(before - after) or abs(after) or 1.0)
@@ -425,11 +431,6 @@ class DesignSearch:
     def _values(self, shares: np.ndarray) -> np.ndarray:
         """Values of the variables at shares of their bounds, both of shape (variable_count,)."""
         return self._low + self._width * np.clip(shares, 0.0, 1.0)
-
-    def _first(self, shares: np.ndarray, asked: Callable) -> Any:
-        """What is asked at the first trial, which must have equilibria."""
-        self._model.solve(self._values(shares))
-        return asked(shares)
 
     def _tried(self, shares: np.ndarray) -> Solved | None:
         """The poses at shares of the bounds; None where the trial is refused."""
@@ -494,11 +495,9 @@ def hull_volume(points: np.ndarray) -> tuple[float, np.ndarray]:
     from scipy.spatial import ConvexHull  # it loads slowly
 
     hull, slopes = ConvexHull(points), np.zeros_like(points)
-    corners = points[hull.simplices]
-    outwards = np.einsum("fi,fi->f", np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]),
-                         hull.equations[:, :3])  # fmt: skip
-    for corner in range(3):
-        first, second = corners[:, (corner + 1) % 3], corners[:, (corner + 2) % 3]
-        own = np.sign(outwards)[:, None] * np.cross(first - points.mean(axis=0), second - points.mean(axis=0)) / 6.0
-        np.add.at(slopes, hull.simplices[:, corner], own)
+    a, b, c = (points[hull.simplices].swapaxes(0, 1) - points.mean(axis=0))
+    # Triangles whose corners go round the other way have normals that point inwards.
+    sides = np.sign(np.einsum("fi,fi->f", np.cross(b - a, c - a), hull.equations[:, :3]))[:, None]
+    for corner, (second, third) in enumerate(((b, c), (c, a), (a, b))):
+        np.add.at(slopes, hull.simplices[:, corner], sides * np.cross(second, third) / 6.0)
     return float(hull.volume), slopes

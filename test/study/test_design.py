@@ -1,5 +1,6 @@
 """Designs by derivatives of equilibria: poses of a finger by heights of its cables and its modulus."""
 
+import re
 import time
 from pathlib import Path
 
@@ -10,7 +11,8 @@ import softrobot_twin as st
 from softrobot_twin.scene import load_scene
 from softrobot_twin.study.design import DesignError, DesignSearch, Equilibria, hull_volume
 
-FINGER = Path(__file__).resolve().parents[2] / "config" / "scenes" / "finger.yaml"
+ROOT = Path(__file__).resolve().parents[2]
+FINGER = ROOT / "config" / "scenes" / "finger.yaml"
 PULLS = [(0.006, 0.0), (0.014, -0.004), (-0.004, 0.009)]
 VARIABLES = {
     "base": {f"cables.flexor.points[{index}][2]": 1.0 for index in (0, 1, 2)},
@@ -98,6 +100,45 @@ def test_a_function_is_made_small_within_bounds(finger):
                for one in (-0.001, 0.001) for other in (-0.001, 0.001)]
     assert design.after <= min(corners) + 1e-7 < design.before
     assert any("is at its bound" in note for note in design.notes)
+
+
+def test_the_thickness_of_a_bar_is_found_by_its_sag():
+    bar = st.build(
+        name="bar", gravity=[0.0, 0.0, -9.81],
+        body={"mesh": {"box": {"size": [0.1, 0.02, 0.01], "cells": [8, 2, 2]}, "translation": [0.0, 0.0, -0.005]},
+              "element": "quadratic", "material": {"young_modulus": 5e5, "poisson_ratio": 0.4, "density": 1000.0},
+              "fixed": [{"box": {"minimum": [-0.001, -1, -1], "maximum": [0.001, 1, 1]}}]},
+        effectors=[{"name": "tip", "points": [[0.099, 0.011, 0.0005]]}])  # fmt: skip
+    thickness = {"thickness": {"body.mesh.box.size[2]": 1.0, "body.mesh.translation[2]": -0.5}}
+    sag = bar.design_model(thickness, [st.hold()]).solve([0.003]).found.effectors[0, 0]
+    design = bar.optimise([(st.hold(), {"tip": sag})], thickness, (-0.003, 0.006))
+    assert abs(design.values["thickness"] - 0.003) < design.flatness["thickness"] < 2e-4
+    assert design.changes["body.mesh.box.size[2]"] == pytest.approx(0.013, abs=2e-5)
+
+
+def test_a_function_without_its_derivatives_is_refused(finger):
+    with pytest.raises(DesignError, match=r"objective: must return .* shapes \(3, 1, 3\) and \(3, 2\)"):
+        finger.optimise(lambda found: (0.0, found.effectors), HEIGHTS, (-1e-3, 1e-3), commands())
+
+
+@pytest.mark.slow
+def test_the_code_of_the_page_runs_and_its_workspace_grows(tmp_path, monkeypatch, drawn_rng):
+    monkeypatch.chdir(tmp_path)
+    for folder in ("config", "meshes"):
+        (tmp_path / folder).symlink_to(ROOT / folder)
+    names: dict = {}
+    for block in re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "design.md").read_text(), re.S):
+        exec(compile(block, "docs/design.md", "exec"), names)
+    assert names["design"].after < 0.1 * names["design"].before
+    assert names["wide"].after < 1.3 * names["wide"].before < 0.0
+    model = names["diamond"].design_model(["cables[0].points[0]"], names["corners"])
+    values = model.start + drawn_rng.uniform(-1e-3, 1e-3, 3) * [1.0, 0.0, 1.0]
+    _, weights = names["workspace"](model.solve(values).found)
+    slopes = model.gradient(values, weights)
+    for index in (0, 2):
+        move = 1e-6 * np.eye(3)[index]
+        ends = [names["workspace"](model.solve(values + side * move).found)[0] for side in (1, -1)]
+        assert slopes[index] == pytest.approx((ends[0] - ends[1]) / 2e-6, rel=1e-3, abs=1e-9)
 
 
 def test_trials_with_an_actuator_at_its_limit_are_refused_and_told():
