@@ -217,7 +217,7 @@ class TracedStages:
             stages: Each is called with the same arrays in most steps.
         """
         self._stages = [_Known(stage) for stage in stages]
-        self._is_traceable, self._are_known, self._runs = is_traceable, False, 0
+        self.is_traceable, self.are_known, self._runs = is_traceable, False, 0
         self.begin_anew()
 
     def run(self, place: int, *arguments):
@@ -233,54 +233,62 @@ class TracedStages:
         known = self._stages[place]
         is_same = all(map(is_, arguments, known.arguments))
         if (
-            self._are_known and known.is_known and is_same
+            self.are_known and known.is_known and is_same
             and run_calls(*known.table) == len(known.table[0])
         ):  # fmt: skip
             self._driven += 1
             return known.trace.result
-        if self._are_known or not is_same:
+        if self.are_known or not is_same:
             self.forget()
         known.arguments = arguments
         self._wait -= self._wait > 0
         if self._wait or not _is_tracing.acquire(blocking=False):
             return known.stage(*arguments)
         try:
-            return self._trace(known, arguments)
+            return self.trace_stage(known, arguments)
         finally:
             _is_tracing.release()
 
     def begin_anew(self) -> None:
         """Forget, and learn without waiting."""
         self._changes, self._driven, self._next_wait = 0, 0, FIRST_WAIT
-        self._wait = 0 if self._is_traceable else NEVER
+        self._wait = 0 if self.is_traceable else NEVER
         self.forget()
 
     def forget(self) -> None:
         """Let the next run of each be one in Python: something else than the arrays has changed."""
-        self._are_known = False
+        self.are_known = False
         for known in self._stages:
             known.is_known = False
 
-    def _trace(self, known: _Known, arguments: tuple):
-        """Run a stage in Python, and learn what it did; the second of two equal traces counts."""
+    def trace_stage(self, known: _Known, arguments: tuple):
+        """Run a stage in Python, and learn what it did; the second of two equal traces counts.
+
+        Args:
+            known: What is known of it.
+            arguments: Its arguments.
+
+        Returns:
+            What it returns.
+        """
         was_known, last_run = known.is_known, known.last_run
         self._runs += 1
         known.last_run, known.is_used = self._runs, True
         new = Trace(known.stage, arguments)
         if new.words is None:
-            self._is_traceable, self._wait = False, NEVER
+            self.is_traceable, self._wait = False, NEVER
         elif new.is_same(known.trace):
             try:
                 known.table = known.table or _laid_out(new)
             except KeyError:  # numba converts an argument of a kernel that has no code for its type.
-                self._is_traceable, self._wait = False, NEVER
+                self.is_traceable, self._wait = False, NEVER
                 return new.result
             known.is_known = True
             for one in self._stages:
                 # It did not run since this one was known.
                 if was_known and not one.is_known and one.last_run < last_run:
                     one.is_used = False
-            self._are_known = all(one.is_known or not one.is_used for one in self._stages)
+            self.are_known = all(one.is_known or not one.is_used for one in self._stages)
         else:
             known.trace, known.table, known.is_known = new, None, False
             self._changes = max(0, self._changes - self._driven // PAYING_RUNS) + 1

@@ -281,10 +281,10 @@ def test_what_is_found_by_type_is_in_the_closure_of_the_type_or_of_the_name():
     for module in MODULES:
         if module.startswith("softrobot_twin.mechanics"):
             import_module(module)
-    from softrobot_twin.mechanics.point_law import _LAWS
+    from softrobot_twin.mechanics.point_law import LAWS
 
     laws = {
-        (kernel.py_func.__module__, law.parameters.__module__) for law in _LAWS.values()
+        (kernel.py_func.__module__, law.parameters.__module__) for law in LAWS.values()
         for kernel in law if hasattr(kernel, "py_func")
         if law.parameters.__module__.startswith(PACKAGE.name)
     }  # fmt: skip

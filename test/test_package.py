@@ -170,3 +170,29 @@ def run_until_ready(command: list, environment: dict[str, str], folder: Path) ->
             node.kill()
             node.wait()
     return path.read_text()
+
+
+# What other libraries show only by such a name: numba's overloads, named tuples, pages of a notebook.
+SHOWN = {"_overload_func", "_replace", "_fields", "_repr_html_", "_ipython_display_", "_exit"}
+
+
+def test_no_test_uses_a_private_name():
+    found = {str(path.relative_to(ROOT)): names for path in (ROOT / "test").rglob("*.py")
+             if (names := private_names(ast.parse(path.read_text())) - SHOWN)}
+    assert found == {}
+
+
+def private_names(tree: ast.AST) -> set[str]:
+    """Names with an underscore before that a file uses, and that its own classes do not have."""
+    used, own = set(), set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef):
+            own.add(node.name)
+        elif isinstance(node, ast.Attribute):
+            is_set = isinstance(node.ctx, ast.Store) and ast.unparse(node.value) == "self"
+            (own if is_set else used).add(node.attr)
+        elif isinstance(node, ast.ImportFrom):
+            used |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("setattr"):
+            used |= {part.value for part in node.args[1:2] if isinstance(part, ast.Constant)}
+    return {name for name in used - own if re.match("_[^_]", str(name))}

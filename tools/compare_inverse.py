@@ -221,7 +221,7 @@ def follow(robot: Robot) -> tuple[st.Robot, Finding]:
         if count == STEPS:
             moves, words = _moves(commands), set(late)
     late_move = max(moves + _moves(commands)) / robot.size
-    ours = float(np.linalg.norm(_missed(robot, result)))
+    ours = float(np.linalg.norm(missed_targets(robot, result)))
     return twin, Finding(
         result.status.value, result.limits, ours, ours, late_move, frozenset(words.union(late)),
         twin.simulation.scene.solver.reach_tolerance,
@@ -255,7 +255,7 @@ def compare(robot: Robot, rng: np.random.Generator) -> Finding:
             # A step that follows targets tells the stiffness; here all lengths are commanded.
             result = twin.step(st.targets(robot.targets, **given))
         is_pose = is_pose and max(result[f"{name}_tension_N"] for name in names) < greatest
-        missed = _missed(robot, result)
+        missed = missed_targets(robot, result)
         return missed if is_pose else np.full(len(missed), 10.0 * robot.size)
 
     best = found.ours
@@ -280,7 +280,7 @@ def _setpoints(result, names: list[str]) -> np.ndarray:
     return np.array([result[f"{name}_shortening_m"] for name in names])
 
 
-def _missed(robot: Robot, result) -> np.ndarray:
+def missed_targets(robot: Robot, result) -> np.ndarray:
     """Weighted distances of the effectors, one row after the other, after a step [m]."""
     missed = [
         weights * (np.array(result.effectors[name]) - robot.targets[name])

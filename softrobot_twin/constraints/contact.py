@@ -422,7 +422,7 @@ class Contacts(VaryingTerm):
         self.count = 0
         self._reach, self._start = np.array([alarm_distance]), np.empty((0, 3))
         is_traceable = all(pair.is_traceable for pair in pairs)
-        self._stages = TracedStages(is_traceable, self._detect)
+        self.stages = TracedStages(is_traceable, self._detect)
         self._free_index, self._write_largest = free_index, write_largest
         self._largest = np.zeros(1)
         self._alarm, self._distance = alarm_distance, contact_distance
@@ -442,9 +442,9 @@ class Contacts(VaryingTerm):
         self.nodes = np.full((capacity, 2 * self._width), -1, np.int64)
         self.coefficients = np.zeros((capacity, 2 * self._width))
         self.directions = np.zeros((capacity, 3, 3))
-        self._found = empty_proximities(capacity)
+        self.found = empty_proximities(capacity)
         self._ends = np.zeros(len(self.pairs) + 1, np.int64)
-        self.positions, self._gaps = self._found.first_positions, self._found.gaps
+        self.positions, self._gaps = self.found.first_positions, self.found.gaps
         self.pair = np.zeros(capacity, np.int64)
         self._row_starts = np.zeros(capacity + 1, np.int64)
         self.row_starts = self._row_starts[:1]
@@ -452,7 +452,7 @@ class Contacts(VaryingTerm):
         self._entry_nodes = np.zeros(self.entry_capacity, np.int64)
         self._entry_count = np.zeros(1, np.int64)
         self._anchors, self._begins = np.zeros(capacity), np.zeros((capacity, 3))
-        self._stages.forget()
+        self.stages.forget()
 
     @property
     def is_traceable(self) -> bool:
@@ -532,7 +532,7 @@ class Contacts(VaryingTerm):
             # Their points follow by products of matrices, which the driver does not know.
             for surface in self._rigid:
                 surface.points(positions)
-            self._stages.run(0, positions)
+            self.stages.run(0, positions)
             count = int(self._ends[-1])
             if count <= self._capacity:
                 break
@@ -540,11 +540,11 @@ class Contacts(VaryingTerm):
         self.count = count
         if len(self.row_starts) != count + 1:
             self.row_starts = self._row_starts[: count + 1]
-        self.memory.recognise(self.pair[:count], self._found.keys[:count], self.row_starts)
+        self.memory.recognise(self.pair[:count], self.found.keys[:count], self.row_starts)
 
     def _detect(self, positions: np.ndarray) -> None:
         """Find what is near, what carries it, and its rows; the driver does so in most steps."""
-        found, nodes, coefficients = self._found, self.nodes, self.coefficients
+        found, nodes, coefficients = self.found, self.nodes, self.coefficients
         self._write_near(positions, found, self._ends)
         for place, index in enumerate(self._order):
             pair, span = self.pairs[index], self._ends[place : place + 2]
@@ -648,7 +648,7 @@ class Contacts(VaryingTerm):
 
     def forget(self) -> None:
         """Forget all forces, and what detection did before."""
-        self._stages.begin_anew()
+        self.stages.begin_anew()
         self.memory.forget()
 
     def gaps(self, positions: np.ndarray) -> np.ndarray:

@@ -107,7 +107,7 @@ class PointLaw(NamedTuple):
     is_law_of_scenes: bool = True
 
 
-_LAWS: dict[type, PointLaw] = {}
+LAWS: dict[type, PointLaw] = {}
 
 
 def register_law(name: str, parameters: type, *kernels: Callable, **properties) -> None:
@@ -122,18 +122,18 @@ def register_law(name: str, parameters: type, *kernels: Callable, **properties) 
     Raises:
         ValueError: Another law has this name, or these parameters.
     """
-    taken = [law.name for law in _LAWS.values()]
-    if name in taken or parameters in _LAWS:
+    taken = [law.name for law in LAWS.values()]
+    if name in taken or parameters in LAWS:
         raise ValueError(f"the law {name!r} or its {parameters.__name__} is registered already")
     law = PointLaw(name, parameters, *kernels, **properties)
     if law.of_moduli is None and law.own is None:
         law = law._replace(of_moduli=lambda E, nu: parameters(*lame_parameters(E, nu)))
-    _LAWS[parameters] = law
+    LAWS[parameters] = law
 
 
 def law_names() -> tuple[str, ...]:
     """Names of all laws of scenes."""
-    return tuple(law.name for law in _LAWS.values() if law.is_law_of_scenes)
+    return tuple(law.name for law in LAWS.values() if law.is_law_of_scenes)
 
 
 def law_named(name: str) -> PointLaw:
@@ -145,7 +145,7 @@ def law_named(name: str) -> PointLaw:
     Raises:
         KeyError: There is none.
     """
-    for law in _LAWS.values():
+    for law in LAWS.values():
         if law.name == name and law.is_law_of_scenes:
             return law
     raise KeyError(f"no law is named {name!r}; there are {', '.join(law_names())}")
@@ -184,9 +184,9 @@ def law_of(parameters: tuple) -> PointLaw:
 
 
 def _law_of_type(parameters: type) -> PointLaw:
-    if parameters not in _LAWS:
+    if parameters not in LAWS:
         raise KeyError(f"{parameters.__name__} are the parameters of no registered law")
-    return _LAWS[parameters]
+    return LAWS[parameters]
 
 
 def law_at(law, k, q, e):

@@ -253,7 +253,7 @@ def test_rows_are_the_finite_differences_of_gaps(other, drawn_rng):
     contacts.begin_step(x, np.zeros((0, 3)), 0.0)
     contacts.detect(x)
     assert contacts.count > 0
-    pair, keys = contacts.pairs[0], contacts._found.keys[: contacts.count].copy()
+    pair, keys = contacts.pairs[0], contacts.found.keys[: contacts.count].copy()
     # Change of each gap by the rows at constant normals, and by what is found anew.
     by_rows, anew = ([], []), ([], [])
     for moves in directions:

@@ -4,7 +4,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.simulation import Hold
-from softrobot_twin.traced_stage import TracedStages
 from test.builder import builder
 from test.scene_changes import repeat_step
 
@@ -58,7 +57,8 @@ class Twins:
     def __init__(self, make):
         self.driven, self.plain = make(), make()
         contacts = self.plain.model.contacts
-        contacts._stages = TracedStages(False, contacts._detect)
+        contacts.stages.is_traceable = False
+        contacts.stages.begin_anew()
         self.x = self.driven.model.nodes.rest_positions.copy()
         self.most = self.ran = 0
 
@@ -70,7 +70,7 @@ class Twins:
         """Detect twice where the bodies are, by the same array each time or by another one."""
         x = self.x if x is None else x
         for _ in range(3):
-            self.ran += self.driven.model.contacts._stages._are_known
+            self.ran += self.driven.model.contacts.stages.are_known
             driven, plain = found_at(self.driven, x), found_at(self.plain, x.copy())
             for name, values in driven.items():
                 np.testing.assert_array_equal(values, plain[name], err_msg=name)
@@ -89,7 +89,7 @@ def test_random_motion_finds_the_same_to_the_bit(scene, drawn_rng):
         twins.begin(velocities * (trial % 3 > 0))
         if trial % 10 == 0:
             # After arrays from outside the driver would wait for long.
-            twins.driven.model.contacts._stages.begin_anew()
+            twins.driven.model.contacts.stages.begin_anew()
             twins.compare()
             # The body jumps, turned anyhow: near the obstacles, inside of them, or far away.
             turn = Rotation.from_rotvec(drawn_rng.normal(size=3)).as_matrix()
@@ -104,9 +104,9 @@ def test_random_motion_finds_the_same_to_the_bit(scene, drawn_rng):
         elif trial % 10 == 7:
             # The paddle is elsewhere.
             origin, turn = drawn_rng.uniform(-0.04, 0.04, 3), Rotation.random(rng=drawn_rng).as_matrix()
-            guides._frames.place(twins.x, 0, origin, turn)
+            guides.frames.place(twins.x, 0, origin, turn)
             # The cube stands on the floor.
-            guides._frames.place(twins.x, 1, [0.03, *drawn_rng.uniform(-0.01, 0.01, 2)], np.eye(3))
+            guides.frames.place(twins.x, 1, [0.03, *drawn_rng.uniform(-0.01, 0.01, 2)], np.eye(3))
         else:
             nodes.advance(twins.x, velocities, STEP)
         touched |= set(twins.compare().tolist())
@@ -144,7 +144,7 @@ def test_a_restored_state_and_a_reset_begin_anew(scene):
     simulation, other = scene(), scene()
     result = repeat_step(simulation, Hold(STEP), 8)
     contacts = simulation.model.contacts
-    assert contacts._stages._are_known
+    assert contacts.stages.are_known
     kept = result.state
     simulation.reset()
     for changed, state in ((simulation, kept), (other, kept)):

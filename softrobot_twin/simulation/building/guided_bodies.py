@@ -36,7 +36,7 @@ class Guides:
         Args:
             layout: The bodies.
         """
-        self._frames, self._hinged = layout.frames, layout.hinged
+        self.frames, self._hinged = layout.frames, layout.hinged
         sliding = {slide.body for slide in layout.scene.slides}
         self._parts = {
             part.name: part for part in layout.rigid
@@ -71,7 +71,7 @@ class Guides:
             positions: Node positions [m], shape (node_count, 3).
         """
         self._targets = {
-            name: self._frames.pose(positions, part.index) for name, part in self._parts.items()
+            name: self.frames.pose(positions, part.index) for name, part in self._parts.items()
         }
 
     def aim(self, name: str, position, quaternion=None) -> None:
@@ -113,7 +113,7 @@ class Guides:
         if time_step == 0.0:
             return
         for name, part in self._parts.items():
-            here = self._frames.pose(positions, part.index)
+            here = self.frames.pose(positions, part.index)
             there = self._reached(name, here, self._targets[name], time_step)
             if there is not None:
                 self._ways.append((part.index, here, there))
@@ -138,7 +138,7 @@ class Guides:
             if share < 1.0:
                 turn = rotation_from_vector(share * vector_from_rotation(there[1] @ rotation.T))
                 there = (origin + share * (there[0] - origin), turn @ rotation)
-            self._frames.place(positions, index, *there)
+            self.frames.place(positions, index, *there)
         if relative is not None:
             self._hinged.follow(positions, relative)
         for nodes, mapping in self._attached:
@@ -188,7 +188,7 @@ class Guides:
         Returns:
             Their coordinates, shape (12 body_count,); turns count by how far they carry the robot.
         """
-        poses = (self._frames.pose(positions, part.index) for part in self._parts.values())
+        poses = (self.frames.pose(positions, part.index) for part in self._parts.values())
         return np.concatenate([
             np.concatenate([origin, (origin + self._size * rotation.T).ravel()])
             for origin, rotation in poses
@@ -201,7 +201,7 @@ class Guides:
             name: Name of the body.
             positions: Node positions [m], shape (node_count, 3).
         """
-        origin, rotation = self._frames.pose(positions, self._parts[name].index)
+        origin, rotation = self.frames.pose(positions, self._parts[name].index)
         return origin, quaternion_from_rotation(rotation)
 
 

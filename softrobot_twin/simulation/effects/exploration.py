@@ -87,7 +87,7 @@ class Exploration:
         self._is_free = np.ones(actuators.count, dtype=bool)
         if command.commanded is not None:
             self._is_free = np.isnan(command.commanded)
-        self._drives, self._limits = actuators.drives(result.state.setpoints), actuators.limits
+        self._drives, self.limits = actuators.drives(result.state.setpoints), actuators.limits
         self.is_found, self._trials = False, self._all_trials()
         self._begin(next(self._trials, None))
 
@@ -156,7 +156,7 @@ class Exploration:
 
     def _goals(self) -> Iterator[np.ndarray]:
         """Places from where the targets are followed: first one actuator has moved, then all."""
-        count, scale = len(self._drives), self._limits.drive_scale
+        count, scale = len(self._drives), self.limits.drive_scale
         moves = [share * np.eye(count)[i] for share in MOVES for i in np.flatnonzero(self._is_free)]
         rng = np.random.default_rng(0)
         moves += [RANDOM_MOVE * rng.normal(size=count) * self._is_free for _ in range(RANDOM_MOVES)]
@@ -166,7 +166,7 @@ class Exploration:
                 yield goal
 
     def _within(self, drives: np.ndarray) -> np.ndarray:
-        return np.clip(drives, self._limits.drive_min, self._limits.drive_max)
+        return np.clip(drives, self.limits.drive_min, self.limits.drive_max)
 
     def _descend(self) -> Generator[Trial, np.ndarray | None, np.ndarray | None]:
         """Gauss-Newton with measured derivatives; gives a nearer place of the actuators, or None."""
@@ -191,21 +191,21 @@ class Exploration:
         """Measured derivatives of the misses by shares of the actuators' scales, shape (n, count)."""
         slopes = np.zeros((len(misses), len(place)))
         for i in np.flatnonzero(self._is_free):
-            move = MEASURED_MOVE * self._limits.drive_scale[i]
-            if place[i] + move > self._limits.drive_max[i]:
+            move = MEASURED_MOVE * self.limits.drive_scale[i]
+            if place[i] + move > self.limits.drive_max[i]:
                 move = -move
             moved = place.copy()
             moved[i] += move
             reached = yield Trial(moved, follows=False, measures=True)
             if reached is not None:
-                slopes[:, i] = (reached - misses) / (move / self._limits.drive_scale[i])
+                slopes[:, i] = (reached - misses) / (move / self.limits.drive_scale[i])
         return slopes
 
     def _least_squares(
         self, place: np.ndarray, misses: np.ndarray, slopes: np.ndarray, radius: float
     ) -> np.ndarray:
         """Where the linear misses are least within limits and a radius, shape (actuator_count,)."""
-        limits, scale = self._limits, self._limits.drive_scale
+        limits, scale = self.limits, self.limits.drive_scale
         least = np.maximum((limits.drive_min - place) / scale, -radius)
         most = np.minimum((limits.drive_max - place) / scale, radius)
         # Bounds must not meet, for what is not free nor for what is at its limit.

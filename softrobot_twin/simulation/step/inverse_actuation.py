@@ -572,7 +572,7 @@ class InverseActuation:
         given = linear, errors, weights, held, within
         is_plain = extra is None and branch is None and not any_commanded
         while True:
-            found = self._guessed(*given) if is_plain else None
+            found = self.guessed(*given) if is_plain else None
             if found is None:
                 found = self._over_branches(*given, commanded, extra, branch)
             if found is None or self.trust.longest == np.inf:
@@ -719,11 +719,19 @@ class InverseActuation:
             )
         return best
 
-    def _guessed(
+    def guessed(
         self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
         bounds: Bounds,
     ) -> Actuation | None:  # fmt: skip
-        """The actuation from the last active set; None where `guessed_actuation` proves none."""
+        """The actuation from the last active set; None where `guessed_actuation` proves none.
+
+        Args:
+            linear: The condensed system.
+            errors: e_e of the effectors' rows [m], shape (n_e,).
+            weights: Of these rows, same shape.
+            held: What holds the actuators where they are.
+            bounds: Bounds of efforts and displacements.
+        """
         active, count = self._solver.guess, len(self._none)
         stiffness = reference = self._none
         if linear.augmentation is not None:

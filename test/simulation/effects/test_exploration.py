@@ -8,6 +8,7 @@ import pytest
 from scipy.optimize import minimize
 
 import softrobot_twin as st
+from softrobot_twin.simulation import FollowTargets
 from softrobot_twin.simulation.effects.exploration import NEARER, RANDOM_MOVES, Exploration
 from test.scene_changes import repeat_step
 
@@ -38,7 +39,7 @@ def until(twin, asked, found, most=MOST):
 
 
 def missed(robot, result):
-    return np.linalg.norm(compare_inverse._missed(robot, result))
+    return np.linalg.norm(compare_inverse.missed_targets(robot, result))
 
 
 def test_a_robot_goes_to_a_nearer_pose_and_rests_there(limited):
@@ -87,13 +88,13 @@ def test_another_command_ends_an_exploration_and_begins_from_the_robots_state(li
 def test_a_trial_that_raises_leaves_the_robot_where_it_is(limited, monkeypatch):
     twin, asked = limited()
     until(twin, asked, lambda report: report.is_exploring)
-    state, step = twin.state, twin.simulation._iterate
+    state, correct = twin.state, twin.simulation.newton.correct
 
     def broken(*arguments):
-        step(*arguments)
+        correct(*arguments)
         raise ArithmeticError("in a trial")
 
-    monkeypatch.setattr(twin.simulation, "_iterate", broken)
+    monkeypatch.setattr(twin.simulation.newton, "correct", broken)
     with pytest.raises(ArithmeticError):
         twin.step(asked)
     assert twin.state is state
@@ -106,8 +107,7 @@ def test_a_trial_that_raises_leaves_the_robot_where_it_is(limited, monkeypatch):
 def goals(twin, commanded=None):
     simulation = twin.simulation
     result = twin.step(st.hold()).outcome
-    command = twin._reader.read(st.targets(tip=[0, 0, 0]), 0.02)
-    command = type(command)(command.targets, 0.02, commanded)
+    command = FollowTargets(np.zeros((1, 3)), 0.02, commanded)
     exploration, found = Exploration(command, result, np.ones(1), simulation.actuators), []
     while exploration.trial is not None and exploration.trial.follows:
         found.append(exploration.trial.goal - simulation.actuators.drives(result.setpoints))
@@ -129,7 +129,7 @@ def test_trials_stay_within_limits_and_leave_commanded_actuators_alone(limited):
 def test_a_trial_is_found_only_where_it_rests_nearer(limited):
     twin, asked = limited()
     result = until(twin, asked, lambda report: report.is_exploring).outcome
-    command = twin._reader.read(asked, 0.02)
+    command = FollowTargets(np.zeros((1, 3)), 0.02)
 
     def judged(missed, has_gone, is_stable, is_calm):
         trial = Exploration(command, result, np.ones(1), twin.simulation.actuators)
@@ -153,13 +153,13 @@ def descended(limited, misses_at, low=-1.0, high=1.0):
     """Shares of the scales to which a descent by measured misses leads; None where that is nowhere."""
     twin, asked = limited(newton_iterations=3)
     result = twin.step(st.hold()).outcome
-    command = twin._reader.read(asked, 0.02)
+    command = FollowTargets(np.zeros((1, 3)), 0.02)
     actuators = twin.simulation.actuators
     limits = replace(actuators.limits, displacement_min=low * actuators.limits.drive_scale,
                      displacement_max=high * actuators.limits.drive_scale)  # fmt: skip
     start = actuators.drives(result.setpoints) / limits.drive_scale
     exploration = Exploration(command, result, misses_at(start), actuators)
-    exploration._limits = limits
+    exploration.limits = limits
     while exploration.trial is not None and exploration.trial.follows:
         exploration.next_trial()
     while exploration.trial is not None and exploration.trial.measures:

@@ -15,14 +15,14 @@ STEPS = 30
 
 def followed(name, seed, by_kernel, monkeypatch):
     """Positions and efforts on the way to random targets, and how many steps the kernel proved."""
-    proved, guess = [], InverseActuation._guessed
+    proved, guess = [], InverseActuation.guessed
 
     def guessed(*given):
         found = guess(*given) if by_kernel else None
         proved.append(found is not None)
         return found
 
-    monkeypatch.setattr(InverseActuation, "_guessed", guessed)
+    monkeypatch.setattr(InverseActuation, "guessed", guessed)
     simulation = Simulation(load_scene(SCENES / f"{name}.yaml"), with_warnings=False)
     rng, rest, ways = np.random.default_rng(seed), simulation.effector_positions(), []
     size = simulation.model.nodes.size
