@@ -43,6 +43,8 @@ Wanted: TypeAlias = Sequence[tuple[NamedCommand, Mapping[str, Any]]]
 Bounds: TypeAlias = Mapping[str, tuple[float, float]]
 SAME_PLACE = 1.0e-4
 """Distance below which places of effectors count as the same, by default [m]."""
+# A promise of derivatives beyond this share of the tolerance, which no trial kept, is that of a kink.
+_BROKEN = 0.1
 # Directions that are told, at most, and parts of each.
 _MOST_DIRECTIONS, _MOST_PARTS = 3, 4
 
@@ -208,6 +210,9 @@ class Design:
         notes = [f"{name} is at its bound of {value:.6g} {one.unit}" for name, one, value, ends, own in
                  zip(names, model.variables, found.values, bounds, width, strict=True)
                  if np.abs(ends - value).min() < 1e-6 * own]  # fmt: skip
+        if found.promise > _BROKEN * found.tolerance:
+            notes.append(f"a kink is near: derivatives promise {found.promise:.2g} {unit} less, which no trial "
+                         "kept; for points of cables, hold_radius makes slopes smooth")
         notes += _untold(names, found)
         slack = by_key((name, index) for index, own in enumerate(found.solved.slack) for name in own)
         if slack:

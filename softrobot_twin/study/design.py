@@ -284,6 +284,8 @@ class Found(NamedTuple):
             values of the derivatives, or roots of curvatures.
         directions: Shares of the bounds' widths in each of these moves, as rows, each of norm 1,
             shape (variable_count, variable_count).
+        promise: By how much less the objective would be by its derivatives at the end, in its unit:
+            much where a kink is near, at which no trial keeps what they promise.
         refusals: Why trials were refused, each reason once.
         trials: Number of trials.
         solved: The poses at the end.
@@ -296,6 +298,7 @@ class Found(NamedTuple):
     flatness: np.ndarray
     told: np.ndarray
     directions: np.ndarray
+    promise: float
     refusals: tuple[str, ...]
     trials: int
     solved: Solved
@@ -360,10 +363,13 @@ class DesignSearch:
         before = errors(start)
         found = least_squares(errors, start, slopes, bounds=(0.0, 1.0), xtol=STILL, ftol=STILL,
                               gtol=ENOUGH, max_nfev=MOST_TRIALS)
-        _, singular, directions = np.linalg.svd(slopes(found.x))
+        J = slopes(found.x)
+        _, singular, directions = np.linalg.svd(J)
         told = np.pad(singular, (0, len(directions) - len(singular)))
         before, after = (tolerance * float(np.linalg.norm(each)) for each in (before, found.fun))
-        return self._found(found.x, before, after, tolerance, told, directions)
+        gain = _promised(found.x, found.fun @ J, told, directions)
+        promise = after - np.sqrt(max(0.0, after**2 - 2.0 * gain * tolerance**2))
+        return self._found(found.x, before, after, tolerance, told, directions, promise)
 
     def minimise(self, objective: Objective, tolerance: float | None = None) -> Found:
         """Values by which a function of the poses is least, by L-BFGS-B.
@@ -397,7 +403,9 @@ class DesignSearch:
         _, slopes = value_and_slopes(shares)
         curvatures, directions = np.linalg.eigh(self._second(value_and_slopes, shares, slopes))
         told = np.sqrt(np.maximum(curvatures[::-1], 0.0) / (2.0 * tolerance))
-        found = self._found(shares, before, after, tolerance, told, directions.T[::-1])
+        directions = directions.T[::-1]
+        gain = 2.0 * tolerance * _promised(shares, slopes / (2.0 * tolerance), told, directions)
+        found = self._found(shares, before, after, tolerance, told, directions, gain)
         # At a bound the slope tells, too.
         with np.errstate(divide="ignore"):
             steep = np.minimum(found.flatness, self._width * tolerance / np.abs(slopes))
@@ -418,14 +426,14 @@ class DesignSearch:
 
     def _found(
         self, shares: np.ndarray, before: float, after: float, tolerance: float, told: np.ndarray,
-        directions: np.ndarray,
+        directions: np.ndarray, promise: float,
     ) -> Found:  # fmt: skip
         """The design, with its flatness: the box around the ellipsoid of moves that are not told."""
         with np.errstate(divide="ignore"):
             lengths = np.minimum(1.0 / told, np.sqrt(len(told)))
         flatness = np.minimum(np.linalg.norm(directions * lengths[:, None], axis=0), 1.0)
         values = self._values(shares)
-        return Found(values, before, after, tolerance, flatness * self._width, told, directions,
+        return Found(values, before, after, tolerance, flatness * self._width, told, directions, promise,
                      tuple(self._refusals), self._trials, self._model.solve(values))
 
     def _values(self, shares: np.ndarray) -> np.ndarray:
@@ -440,6 +448,17 @@ class DesignSearch:
         except SoftRobotTwinError as error:
             self._refusals[str(error)] = None
             return None
+
+
+def _promised(
+    shares: np.ndarray, slopes: np.ndarray, told: np.ndarray, directions: np.ndarray
+) -> float:
+    """By how much a quadratic function with these slopes and curvatures told² falls in the bounds."""
+    is_held = ((shares < STILL) & (slopes > 0.0)) | ((shares > 1.0 - STILL) & (slopes < 0.0))
+    along = directions @ np.where(is_held, 0.0, slopes)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        moves = np.where(along == 0.0, 0.0, np.clip(-along / told**2, -1.0, 1.0))
+    return float(-(along * moves + 0.5 * (told * moves) ** 2).sum())
 
 
 _Function = Callable[[np.ndarray], tuple[float, np.ndarray]]

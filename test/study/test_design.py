@@ -32,7 +32,8 @@ def finger():
 
 
 def test_derivatives_of_poses_are_differences_of_poses_that_are_settled_again(finger, drawn_rng):
-    model = finger.design_model(VARIABLES, [*commands(), st.setpoints(flexor_length_m=0.085)])
+    model = finger.design_model(VARIABLES, [*commands(), st.setpoints(flexor_length_m=0.085),
+                                            st.efforts(flexor_tension_N=2.0), st.hold()])
     assert np.array_equal(model.start, [0.0, 0.0, 500e3])
     values = model.start + drawn_rng.uniform(-1.0, 1.0, 3) * [1.0e-3, 1.0e-3, 5.0e4]
     found = model.derivatives(values)
@@ -167,6 +168,24 @@ def test_a_command_beyond_the_limit_of_an_actuator_is_refused(finger):
     far = st.setpoints(flexor_shortening_m=0.1)
     with pytest.raises(DesignError, match="flexor: .* shortening of 0.1 m in pose 0, .* 0.025 m"):
         finger.design_model(HEIGHTS, [far]).solve([0.0, 0.0])
+
+
+def test_a_search_that_stops_at_a_kink_says_so_and_a_radius_takes_kinks_away(drawn_rng):
+    keys, hidden = [f"cables[{index}].points[0][2]" for index in range(4)], drawn_rng.uniform(-2e-3, 2e-3, 4)
+    commands = [st.setpoints({f"{cable}_shortening_m": pull for cable, pull in zip(
+        ("north", "west", "south", "east"), drawn_rng.uniform(0.003, 0.012, 4))}) for _ in range(6)]
+    for radius in (0.0, 0.004):
+        changes = {f"cables[{index}].hold_radius": radius for index in range(4)}
+        robot = st.load(FINGER.with_name("diamond.yaml"), changes | {
+            "body.element": "linear", "body.mesh.file": str(ROOT / "meshes" / "diamond_1600.vtk")})
+        model = robot.design_model(keys, commands)
+        wanted = model.solve(model.start + hidden).found.effectors
+        design = robot.optimise(
+            [(one, {"tip": place[0]}) for one, place in zip(commands, wanted)], keys, (0.04, 0.05))
+        print(design)
+        assert any("a kink is near" in note for note in design.notes) is (design.after > 1e-5)
+    assert design.after < 1e-6
+    assert np.abs(np.array(list(design.values.values())) - model.start - hidden).max() < 1e-4
 
 
 def test_slack_cables_are_told(finger):
