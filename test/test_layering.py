@@ -29,7 +29,7 @@ ALLOWED_ROOMS = {
     "view": {"simulation"},
     "record": CORE | {"control"},
     "ros": CORE | {"control", "view", "record"},
-    "study": CORE | {"control", "view"},
+    "study": CORE | {"control", "view", "record"},
     "scripting": CORE | {"control", "study", "view"},
     "command_line": {"study", "ros", "demo_command", "replay_command"},
 }

@@ -433,6 +433,41 @@ def explain(
     return print_scene(scene, mesh_error, picture, picture_view)
 
 
+def calibrate(
+    scene: GivenFile, *, data: Sequence[GivenFile], fit: Sequence[str], known: Sequence[str] = (),
+    output: Path | None = None, picture: Path | None = None, suggest: bool = False,
+) -> int:  # fmt: skip
+    """Fit numbers of a scene to what was measured on the robot.
+
+    Fit numbers of a scene, such as Young's modulus, zero errors of winches or the frame of the
+    cameras, to markers and efforts that were measured while the robot rested. One of four poses is
+    held back, and tells whether the scene has become better. Numbers that the data do not tell are
+    refused by name, with what would tell them. A new scene is written only where all numbers are told
+    and the poses that were held back are predicted better; everything else in the file stays.
+
+    Examples:
+        softrobot_twin calibrate config/scenes/diamond.yaml --data run.mcap \\
+            --fit body.material.young_modulus cables.*.offset marker_frame --picture fit.png
+        softrobot_twin calibrate finger.yaml --data poses.csv --fit body.material.young_modulus --suggest
+
+    Args:
+        scene (SCENE): Scene file (YAML).
+        data (FILE): Recorded runs (.mcap), or tables (.csv) with setpoints, markers (marker_4_x_m) and
+            efforts; without the column time_s each row is a pose at rest.
+        fit (KEY): Numbers to fit, perhaps with *; all numbers of a section or a list.
+        known (KEY=DEVIATION): What is known of them before: a standard deviation in their unit, or as a
+            share of moduli, stiffnesses and densities (default: 30 % of moduli and densities, 2 % of
+            the robot's size for lengths).
+        output (FILE.yaml): Scene to write (default: beside the scene, SCENE_calibrated.yaml).
+        picture (FILE.png): Draw the errors at poses held back, before and after, and the intervals.
+        suggest: Tell what should be measured next, and what it would bring.
+    """
+    from softrobot_twin.study.calibration_report import calibrate_scene
+
+    _check_outputs((scene, *data), output=output, picture=picture)
+    return calibrate_scene(scene, data, fit, known, output, picture, suggest)
+
+
 def workspace(
     scene: GivenFile, *, output: Path, picture: Path | None = None, samples: PositiveCount = 200,
     seed: Count = 0, range_: Sequence[str] = (), workers: PositiveCount | None = None,
@@ -812,7 +847,7 @@ def completion(shell: Annotated[str, Read(choices=("bash", "zsh", "tcsh"))]) -> 
 
 
 COMMANDS = (
-    mesh, init, simulate, plot, explain, workspace, bench, accuracy, choose, reduce,
+    mesh, init, simulate, plot, explain, calibrate, workspace, bench, accuracy, choose, reduce,
     reduce_vertebrae, replay, demo, completion,
 )  # fmt: skip
 """The commands in the order of their list."""

@@ -200,7 +200,7 @@ def with_values(values: Any, scene: Scene, changes: Mapping[str, Any]) -> Any:
         SceneError: There is no such key.
     """
     for key, value in changes.items():
-        values = _with(values, _place(scene, key), value)
+        values = _with(values, _place(scene, key), value, scene)
     return values
 
 
@@ -262,12 +262,16 @@ def _below(value: Any, step: str | int) -> Any:
     return getattr(value, str(step), None)
 
 
-def _with(value: Any, place: tuple, new: Any) -> Any:
-    """A value as a file would have it, with another one at a place; entries beside it stay."""
+def _with(value: Any, place: tuple, new: Any, usual: Any) -> Any:
+    """A value as a file would have it, with another one at a place; entries beside it stay.
+
+    Where the file leaves out what the place is in, it is as in the scene.
+    """
     if not place:
         return new
     first, rest = place[0], place[1:]
-    inside = _with(_below(value, first), rest, new)
+    own, usual = _below(value, first), _below(usual, first)
+    inside = _with(usual if own is None else own, rest, new, usual)
     if isinstance(value, list | tuple) and isinstance(first, int):
         return [*value[:first], inside, *value[first + 1 :]]
     if isinstance(value, Entry):

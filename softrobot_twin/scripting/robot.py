@@ -76,6 +76,8 @@ from softrobot_twin.simulation.runs.input_tables import (
 from softrobot_twin.simulation.runs.run_columns import RunColumns, RunRow
 from softrobot_twin.simulation.sensitivities import Sensitivities
 from softrobot_twin.study import direct_run
+from softrobot_twin.study.calibration import Calibration, calibrate
+from softrobot_twin.study.calibration_report import measured_poses
 from softrobot_twin.study.design import DesignModel, Objective
 from softrobot_twin.study.direct_run import DEFAULT_RATE, run_commands
 from softrobot_twin.study.equilibrium import is_at_rest
@@ -442,6 +444,29 @@ class Robot:
         """
         return DesignModel(
             self.scene, variables_of(self.scene, parameters), poses_of(self.scene, commands))
+
+    def calibrate(
+        self, data: Any, fit: Iterable[str], known: Mapping[str, float] = NOTHING
+    ) -> Calibration:
+        """Fits numbers of its scene to what was measured at rest; the robot stays as it is.
+
+        Args:
+            data: A recorded run (.mcap), a table (.csv, a `pandas.DataFrame` or a dict) with setpoints,
+                markers such as ``marker_4_x_m``, and efforts, or a list of these or of `RestPose`.
+            fit: Keys of the numbers; see `parameters`.
+            known: Standard deviations of what is known before by keys, in their units; as shares of
+                moduli, stiffnesses and densities.
+
+        Returns:
+            The numbers with their intervals and errors at poses that were held back. Where it
+            `is_accepted`, ``robot.change(found.values)`` uses them.
+
+        Raises:
+            SceneError: No number has such a key, or the robot has no statics.
+            CalibrationError: The poses are too few, or a number cannot be fitted.
+        """
+        poses, _ = measured_poses(data, self.simulation)
+        return calibrate(self.scene, poses, list(fit), known)
 
     def reset(self) -> None:
         """Goes back to rest. What follows is the same, to the bit, as the first time."""

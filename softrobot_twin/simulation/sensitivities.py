@@ -17,13 +17,14 @@ any number of parameters by products.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.errors import NamedError, SceneError
+from softrobot_twin.mechanics.touch_loads import TouchLoads
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.scene_parameters import JointParameter, Parameter
 from softrobot_twin.simulation.apparent_compliance import HeldTangent, Saddle
@@ -201,7 +202,8 @@ class Sensitivities(HeldTangent):
         count, system, a = forces.shape[2], *self._system()
         below = np.zeros((len(self._held.places), count))
         if displacements is not None:
-            below[: np.count_nonzero(self._held.held)] = displacements[self._held.held]
+            moved = (self._held.ratios * displacements.T).T  # Their paths move more than their winches.
+            below[: np.count_nonzero(self._held.held)] = moved[self._held.held]
         moves, multipliers = system.solve(forces.reshape(3 * len(forces), count), below)
         efforts = np.zeros((self._model.actuators.count, count))
         efforts[:a][self._held.held] = multipliers[: np.count_nonzero(self._held.held)]
@@ -228,6 +230,7 @@ class Sensitivities(HeldTangent):
         forces, multipliers = system.solve(above.T, below, transposed=True)
         displacements = np.zeros((a, len(above)))
         displacements[self._held.held] = multipliers[: np.count_nonzero(self._held.held)]
+        displacements *= self._held.ratios[:, None]
         return Loads(forces.reshape(-1, 3, len(above)), displacements,
                      np.zeros((self._count, 3, len(above))))  # fmt: skip
 
@@ -272,10 +275,18 @@ class Sensitivities(HeldTangent):
         Raises:
             SensitivityError: A derivative does not exist at this state.
         """
+        return self.of_loads(parameters, [self.loads(one, holds_setpoints) for one in parameters])
+
+    def of_loads(self, parameters: Sequence[Parameter], loads: Sequence[Loads]) -> Sensitivity:
+        """Derivatives of effectors and efforts by parameters whose loads are known.
+
+        Args:
+            parameters: The parameters.
+            loads: What each of them changes; see `loads`.
+        """
         count, (_, a) = len(parameters), self._system()
         none = (np.empty((*shape, 0)) for shape in
                 ((self._model.nodes.free_node_count, 3), (a,), (self._count, 3), ()))  # fmt: skip
-        loads = [self.loads(one, holds_setpoints) for one in parameters]
         forces, displacements, explicit, roughness = (
             (np.stack(parts, -1) for parts in zip(*loads, strict=True)) if count else none)
         answer = self.solve_sensitivity(forces, displacements)
@@ -400,6 +411,8 @@ class Sensitivities(HeldTangent):
         nodes, actuators = terms.layout.nodes, terms.actuators
         for part in memories_of_terms(terms):
             part.recall(state)
+        for term, now in zip(_touches(terms.forces), _touches(self._model.forces), strict=True):
+            term.load(now.loads, np.where(now.is_held[:, None], now.places, np.nan))
         positions = nodes.placed_like(own, state.positions)
         # Terms of the scene itself tell the same as before.
         is_own = nodes is self._built[None, 0].layout.nodes and not actuators.held_forces
@@ -443,6 +456,12 @@ def _is_alike(one: Layout, other: Layout) -> bool:
     return np.array_equal(one.nodes.free_index, other.nodes.free_index) and all(
         before.mesh is after.mesh or np.array_equal(before.mesh.cells, after.mesh.cells)
         for before, after in pairs)
+
+
+def _touches(forces: Iterable) -> list[TouchLoads]:
+    """The terms of touches among force terms."""
+    points = (term.on_points for term in forces)
+    return [term for term in points if isinstance(term, TouchLoads)]
 
 
 def _no_slots(rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

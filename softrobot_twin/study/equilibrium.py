@@ -6,7 +6,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Simulation, Status, StepResult
+from softrobot_twin.simulation import (
+    CommandEfforts,
+    CommandSetpoints,
+    Simulation,
+    Status,
+    StepResult,
+    Touched,
+)
 
 # Steps of the way to the setpoints, and most steps after it.
 WAY, MOST_STEPS = 10, 200
@@ -41,8 +48,9 @@ class Rest(NamedTuple):
 
 
 def bring_to_rest(
-    simulation: Simulation, setpoints: np.ndarray, way: int = WAY, efforts: np.ndarray | None = None
-) -> Rest:
+    simulation: Simulation, setpoints: np.ndarray, way: int = WAY, efforts: np.ndarray | None = None,
+    touched: Touched | None = None,
+) -> Rest:  # fmt: skip
     """Move the actuators on a straight line to setpoints, then step until nothing moves.
 
     Args:
@@ -51,6 +59,7 @@ def bring_to_rest(
         way: Steps of the way.
         efforts: With which actuators act in place of setpoints, NaN for the others, shape
             (actuator_count,); None for no efforts.
+        touched: Forces that act meanwhile; see `Simulation.step`.
     """
     in_motion = simulation.model.is_dynamic
     time_step = TIME_STEP if in_motion else ANY_TIME
@@ -61,8 +70,9 @@ def bring_to_rest(
         # At the end exactly the setpoints.
         wanted = setpoints if share == 1.0 else begin + share * (setpoints - begin)
         before = simulation.state.positions
-        result = simulation.step(CommandSetpoints(wanted, time_step) if efforts is None
-                                 else CommandEfforts(share * efforts, time_step))
+        command = (CommandSetpoints(wanted, time_step) if efforts is None
+                   else CommandEfforts(share * efforts, time_step))
+        result = simulation.step(command, None, touched)
         failures = failures + 1 if result.status.is_failure else 0
         if failures == MOST_FAILURES:
             break

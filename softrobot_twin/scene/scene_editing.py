@@ -1,0 +1,160 @@
+"""Changes numbers in the text of a scene file and keeps everything else: order, layout, comments."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import yaml
+
+from softrobot_twin.errors import SceneError
+from softrobot_twin.scene.loading import read_yaml, scene_from_mapping, written_out
+from softrobot_twin.scene.patterns import as_written
+from softrobot_twin.scene.refusal_messages import parts
+from softrobot_twin.scene.scene_parameters import changed_scene
+from softrobot_twin.scene.schema import Scene
+
+_ANCHOR = re.compile(r"&(\w+)\s+(\{[^{}]*\}|\[[^\[\]]*\]|[^\s#]+)")
+
+
+class EditedNumber(NamedTuple):
+    """A number that is written into a scene file.
+
+    Attributes:
+        value: It, in its unit.
+        comment: What is said of it at the end of its line.
+    """
+
+    value: float
+    comment: str
+
+
+def edited_text(text: str, scene: Scene, numbers: Mapping[str, EditedNumber]) -> str:
+    """The text of a scene file with other numbers.
+
+    A key that the file leaves out is added to its section. Repeated entries of which a number is changed
+    are written out, because their copies have numbers of their own.
+
+    Args:
+        text: The text of the file.
+        scene: The scene that it holds.
+        numbers: New numbers by their keys, such as ``cables[0].offset``.
+
+    Raises:
+        SceneError: The text cannot be changed so that the file has these numbers.
+    """
+    places = {tuple(parts(key)): number for key, number in numbers.items()}
+    text = _written_out(text, scene, places)
+    comments: dict[int, list[str]] = {}
+    for place, number in sorted(places.items(), key=lambda one: str(one[0])):
+        text = _with_number(text, place, number.value)
+    root = yaml.compose(text, Loader=yaml.SafeLoader)
+    for place, number in places.items():
+        line = _found(root, place)[0].end_mark.line
+        comments.setdefault(line, []).append(number.comment)
+    lines = text.split("\n")
+    for line, words in comments.items():
+        said = "; ".join(dict.fromkeys(words))
+        lines[line] += f"; {said}" if " #" in lines[line] else f"  # {said}"
+    text = "\n".join(lines)
+    wanted = changed_scene(scene, {key: number.value for key, number in numbers.items()})
+    if scene_from_mapping(read_yaml(text), scene.path) != wanted:
+        raise SceneError(scene.path, next(iter(numbers)), "", "", "cannot be written into this file")
+    return text
+
+
+def _found(root: yaml.Node, place: tuple) -> tuple[yaml.Node, tuple]:
+    """The node at a place or the innermost one around it, and the rest of the place that is missing."""
+    node = root
+    for depth, step in enumerate(place):
+        if isinstance(node, yaml.MappingNode):
+            inside = next((value for key, value in node.value if key.value == step), None)
+        else:
+            inside = node.value[step] if isinstance(node, yaml.SequenceNode) else None
+        if inside is None:
+            return node, place[depth:]
+        node = inside
+    return node, ()
+
+
+def _with_number(text: str, place: tuple, value: float) -> str:
+    """The text with a number at a place."""
+    node, missing = _found(yaml.compose(text, Loader=yaml.SafeLoader), place)
+    if not missing:
+        begin, end = node.start_mark.index, node.end_mark.index
+        return text[:begin] + _number(value) + text[end:]
+    content: Any = value
+    for step in reversed(missing[1:]):
+        content = {step: content} if isinstance(step, str) else [content if k == step else 0.0
+                                                                  for k in range(3)]  # fmt: skip
+    flow = yaml.safe_dump(content, default_flow_style=True, width=10_000).strip()
+    flow = flow.removesuffix("...").strip()
+    added = f"{missing[0]}: {_number(value) if content is value else flow}"
+    if node.flow_style:
+        end = node.end_mark.index - 1
+        return text[:end].rstrip() + (", " if node.value else "") + added + text[end:]
+    first, last = node.value[0][0], node.value[-1][1]
+    line_end = text.find("\n", _end_of(last))
+    line_end = len(text) if line_end < 0 else line_end
+    return f"{text[:line_end]}\n{' ' * first.start_mark.column}{added}{text[line_end:]}"
+
+
+def _end_of(node: yaml.Node) -> int:
+    """Where the last scalar or bracket of a node ends."""
+    if getattr(node, "flow_style", True) or not node.value:
+        return node.end_mark.index
+    last = node.value[-1]
+    return _end_of(last[1] if isinstance(node, yaml.MappingNode) else last)
+
+
+def _number(value: float) -> str:
+    """A number as YAML 1.1 reads it: an exponent needs a point and a sign."""
+    word = repr(float(value))
+    mantissa, letter, exponent = word.partition("e")
+    if not letter:
+        return word
+    mantissa = mantissa if "." in mantissa else f"{mantissa}.0"
+    return f"{mantissa}e{'' if exponent[0] in '+-' else '+'}{exponent}"
+
+
+def _written_out(text: str, scene: Scene, places: Mapping[tuple, EditedNumber]) -> str:
+    """The text with copies in place of each repeated entry of which a number is changed."""
+    mapping = read_yaml(text)
+    copies = written_out(mapping, scene.path)
+    repeated: dict[tuple, tuple] = {}
+    for place in places:
+        for depth, step in enumerate(place):
+            if not isinstance(step, int):
+                continue
+            written, copy = as_written(scene.source.mapping, place[: depth + 1])
+            entry = _value(mapping, written)
+            if isinstance(entry, dict) and "repeat" in entry:
+                repeated[written] = place[:depth]
+                break
+    for written, section in sorted(repeated.items(), key=lambda one: one[0][-1], reverse=True):
+        node, _ = _found(yaml.compose(text, Loader=yaml.SafeLoader), written)
+        own = [one for index, one in enumerate(_value(copies, section))
+               if as_written(scene.source.mapping, (*section, index))[0] == written]  # fmt: skip
+        begin = text.rfind("\n", 0, node.start_mark.index) + 1
+        dash = text.index("-", begin)
+        end = text.find("\n", _end_of(node))
+        end = len(text) if end < 0 else end
+        made = [" " * (dash - begin) + "- " + yaml.safe_dump(
+            one, default_flow_style=True, sort_keys=False, width=10_000).strip() for one in own]
+        head = " " * (dash - begin) + "# Written out: the copies have numbers of their own."
+        anchors = dict(_ANCHOR.findall(text[begin:end]))
+        text = text[:begin] + "\n".join([head, *made]) + text[end:]
+        for name, content in anchors.items():
+            text = re.sub(rf"\*{name}\b", lambda _, content=content: content, text)
+    return text
+
+
+def _value(value: Any, place: tuple) -> Any:
+    """What is at a place of nested lists and mappings; None where nothing is."""
+    for step in place:
+        try:
+            value = value[step]
+        except (KeyError, IndexError, TypeError):
+            return None
+    return value

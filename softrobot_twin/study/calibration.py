@@ -1,0 +1,967 @@
+"""Calibration: numbers of a scene by what was measured while its robot rested.
+
+At a pose that rests, the model predicts the measured points and efforts y(θ), with derivatives by
+`Sensitivities`. Numbers are scaled by what is known of them before, θ = θ₀ + s z, or θ₀ exp(s z) of
+what is above zero by its nature, and
+
+    min Σ ρ((y(θ) - m) / σ) + ‖z‖²
+
+is solved by trust-region steps within |z| ≤ 4, with the soft absolute value ρ, which bounds the pull
+of outliers. The noise σ of each kind of measurement follows from its residuals. With the scaled
+Jacobian J of the measurements, a direction of z whose singular value is small is one that the data
+cannot tell; (JᵀJ + 1)⁻¹ is the covariance of z, and also tells what further poses would bring.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from scipy.optimize import least_squares, lsq_linear
+from scipy.stats import qmc, t
+
+from softrobot_twin.errors import NamedError
+from softrobot_twin.record.rest_poses import RestPose
+from softrobot_twin.scene import Scene
+from softrobot_twin.scene.actuator_entries import Cavity
+from softrobot_twin.scene.scene_parameters import Parameter, changed_scene, parameters
+from softrobot_twin.scene.schema import MarkerFrame
+from softrobot_twin.simulation import Simulation, Touched
+from softrobot_twin.simulation.build import build_terms
+from softrobot_twin.simulation.sensitivities import Loads, Sensitivities
+from softrobot_twin.simulation.state import State
+from softrobot_twin.study.equilibrium import WAY, bring_to_rest
+
+RELATIVE = {"Pa": 0.3, "kg/m³": 0.3, "N": 0.7, "N/m": 0.7}
+"""What is known before of what is above zero, by its unit: a standard deviation as a share."""
+KNOWN = {"rad": 0.1, "": 0.1}
+"""The same of other numbers, in their unit."""
+KNOWN_LENGTHS, KNOWN_PLACE = 0.02, 0.1
+"""Of lengths, and of the place of the cameras, as shares of the robot's size."""
+KNOWN_PRESSURE = 0.02
+"""Of the zero of a pressure, as a share of a large one."""
+MOST = 4.0
+"""A number stays within so many standard deviations of what is known before."""
+SOFT = 3.0
+"""Residuals of more standard deviations than this pull less than in proportion."""
+TOLD = 3.0
+"""A direction is told by the data where they tell it so much better than what is known before."""
+IN_DIRECTION = 0.1
+"""Numbers that change together along directions that are not told, by more than this share."""
+LEAST_NOISE = 1.0e-4
+"""Least noise, as a share of the spread of what is measured: models are not more exact."""
+LEAST_POSES = 3
+OTHER_SHAPE, OTHER_SHAPE_SIZE = 3.0, 0.1
+"""At a pose whose points are further off than so many times the median, and than this share of the robot's
+size, the model rests in another shape."""
+MOST_CANDIDATES, NEW_CANDIDATES = 6, 16
+"""Poses of the fit that are tried again, and new ones among which some are chosen."""
+LIGHT, HEAVY, HUNG_SHARE = 1.0e-3, 0.1, 0.03
+"""Least and greatest weight that is hung on a robot [kg], and the share of the robot's size by which it may move
+a point."""
+WEIGHTS = tuple(LIGHT * one * ten for ten in (1, 10, 100) for one in (1.0, 2.0, 5.0))
+EFFORT_NOISE = 0.01
+"""Noise of efforts that were not measured yet, as a share of the largest."""
+EACH_HELD_BACK = 4
+"""One of so many poses is held back."""
+_ROUNDS, _EVALUATIONS, _REWEIGHTED = 12, 12, 50
+_CURVED = 0.05
+"""The numbers are found where the curvature of the model moves them by less, in standard deviations."""
+_INLIERS, _SPREAD_OF_INLIERS = 3.0, 0.98658
+"""Residuals within so many standard deviations, and the standard deviation of a normal distribution that is
+cut off there."""
+_PLACE = re.compile(r"markers\[(\d+)\]\.point\[(\d)\]")
+_FRAME = re.compile(r"marker_frame\.(position|rotation)\[(\d)\]")
+_ZERO = re.compile(r"(cables|hinge_motors)\[(\d+)\]\.offset")
+_REGULATOR = re.compile(r"cavities\[(\d+)\]\.pressure_(gain|offset)")
+MARKERS, EFFECTORS = "markers", "effectors"
+
+
+class CalibrationError(NamedError):
+    """A calibration cannot be made; its name is a key of the scene, or the data."""
+
+
+class Unknown(NamedTuple):
+    """A number that is fitted.
+
+    Attributes:
+        parameter: Its handle.
+        start: Its value before.
+        known: Standard deviation of what is known before, in its unit; as a share where relative.
+        is_relative: Whether its logarithm is fitted, because it is above zero by its nature.
+    """
+
+    parameter: Parameter
+    start: float
+    known: float
+    is_relative: bool
+
+    def value(self, z: float) -> float:
+        """The number by its scaled distance from the start.
+
+        Args:
+            z: The distance, in standard deviations of what is known before.
+        """
+        return self.start * np.exp(self.known * z) if self.is_relative else self.start + self.known * z
+
+    def slope(self, z: float) -> float:
+        """Derivative of the number by its scaled distance.
+
+        Args:
+            z: See `value`.
+        """
+        return self.known * (self.value(z) if self.is_relative else 1.0)
+
+
+class Measurements(NamedTuple):
+    """Numbers that were measured, of all poses.
+
+    Attributes:
+        values: [m], [N], ..., shape (n,).
+        kinds: What each is, such as ``markers`` or ``tension``, shape (n,).
+        poses: Index of the pose of each, shape (n,).
+    """
+
+    values: np.ndarray
+    kinds: np.ndarray
+    poses: np.ndarray
+
+
+class Prediction(NamedTuple):
+    """What a model predicts of measurements.
+
+    Attributes:
+        values: Shape (n,).
+        jacobian: By the numbers, each per its unit, shape (n, number_count); None where not asked.
+    """
+
+    values: np.ndarray
+    jacobian: np.ndarray | None
+
+
+class Model(Protocol):
+    """What predicts measurements."""
+
+    def predict(self, numbers: np.ndarray, with_jacobian: bool) -> Prediction:
+        """Measurements by the unknown numbers.
+
+        Args:
+            numbers: Their values, each in its unit, shape (number_count,).
+            with_jacobian: Whether derivatives are asked for.
+        """
+
+
+# --- the model at rest ---------------------------------------------------------------------------
+
+
+def scene_of_points(scene: Scene) -> Scene:
+    """The scene in statics, with an effector in place of each marker, before its own effectors.
+
+    Args:
+        scene: The scene.
+
+    Raises:
+        SceneError: The robot has no statics, for example because a body is free.
+    """
+    taken: list[dict[str, Any]] = [
+        {"name": f"marker_{one.id}_", "body": one.body, "points": [one.point]} for one in scene.markers]
+    taken += [{"name": one.name, "body": one.body, "points": one.points} for one in scene.effectors]
+    changes: dict[str, Any] = {"effectors": taken, "markers": []}
+    if scene.integration != "quasi_static":
+        changes |= {"integration": "quasi_static", "time_scheme": "backward_euler",
+                    "spectral_radius": None}  # fmt: skip
+    return changed_scene(scene, changes)
+
+
+class RestModel:
+    """Predicts what is measured at poses at rest, and its derivatives by numbers of the scene.
+
+    Attributes:
+        measured: What was measured at the poses, in the order of predictions.
+        lost: Poses at which the model did not come to rest in the last prediction.
+        size: Of the robot [m].
+    """
+
+    def __init__(self, scene: Scene, keys: Sequence[Parameter], poses: Sequence[RestPose]):
+        """Build the simulation.
+
+        Args:
+            scene: The scene.
+            keys: Handles of the numbers.
+            poses: The poses.
+
+        Raises:
+            SceneError: The robot has no statics.
+        """
+        self._keys, self.poses = list(keys), list(poses)
+        self._scene, self._at = scene, np.array([one.read(scene) for one in self._keys])
+        self._build()
+        size = self.simulation.model.nodes.size
+        self.size = float(size) if np.isfinite(size) else 1.0
+        self._states: dict[int, tuple[float, State]] = {}
+        self.lost: list[int] = []
+        self._layout = None
+        if any(_PLACE.fullmatch(one.key) for one in self._keys):
+            self._layout = build_terms(self.simulation.scene).layout
+        parts = [_stacked(pose.markers, pose.effectors, pose.efforts) for pose in self.poses]
+        kinds, usable = self._kinds()
+        self._masks = [np.isfinite(values) & usable for values in parts]
+        self.measured = Measurements(
+            np.concatenate([np.empty(0), *(v[m] for v, m in zip(parts, self._masks, strict=True))]),
+            np.concatenate([kinds[:0], *(kinds[mask] for mask in self._masks)]),
+            np.repeat(np.arange(len(parts)), [mask.sum() for mask in self._masks]))
+
+    def _build(self) -> None:
+        self.simulation = Simulation(scene_of_points(self._scene), with_warnings=False)
+        self._sensitivities = Sensitivities(self.simulation)
+
+    def _kinds(self) -> tuple[np.ndarray, np.ndarray]:
+        """What each number of a pose is, and whether it follows: given efforts are none that do."""
+        actuators, scene = self.simulation.actuators, self._scene
+        points = [MARKERS] * (3 * len(scene.markers)) + [EFFECTORS] * (3 * len(scene.effectors))
+        follows = ~actuators.is_effort_driven & ~actuators.is_moved
+        return (np.array([*points, *(kind.effort.word for kind in actuators.kinds)]),
+                np.concatenate([np.ones(len(points), bool), follows]))
+
+    @staticmethod
+    def _stacked(markers: np.ndarray, effectors: np.ndarray, efforts: np.ndarray) -> np.ndarray:
+        return np.concatenate([np.ravel(markers), np.ravel(effectors), efforts])
+
+    def predict(self, numbers: np.ndarray, with_jacobian: bool) -> Prediction:
+        """What is measured at the poses, NaN at those where the model does not come to rest.
+
+        Args:
+            numbers: Values of the numbers, each in its unit, shape (number_count,).
+            with_jacobian: Whether derivatives are asked for.
+        """
+        self._take(np.asarray(numbers, float))
+        self.lost, values, parts = [], [], []
+        for index, pose in enumerate(self.poses):
+            mask = self._masks[index]
+            if not self._rests(index, pose):
+                self.lost.append(index)
+                values.append(np.full(mask.sum(), np.nan))
+                parts.append(np.zeros((mask.sum(), len(self._keys))))
+                continue
+            values.append(self._outputs()[mask])
+            if with_jacobian:
+                parts.append(self._jacobian(pose)[mask])
+        empty = np.empty((0, len(self._keys)))
+        jacobian = np.concatenate([empty, *parts]) if with_jacobian else None
+        return Prediction(np.concatenate([np.empty(0), *values]), jacobian)
+
+    def distances(self) -> np.ndarray:
+        """Root mean square distances of the points from the measured ones, with the present numbers
+        [m], NaN where the model does not come to rest, shape (pose_count,)."""
+        self.predict(self._at, False)
+        return np.array([np.nan if k in self.lost else self._states[k][0] for k in range(len(self.poses))])
+
+    def _take(self, numbers: np.ndarray) -> None:
+        """Builds the simulation with these numbers, unless it has them."""
+        if np.array_equal(numbers, self._at):
+            return
+        self._at = numbers
+        own = {one.key: float(value) for one, value in zip(self._keys, numbers, strict=True)}
+        self._scene = changed_scene(self._scene, own)
+        if not all(_FRAME.fullmatch(key) for key in own):
+            self._build()
+
+    def _rests(self, index: int, pose: RestPose) -> bool:
+        """Brings the simulation to rest at a pose: from where it rested there before, or from rest."""
+        simulation, setpoints = self.simulation, self._setpoints(pose)
+        touched = None
+        if len(pose.forces):
+            touched = Touched(np.array(pose.forces), np.full(np.shape(pose.forces), np.nan))
+        misfit, known = self._states.get(index, (np.inf, None))
+        begins = [(known, 1)] if known is not None else []
+        for begin, way in (*begins, (None, WAY)):
+            if begin is None:
+                simulation.reset()
+            else:
+                simulation.restore(begin)
+            if bring_to_rest(simulation, setpoints, way, None, touched).is_reached:
+                # Of several shapes at one pose that nearest to the measured one is followed.
+                if (now := self._misfit(index)) <= misfit:
+                    self._states[index] = now, simulation.state
+                return True
+        return False
+
+    def _misfit(self, index: int) -> float:
+        """Root mean square distance of the points from the measured ones [m]; 0 without any."""
+        pose, points = self.poses[index], 3 * len(self.simulation.effector_names)
+        seen = self._masks[index][:points]
+        apart = self._outputs()[:points] - _stacked(pose.markers, pose.effectors, pose.efforts)[:points]
+        return float(np.sqrt(3.0 * np.mean(apart[seen] ** 2))) if seen.any() else 0.0
+
+    def _setpoints(self, pose: RestPose) -> np.ndarray:
+        """Setpoints of the simulation, whose pressures are true ones."""
+        setpoints = np.array(pose.setpoints, float)
+        for place, entry in self._regulated():
+            setpoints[place] = entry.pressure_gain * (setpoints[place] - entry.pressure_offset)
+        return setpoints
+
+    def _regulated(self) -> Iterator[tuple[int, Cavity]]:
+        """Place and entry of each cavity whose pressure is commanded."""
+        own = self.simulation.actuators.of_section("cavities")
+        for place, entry in zip(range(own.start, own.stop), self._scene.cavities):
+            if entry.control == "pressure":
+                yield place, entry
+
+    def _outputs(self) -> np.ndarray:
+        points, count = self.simulation.effector_positions(), len(self._scene.markers)
+        markers = self._scene.marker_frame.of_cameras(points[:count])
+        return _stacked(markers, points[count:], self.simulation.state.efforts)
+
+    def _jacobian(self, pose: RestPose) -> np.ndarray:
+        """Derivatives of all numbers of a pose, where the simulation rests."""
+        own = self._sensitivities
+        place_of = [_PLACE.fullmatch(one.key) for one in self._keys]
+        loads = [self._loads(one, pose) for one in self._keys]
+        found = own.of_loads(self._keys, loads)
+        points, count = found.effectors, len(self._scene.markers)
+        if any(place_of):
+            gradients = self._gradients()
+            for column, match in enumerate(place_of):
+                if match:
+                    marker, axis = map(int, match.groups())
+                    points[marker, :, column] += gradients[marker, :, axis]
+        frame = self._scene.marker_frame
+        places = self.simulation.effector_positions()[:count]
+        markers = np.einsum("ij,kip->kjp", _turn(frame), points[:count])
+        by_frame = frame_derivative(frame, places)
+        for column, one in enumerate(self._keys):
+            if match := _FRAME.fullmatch(one.key):
+                first = 0 if match[1] == "position" else 3
+                markers[:, :, column] += by_frame[:, :, first + int(match[2])]
+        width = len(self._keys)
+        return np.concatenate([markers.reshape(-1, width), points[count:].reshape(-1, width),
+                               found.efforts])  # fmt: skip
+
+    def _loads(self, one: Parameter, pose: RestPose) -> Loads:
+        """What a number changes while unknowns and efforts stay."""
+        model, simulation = self.simulation.model, self.simulation
+        a = model.rows.groups.actuators.stop
+        none = Loads(np.zeros((model.nodes.free_node_count, 3)), np.zeros(a),
+                     np.zeros((len(simulation.effector_names), 3)))  # fmt: skip
+        if _PLACE.fullmatch(one.key) or _FRAME.fullmatch(one.key):
+            return none
+        if match := _ZERO.fullmatch(one.key):
+            place = simulation.actuators.of_section(match[1]).start + int(match[2])
+            none.displacements[place] = -simulation.actuators.kinds[place].sign
+            return none
+        if match := _REGULATOR.fullmatch(one.key):
+            place = simulation.actuators.of_section("cavities").start + int(match[1])
+            entry, effort = self._scene.cavities[int(match[1])], np.zeros(simulation.actuators.count)
+            effort[place] = (pose.setpoints[place] - entry.pressure_offset if match[2] == "gain"
+                             else -entry.pressure_gain)  # fmt: skip
+            model.rows.evaluate(simulation.state.positions)
+            model.rows.add_forces(model.rows.multipliers(effort), none.forces)
+            return none
+        return self._sensitivities.loads(one)
+
+    def _gradients(self) -> np.ndarray:
+        """∂x/∂X of the bodies at the markers, shape (marker_count, 3, 3)."""
+        markers, step = self._scene.markers, 1.0e-6 * self.size
+        positions, found = self.simulation.state.positions, np.empty((len(markers), 3, 3))
+        for index, marker in enumerate(markers):
+            shifts = np.concatenate([np.eye(3), -np.eye(3)]) * step
+            mapping = self._layout.carried(marker.body, np.array(marker.point) + shifts, "markers", [])
+            moved = mapping.positions(positions)
+            found[index] = ((moved[:3] - moved[3:]) / (2.0 * step)).T
+        return found
+
+
+def _stacked(markers: np.ndarray, effectors: np.ndarray, efforts: np.ndarray) -> np.ndarray:
+    return np.concatenate([np.ravel(markers), np.ravel(effectors), efforts])
+
+
+def _turn(frame: MarkerFrame) -> np.ndarray:
+    return MarkerFrame(rotation=frame.rotation).of_robot(np.eye(3)).T
+
+
+def _turn_about(axis: int, frame: MarkerFrame) -> np.ndarray:
+    angles = [0.0, 0.0, 0.0]
+    angles[axis] = frame.rotation[axis]
+    return _turn(MarkerFrame(rotation=(angles[0], angles[1], angles[2])))
+
+
+def frame_derivative(frame: MarkerFrame, points: np.ndarray) -> np.ndarray:
+    """Derivatives of points in the frame of the cameras by position and angles of that frame.
+
+    Args:
+        frame: The frame.
+        points: In the frame of the robot [m], shape (n, 3).
+
+    Returns:
+        Shape (n, 3, 6); by the position first.
+    """
+    # R turns about x, then y, then z: each angle turns about its axis as those after it have turned it.
+    x, y, z = (_turn_about(axis, frame) for axis in range(3))
+    R, from_origin = z @ y @ x, points - np.array(frame.position)
+    axes = (z @ y @ np.eye(3)[0], z @ np.eye(3)[1], np.eye(3)[2])
+    found = np.empty((len(points), 3, 6))
+    found[:, :, :3] = -R.T
+    for k, axis in enumerate(axes):
+        found[:, :, 3 + k] = -np.cross(axis, from_origin) @ R
+    return found
+
+
+# --- the estimate --------------------------------------------------------------------------------
+
+
+class Estimate(NamedTuple):
+    """Numbers of a scene that explain measurements.
+
+    Attributes:
+        unknowns: The numbers, p of them.
+        z: Their scaled distances from the start, shape (p,).
+        covariance: Of z, shape (p, p).
+        noise: Standard deviation of each kind of measurement, in its unit.
+        jacobian: Of the measurements over their noise, by z, shape (n, p).
+        residuals: Predicted less measured, over the noise, shape (n,).
+    """
+
+    unknowns: tuple[Unknown, ...]
+    z: np.ndarray
+    covariance: np.ndarray
+    noise: dict[str, float]
+    jacobian: np.ndarray
+    residuals: np.ndarray
+
+    @property
+    def values(self) -> np.ndarray:
+        """The numbers, each in its unit, shape (p,)."""
+        return np.array([one.value(z) for one, z in zip(self.unknowns, self.z, strict=True)])
+
+    @property
+    def intervals(self) -> np.ndarray:
+        """Ends of the 95 % intervals of the numbers, shape (p, 2)."""
+        freedom = max(1, len(self.residuals) - len(self.z))
+        wide = t.ppf(0.975, freedom) * np.sqrt(np.diag(self.covariance))
+        return np.array([[one.value(z - w), one.value(z + w)]
+                         for one, z, w in zip(self.unknowns, self.z, wide, strict=True)])  # fmt: skip
+
+    @property
+    def deviations(self) -> np.ndarray:
+        """Standard deviations of the numbers, in their units; shares of relative ones, shape (p,)."""
+        return np.sqrt(np.diag(self.covariance)) * [one.known for one in self.unknowns]
+
+    def without(self, places: Sequence[int]) -> Estimate:
+        """The estimate with some numbers back at their start, to which the others adapt.
+
+        The intervals of the others stay as wide as they are with these numbers unknown.
+
+        Args:
+            places: Indices of these numbers.
+        """
+        kept = np.delete(np.arange(len(self.z)), places)
+        J, others = self.jacobian[:, kept], self.jacobian[:, places] @ self.z[places]
+        moved = np.linalg.solve(J.T @ J + np.eye(len(kept)), J.T @ others)
+        return Estimate(
+            tuple(self.unknowns[i] for i in kept), self.z[kept] + moved,
+            self.covariance[np.ix_(kept, kept)], self.noise, J, self.residuals - others + J @ moved)
+
+    def at_bounds(self) -> list[str]:
+        """Keys of the numbers that went as far as they may."""
+        return [one.parameter.key for one, z in zip(self.unknowns, self.z, strict=True)
+                if abs(z) > 0.99 * MOST]  # fmt: skip
+
+
+def estimate(model: Model, measured: Measurements, unknowns: Sequence[Unknown]) -> Estimate:
+    """Fits the numbers to measurements.
+
+    Args:
+        model: Predicts the measurements.
+        measured: They.
+        unknowns: The numbers.
+
+    Raises:
+        CalibrationError: There are fewer measurements than numbers, or the model does not come to
+            rest at its start.
+    """
+    count = len(unknowns)
+    if len(measured.values) <= count:
+        raise CalibrationError("data", f"{len(measured.values)} measured numbers are too few for "
+                               f"{count} unknown ones")
+    scaled = _Scaled(model, unknowns)
+    z = np.zeros(count)
+    values = scaled.at(z, False).values
+    if not np.isfinite(values).all():
+        raise CalibrationError("data", "the model does not come to rest at a pose")
+    noise = _noise(values - measured.values, measured, count)
+    z = _solved(scaled, measured, z, noise, 1.0e-2)
+    here = scaled.at(z, True)
+    for _ in range(_ROUNDS):
+        linear = _Linear(z, here)
+        z, noise = _polished(linear, measured, noise)
+        here = here._replace(values=scaled.at(z, False).values)
+        per = np.array([noise[kind] for kind in measured.kinds])
+        if not np.isfinite(here.values).all():
+            z = _solved(scaled, measured, linear.origin, noise, 1.0e-2)
+            here = scaled.at(z, True)
+            continue
+        bend, J = (here.values - linear.at(z, False).values) / per, here.jacobian / per[:, None]
+        # By how much the curvature moves the numbers, in standard deviations of their estimates.
+        inverse = np.linalg.inv(J.T @ J + np.eye(count))
+        moved = np.abs(inverse @ (J.T @ bend) / np.sqrt(np.diag(inverse))).max(initial=0.0)
+        if moved < _CURVED:
+            break
+        if moved > 1.0:
+            here = scaled.at(z, True)
+    residuals, J = (here.values - measured.values) / per, here.jacobian / per[:, None]
+    soft = 1.0 + (residuals / SOFT) ** 2
+    # Information of an estimate with pulls ψ: (Σ ψ')² / Σ ψ², by which normal noise loses 1 %.
+    share = np.mean(soft**-1.5) ** 2 / max(np.mean(residuals**2 / soft), 1.0e-12)
+    covariance = np.linalg.inv(min(share, 1.0) * J.T @ J + np.eye(count))
+    return Estimate(tuple(unknowns), z, covariance, noise, J, residuals)
+
+
+def _polished(
+    linear: _Linear, measured: Measurements, noise: dict[str, float]
+) -> tuple[np.ndarray, dict[str, float]]:
+    """The minimum of a linear model by reweighting, with the noise that follows from its residuals."""
+    z, count = linear.origin, len(linear.origin)
+    for _ in range(_REWEIGHTED):
+        here = linear.at(z, True)
+        off = here.values - measured.values
+        before, noise = noise, _noise(off, measured, count)
+        per = np.array([noise[kind] for kind in measured.kinds])
+        root = (1.0 + (off / per / SOFT) ** 2) ** -0.25
+        A = np.concatenate([here.jacobian * (root / per)[:, None], np.eye(count)])
+        b = A @ z - np.concatenate([root * off / per, z])
+        moved, z = z, np.linalg.lstsq(A, b, rcond=None)[0]
+        if np.abs(z).max(initial=0.0) > MOST:
+            z = lsq_linear(A, b, (-MOST, MOST)).x
+        if np.abs(z - moved).max(initial=0.0) < 1.0e-6 and all(
+                abs(noise[kind] / before[kind] - 1.0) < 1.0e-3 for kind in noise):  # fmt: skip
+            break
+    return z, noise
+
+
+class _Scaled:
+    """A model by scaled numbers."""
+
+    def __init__(self, model: Model, unknowns: Sequence[Unknown]):
+        self._model, self._unknowns = model, unknowns
+        self._known: dict[bytes, Prediction] = {}
+
+    def at(self, z: np.ndarray, with_jacobian: bool) -> Prediction:
+        """The prediction at z, with the derivative by z."""
+        key = z.tobytes()
+        found = self._known.get(key)
+        if found is None or (with_jacobian and found.jacobian is None):
+            pairs = list(zip(self._unknowns, z, strict=True))
+            found = self._model.predict(np.array([one.value(at) for one, at in pairs]), with_jacobian)
+            slopes = np.array([one.slope(at) for one, at in pairs])
+            found = found._replace(jacobian=found.jacobian * slopes if with_jacobian else None)
+            self._known[key] = found
+        return found
+
+
+class _Linear:
+    """A model that is linear in z.
+
+    Attributes:
+        origin: Where it was built.
+    """
+
+    def __init__(self, origin: np.ndarray, here: Prediction):
+        self.origin, self._here = origin, here
+
+    def at(self, z: np.ndarray, with_jacobian: bool) -> Prediction:
+        """See `_Scaled.at`."""
+        here = self._here
+        return here._replace(values=here.values + here.jacobian @ (z - self.origin))
+
+
+def _solved(
+    model: _Scaled | _Linear, measured: Measurements, z: np.ndarray, noise: Mapping[str, float],
+    tolerance: float,
+) -> np.ndarray:  # fmt: skip
+    """The minimum at a given noise, by trust-region steps."""
+    per, count = np.array([noise[kind] for kind in measured.kinds]), len(measured.values)
+    # Where a pose is lost the step is refused: it costs more than any that is not.
+    lost = 1.0e3 * max(1.0, float(np.abs((model.at(z, False).values - measured.values) / per).max()))
+
+    def residuals(at: np.ndarray) -> np.ndarray:
+        own = (model.at(at, False).values - measured.values) / per
+        return np.concatenate([np.where(np.isfinite(own), own, lost), at])
+
+    def jacobian(at: np.ndarray) -> np.ndarray:
+        return np.concatenate([model.at(at, True).jacobian / per[:, None], np.eye(len(at))])
+
+    def soft(squares: np.ndarray) -> np.ndarray:
+        rho = np.stack([squares, np.ones_like(squares), np.zeros_like(squares)])
+        root = np.sqrt(1.0 + squares[:count] / SOFT**2)
+        rho[:, :count] = 2.0 * SOFT**2 * (root - 1.0), 1.0 / root, -0.5 / SOFT**2 / root**3
+        return rho
+
+    return least_squares(
+        residuals, z, jacobian, bounds=(-MOST, MOST), loss=soft, xtol=tolerance, ftol=tolerance,
+        gtol=1.0e-12, max_nfev=_EVALUATIONS,
+    ).x  # fmt: skip
+
+
+def _noise(residuals: np.ndarray, measured: Measurements, count: int) -> dict[str, float]:
+    """Standard deviation of the residuals of each kind, of which some may be outliers."""
+    freedom = np.sqrt(len(residuals) / max(1, len(residuals) - count))
+    found = {}
+    for kind in dict.fromkeys(measured.kinds.tolist()):
+        own = residuals[measured.kinds == kind]
+        typical = 1.4826 * np.median(np.abs(own))
+        inside = own[np.abs(own) <= _INLIERS * typical]
+        spread = np.sqrt(np.mean(inside**2)) / _SPREAD_OF_INLIERS if len(inside) else typical
+        least = LEAST_NOISE * np.std(measured.values[measured.kinds == kind])
+        found[kind] = max(float(freedom * spread), float(least), 1.0e-12)
+    return found
+
+
+# --- what the data tell --------------------------------------------------------------------------
+
+
+def not_told(jacobian: np.ndarray, least: float = TOLD) -> list[tuple[int, ...]]:
+    """Numbers that the data cannot tell, in groups that they cannot tell apart.
+
+    Args:
+        jacobian: See `Estimate`.
+        least: See `TOLD`.
+
+    Returns:
+        Indices of the numbers of each group.
+    """
+    _, singular, V = np.linalg.svd(jacobian, full_matrices=True)
+    singular = np.concatenate([singular, np.zeros(len(V) - len(singular))])
+    weak = V[singular < least]
+    shares = np.abs(weak.T @ weak) > IN_DIRECTION
+    left, groups = set(np.flatnonzero(shares.diagonal()).tolist()), []
+    while left:
+        group, new = set[int](), {min(left)}
+        while new:
+            group |= new
+            new = {int(j) for i in new for j in np.flatnonzero(shares[i])} & left - group
+        groups.append(tuple(sorted(group)))
+        left -= group
+    return groups
+
+
+def deviations_with(jacobian: np.ndarray, *others: np.ndarray) -> np.ndarray:
+    """Standard deviations of z by measurements with these Jacobians, shape (p,).
+
+    Args:
+        jacobian: See `Estimate`.
+        *others: Those of further measurements.
+    """
+    information = np.eye(jacobian.shape[1]) + sum(J.T @ J for J in (jacobian, *others))
+    return np.sqrt(np.diag(np.linalg.inv(information)))
+
+
+# --- the whole -----------------------------------------------------------------------------------
+
+
+class Validation(NamedTuple):
+    """How far predictions are from what was measured at poses that were held back.
+
+    Attributes:
+        before: Root mean square of each kind of measurement, before; of points that of distances [m].
+        after: The same with the fitted numbers.
+        by_pose: Root mean square distance of the points at each pose [m], before and after, shape
+            (2, pose_count).
+        origins: Of the poses.
+    """
+
+    before: dict[str, float]
+    after: dict[str, float]
+    by_pose: np.ndarray
+    origins: tuple[str, ...]
+
+    @property
+    def is_better(self) -> bool:
+        """Whether the points, or without any the efforts, are nearer than before."""
+        points = [kind for kind in self.before if kind in (MARKERS, EFFECTORS)]
+        return all(self.after[kind] < self.before[kind] for kind in points or self.before)
+
+
+class Calibration(NamedTuple):
+    """What a calibration found.
+
+    Attributes:
+        scene: With the fitted numbers, also where they shall not be used.
+        estimate: The numbers.
+        validation: On poses that were held back.
+        not_told: Keys of the numbers that the data cannot tell, in groups that they cannot tell apart.
+            A number that is alone in its group stays as it was, and is not among those of `estimate`.
+        pose_count: Poses of the fit.
+        set_aside: Poses that were left out, each with the reason.
+        start: The scene before.
+        poses: The poses of the fit.
+        joint: The estimate with the numbers that are not told.
+    """
+
+    scene: Scene
+    estimate: Estimate
+    validation: Validation
+    not_told: tuple[tuple[str, ...], ...]
+    pose_count: int
+    set_aside: tuple[str, ...]
+    start: Scene
+    poses: tuple[RestPose, ...]
+    joint: Estimate
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The fitted numbers by their keys, each in its unit."""
+        return {one.parameter.key: float(value) for one, value in
+                zip(self.estimate.unknowns, self.estimate.values, strict=True)}  # fmt: skip
+
+    @property
+    def is_accepted(self) -> bool:
+        """Whether there are numbers that the data tell apart, and they are better than those before."""
+        are_apart = all(len(group) == 1 for group in self.not_told)
+        return are_apart and bool(self.estimate.unknowns) and self.validation.is_better
+
+
+def unknowns_of(
+    scene: Scene, keys: Sequence[str], known: Mapping[str, float] | None = None
+) -> tuple[Unknown, ...]:
+    """Numbers of a scene that shall be fitted, with what is known of them before.
+
+    Args:
+        scene: The scene.
+        keys: See `softrobot_twin.scene.scene_parameters.parameters`.
+        known: Standard deviations by keys, in their units; as shares of numbers above zero by nature.
+
+    Raises:
+        SceneError: No number has such a key.
+        CalibrationError: A number cannot be fitted.
+    """
+    simulation = Simulation(scene, with_warnings=False)
+    size = simulation.model.nodes.size
+    size = float(size) if np.isfinite(size) else 1.0
+    given = {one.key: value for key, value in (known or {}).items()
+             for one in parameters(scene, key)}  # fmt: skip
+    efforts = simulation.actuators.effort_scale[simulation.actuators.of_section("cavities")]
+    return tuple(_unknown(scene, one, size, efforts, given) for one in parameters(scene, *keys))
+
+
+def _unknown(
+    scene: Scene, one: Parameter, size: float, efforts: np.ndarray, given: Mapping[str, float]
+) -> Unknown:
+    """A number with what is known of it before."""
+    start, unit, match = one.read(scene), one.unit, _REGULATOR.fullmatch(one.key)
+    if one.key.startswith("effectors"):
+        raise CalibrationError(one.key, "is where the model looks, and no number of the robot")
+    if not np.isfinite(start):
+        raise CalibrationError(one.key, f"is {start:g}: give it a first value in the scene")
+    is_relative = unit in RELATIVE and match is None
+    if is_relative and start <= 0.0:
+        raise CalibrationError(one.key, f"is {start:g} {unit}: give it a first value above zero")
+    length = KNOWN_PLACE if one.key.startswith("marker_frame") else KNOWN_LENGTHS
+    if is_relative:
+        usual = RELATIVE[unit]
+    elif match is not None and unit:
+        usual = KNOWN_PRESSURE * float(efforts[int(match[1])])
+    else:
+        usual = length * size if unit == "m" else KNOWN.get(unit, 0.1 * abs(start) or 1.0)
+    return Unknown(one, start, float(given.get(one.key, usual)), is_relative)
+
+
+def calibrate(
+    scene: Scene, poses: Sequence[RestPose], keys: Sequence[str],
+    known: Mapping[str, float] | None = None,
+) -> Calibration:  # fmt: skip
+    """Fits numbers of a scene to what was measured at rest, and tries them at poses held back.
+
+    Args:
+        scene: The scene.
+        poses: The poses.
+        keys: Keys of the numbers; see `unknowns_of`.
+        known: See `unknowns_of`.
+
+    Raises:
+        SceneError: No number has such a key, or the robot has no statics.
+        CalibrationError: The poses are too few, or a number cannot be fitted.
+    """
+    unknowns = unknowns_of(scene, keys, known)
+    handles = [one.parameter for one in unknowns]
+    used, aside = _usable(scene, poses)
+    if len(used) < LEAST_POSES:
+        raise CalibrationError("data", f"{len(used)} poses at rest can be used, {LEAST_POSES} are "
+                               f"needed: {'; '.join(aside) or 'no more were recorded'}")
+    held = used[EACH_HELD_BACK - 1 :: EACH_HELD_BACK] or used[-1:]
+    own = [pose for pose in used if not any(pose is one for one in held)]
+    found = estimate(model := RestModel(scene, handles, own), model.measured, unknowns)
+    groups = not_told(found.jacobian)
+    kept = found.without([group[0] for group in groups if len(group) == 1])
+    numbers = zip((one.parameter.key for one in kept.unknowns), kept.values.tolist(), strict=True)
+    fitted = changed_scene(scene, dict(numbers))
+    keys_of = tuple(tuple(handles[i].key for i in group) for group in groups)
+    return Calibration(fitted, kept, validated(scene, fitted, held), keys_of, len(own), tuple(aside),
+                       scene, tuple(own), found)  # fmt: skip
+
+
+def _usable(scene: Scene, poses: Sequence[RestPose]) -> tuple[list[RestPose], list[str]]:
+    """Poses at which the model rests in the measured shape, and why others are set aside."""
+    model = RestModel(scene, [], poses)
+    apart = model.distances()
+    typical = np.nanmedian(apart) if np.isfinite(apart).any() else np.nan
+    far = apart > max(OTHER_SHAPE * typical, OTHER_SHAPE_SIZE * model.size)
+    used, aside = [], []
+    for pose, distance, is_far in zip(poses, apart, far, strict=True):
+        if np.isnan(distance):
+            aside.append(f"{pose.origin}: the model does not come to rest there")
+        elif is_far:
+            aside.append(f"{pose.origin}: the model rests {1e3 * distance:.1f} mm from what was measured, "
+                         "in another shape")
+        else:
+            used.append(pose)
+    return used, aside
+
+
+def validated(before: Scene, after: Scene, poses: Sequence[RestPose]) -> Validation:
+    """Compares two scenes by what was measured at poses.
+
+    Args:
+        before: One scene.
+        after: The other one, with the same markers, effectors and actuators.
+        poses: The poses.
+    """
+    errors, distances = [], []
+    for scene in (before, after):
+        model = RestModel(scene, [], poses)
+        distances.append(model.distances())
+        apart = model.predict(np.empty(0), False).values - model.measured.values
+        own = {}
+        for kind in dict.fromkeys(model.measured.kinds.tolist()):
+            squares = apart[model.measured.kinds == kind] ** 2
+            own[kind] = float(np.sqrt(np.mean(squares) * (3 if kind in (MARKERS, EFFECTORS) else 1)))
+        errors.append(own)
+    return Validation(errors[0], errors[1], np.array(distances), tuple(pose.origin for pose in poses))
+
+
+# --- what would tell more ------------------------------------------------------------------------
+
+
+class Suggestion(NamedTuple):
+    """Something to measure.
+
+    Attributes:
+        words: What to do.
+        deviations: Standard deviations of the numbers after it, as in `Estimate`, shape (p,).
+        information: By how much the logarithm of the determinant of the information grows.
+        poses: The poses.
+    """
+
+    words: str
+    deviations: np.ndarray
+    information: float
+    poses: tuple[RestPose, ...]
+
+
+def suggestions(found: Calibration, count: int = 3) -> tuple[Suggestion, ...]:
+    """What would tell most of the numbers, by expected information (D-optimal), the best first.
+
+    Candidates are the poses of the fit again with weights hung on effectors or with measured efforts,
+    and new poses, of which as many as `count` are chosen one after the other.
+
+    Args:
+        found: A calibration.
+        count: Poses of a suggestion of new ones.
+    """
+    asked = _Candidates(found)
+    known = [one.known for one in found.joint.unknowns]
+    J = found.joint.jacobian
+    base = _information(J)
+    made = [(words, poses, blocks) for words, poses, blocks in asked.again()]
+    made.append(asked.new_poses(count))
+    return tuple(sorted(
+        (Suggestion(words, deviations_with(J, *blocks) * known, _information(J, *blocks) - base,
+                    tuple(poses)) for words, poses, blocks in made if blocks),
+        key=lambda one: -one.information))  # fmt: skip
+
+
+def _information(*jacobians: np.ndarray) -> float:
+    """Logarithm of the determinant of the information of measurements, with what is known before."""
+    total = np.eye(jacobians[0].shape[1]) + sum(J.T @ J for J in jacobians)
+    return float(np.linalg.slogdet(total)[1])
+
+
+class _Candidates:
+    """Poses that may be measured, and what they would tell."""
+
+    def __init__(self, found: Calibration):
+        self._found, scene = found, found.scene
+        points: tuple[Any, ...] = scene.effectors or scene.markers[-1:]
+        self._hung = [getattr(one, "name", f"marker {getattr(one, 'id', '')}") for one in points]
+        touches = [{"name": f"weight_{index}_", "body": one.body,
+                    "points": getattr(one, "points", None) or [one.point]}
+                   for index, one in enumerate(points)]  # fmt: skip
+        self._scene = changed_scene(scene, {"touches": [*scene.touches, *touches]})
+        self._own = len(scene.touches)
+        self._poses = found.poses[:MOST_CANDIDATES]
+        self._has_efforts = any(np.isfinite(pose.efforts).any() for pose in found.poses)
+        self._down = np.array(scene.gravity) if any(scene.gravity) else np.array([0.0, 0.0, -9.81])
+
+    def again(self) -> Iterator[tuple[str, list[RestPose], list[np.ndarray]]]:
+        """The poses of the fit again, with weights and with efforts."""
+        for index, name in enumerate(self._hung):
+            mass = self._mass(index)
+            poses = [self._full(pose, self._has_efforts, index, mass) for pose in self._poses]
+            blocks = self._jacobians(poses)
+            yield (f"hang {1e3 * mass:.3g} g on {name} at {len(blocks)} recorded poses", poses, blocks)
+        follows = RestModel(self._scene, [], []).simulation.actuators
+        words = {kind.effort.word for kind in follows.kinds if not kind.is_effort_driven}
+        if not self._has_efforts and words:
+            poses = [self._full(pose, True) for pose in self._poses]
+            blocks = [J[-len(pose.efforts) :] for J, pose in zip(self._jacobians(poses), poses)]
+            yield f"measure each {' and '.join(sorted(words))} to {EFFORT_NOISE:.0%}", poses, blocks
+
+    def new_poses(self, count: int) -> tuple[str, list[RestPose], list[np.ndarray]]:
+        """New poses within the range of the recorded ones, chosen one after the other."""
+        setpoints = np.array([pose.setpoints for pose in self._found.poses])
+        low, high = setpoints.min(axis=0), setpoints.max(axis=0)
+        drawn = qmc.Sobol(len(low), seed=0).random(NEW_CANDIDATES) * (high - low) + low
+        poses = [self._full(self._poses[0]._replace(setpoints=one, forces=0 * self._poses[0].forces),
+                            self._has_efforts) for one in drawn]  # fmt: skip
+        blocks, J, chosen = self._jacobians(poses), [self._found.joint.jacobian], []
+        for _ in range(min(count, len(blocks))):
+            left = [i for i in range(len(blocks)) if i not in chosen]
+            chosen.append(max(left, key=lambda i: _information(*J, blocks[i])))
+            J.append(blocks[chosen[-1]])
+        return f"measure {len(chosen)} new poses", [poses[i] for i in chosen], J[1:]
+
+    def _full(
+        self, pose: RestPose, with_efforts: bool, hung: int | None = None, mass: float = 0.0
+    ) -> RestPose:
+        """A pose at which all is measured, perhaps with a weight."""
+        forces = np.zeros((self._own + len(self._hung), 3))
+        forces[: self._own] = pose.forces
+        if hung is not None:
+            forces[self._own + hung] = mass * self._down
+        efforts = np.full(len(pose.efforts), 0.0 if with_efforts else np.nan)
+        return RestPose(pose.setpoints, 0.0 * np.nan_to_num(pose.markers), pose.effectors, efforts,
+                        forces, pose.origin)  # fmt: skip
+
+    def _mass(self, index: int) -> float:
+        """A weight that moves a point by some percent of the robot's size at most [kg]."""
+        poses = [self._full(self._poses[0], False, index, mass) for mass in (0.0, LIGHT)]
+        points = RestModel(self._scene, [], poses)
+        apart = np.diff(points.predict(np.empty(0), False).values.reshape(2, -1), axis=0)
+        moved = float(np.abs(apart).max(initial=0.0)) or 1.0
+        most = min(HEAVY, LIGHT * HUNG_SHARE * points.size / moved)
+        return max(one for one in WEIGHTS if one <= most or one == WEIGHTS[0])
+
+    def _jacobians(self, poses: list[RestPose]) -> list[np.ndarray]:
+        """Derivatives of what is measured over its noise, by z, of poses that the model reaches."""
+        found = self._found.joint
+        model = RestModel(self._scene, [one.parameter for one in found.unknowns], poses)
+        slopes = [one.slope(z) for one, z in zip(found.unknowns, found.z, strict=True)]
+        got = model.predict(found.values, True)
+        noise = np.empty(len(got.values))
+        for kind in dict.fromkeys(model.measured.kinds.tolist()):
+            own = model.measured.kinds == kind
+            largest = np.nanmax(np.abs(got.values[own]), initial=0.0) or 1.0
+            noise[own] = found.noise.get(kind, EFFORT_NOISE * largest)
+        J = got.jacobian * slopes / noise[:, None]
+        return [J[model.measured.poses == k] for k in range(len(poses)) if k not in model.lost]

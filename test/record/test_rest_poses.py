@@ -1,0 +1,111 @@
+"""Poses at rest, of recorded runs and of tables."""
+
+import numpy as np
+import pytest
+
+from softrobot_twin.control.arrival import Arrival
+from softrobot_twin.record.rest_poses import RestWatch, Sample, RestPose, poses_of_run, poses_of_table
+from softrobot_twin.scene import load_scene, scene_from_mapping
+from softrobot_twin.scene.scene_parameters import changed_scene
+from softrobot_twin.simulation import Simulation
+from softrobot_twin.simulation.runs.input_tables import TableFileError
+
+from .conftest import MESH, ROOT, Live
+
+FRAME = {"marker_frame.position": [0.01, 0.0, 0.02]}
+
+
+@pytest.fixture(scope="module")
+def simulation():
+    return Simulation(load_scene(ROOT / "config/scenes/diamond.yaml", {"body.mesh.file": str(MESH)}))
+
+
+def sample(time, simulation, shortening=0.0, markers=0.0):
+    command = simulation.rest_setpoints - shortening
+    none = np.full(4, np.nan)
+    seen = RestPose(none, simulation.marker_positions() + markers, np.full((1, 3), np.nan), none,
+                    np.zeros((0, 3)))  # fmt: skip
+    return Sample(time, command, seen)
+
+
+def watched(simulation, samples):
+    watch = RestWatch(simulation, "test")
+    for one in samples:
+        watch.add(one)
+    watch.end()
+    return watch
+
+
+def test_a_rest_is_one_pose_and_motion_is_none(simulation):
+    times = np.arange(0.0, 6.0, 0.05)
+    shortening = np.where(times < 2.0, 0.0, np.where(times < 4.0, 0.005 * (times - 2.0), 0.01))
+    watch = watched(simulation, [sample(t, simulation, s) for t, s in zip(times, shortening, strict=True)])
+    assert len(watch.found) == 2
+    assert watch.found[1].setpoints == pytest.approx(simulation.rest_setpoints - 0.01)
+    assert watch.found[1].origin == "test at 5.95 s"
+    assert watch.moving_time > 1.0
+    assert "2 poses at rest" in watch.in_words() and "motion" in watch.in_words()
+
+
+def test_rests_are_dropped_for_a_reason(simulation):
+    times = np.arange(0.0, 2.0, 0.05)
+    drifting = [sample(t, simulation, 0.0, 0.002 * t) for t in times]
+    unseen = [sample(t + 3.0, simulation, 0.01, np.nan) for t in times]
+    still = [sample(t + 6.0, simulation, 0.02) for t in times]
+    again = [sample(t + 12.0, simulation, 0.02) for t in times]
+    between = [sample(9.0, simulation, 0.03)]
+    watch = watched(simulation, [*drifting, *unseen, *still, *between, *again])
+    assert len(watch.found) == 1
+    assert dict(watch.dropped) == {"the markers still moved": 1, "nothing was measured": 1,
+                                   "it repeats an earlier pose": 1}  # fmt: skip
+
+
+def test_one_false_frame_does_not_move_a_marker(simulation):
+    samples = [sample(t, simulation, 0.0) for t in np.arange(0.0, 2.0, 0.05)]
+    samples[-3] = sample(samples[-3].time, simulation, 0.0, 0.05)
+    watch = watched(simulation, samples)
+    assert np.array_equal(watch.found[0].markers, simulation.marker_positions())
+
+
+def test_poses_of_a_recorded_run_are_what_the_cameras_saw(tmp_path):
+    scene = tmp_path / "diamond.yaml"
+    text = (ROOT / "config/scenes/diamond.yaml").read_text()
+    scene.write_text(text.replace("../../meshes/diamond_600.vtk", str(MESH))
+                     + "\nmarker_frame: {position: [0.01, 0.0, 0.02]}\n")  # fmt: skip
+    live = Live(scene, tmp_path / "run.mcap", settings={"closed_loop": False})
+    simulation = live.loop.simulation
+    seen = simulation.scene.marker_frame.of_cameras(simulation.marker_positions()) + 1e-4
+    for number in range(40):
+        if number == 2:
+            assert live.loop.enable(live.time)[0]
+        assert live.loop.markers.accept(simulation.marker_ids, seen, live.arrival()) is None
+        live.tick()
+        live.time += 0.05
+    live.recorder.close()
+    own = Simulation(changed_scene(simulation.scene, {"markers": simulation.scene.markers[::-1]}))
+    poses, words = poses_of_run(tmp_path / "run.mcap", own)
+    assert len(poses) == 1, words
+    assert np.allclose(poses[0].markers, seen[::-1], atol=1e-12)
+    assert poses[0].setpoints == pytest.approx(simulation.rest_setpoints, abs=1e-4)
+    assert np.isnan(poses[0].effectors).all()
+
+
+def test_a_table_without_times_has_a_pose_in_each_row(simulation):
+    rest = simulation.rest_setpoints
+    table = {f"{name}_length_m": rest[i] - np.array([0.0, 0.01])
+             for i, name in enumerate(simulation.actuator_names)}  # fmt: skip
+    table |= {f"marker_4_{axis}_m": [0.1, np.nan] for axis in "xyz"}
+    table["south_tension_N"] = [1.5, 2.5]
+    poses, words = poses_of_table(table, simulation)
+    assert words == "table: 2 poses at rest, one of each row"
+    place = list(simulation.marker_ids).index(4)
+    assert poses[0].markers[place].tolist() == [0.1] * 3 and np.isnan(poses[1].markers).all()
+    assert np.isfinite(poses[0].efforts).tolist() == [name == "south" for name in simulation.actuator_names]
+    shortenings = {name.replace("_length_m", "_shortening_m"): np.array([0.0, 0.01])
+                   for name in table if name.endswith("_length_m")}  # fmt: skip
+    same, _ = poses_of_table(shortenings | {"tip_x_m": [0.0, 0.1], "tip_y_m": [0, 0], "tip_z_m": [0, 0]},
+                             simulation)
+    assert same[1].setpoints == pytest.approx(poses[1].setpoints)
+    assert same[1].effectors[0].tolist() == [0.1, 0.0, 0.0]
+    with pytest.raises(TableFileError, match="lacks what drives north.*north_length_m|north_length_m"):
+        poses_of_table({"marker_4_x_m": [0.0]}, simulation)

@@ -1,0 +1,381 @@
+"""Numbers of a scene from what was measured at rest."""
+
+from pathlib import Path
+from secrets import randbits
+
+import numpy as np
+import pytest
+
+from softrobot_twin.command_line.commands import program
+from softrobot_twin.record.rest_poses import RestPose
+from softrobot_twin.scene import load_scene, scene_from_mapping
+from softrobot_twin.scene.scene_parameters import changed_scene, parameters
+from softrobot_twin.scripting import build
+from softrobot_twin.study.calibration import (
+    MARKERS,
+    CalibrationError,
+    Measurements,
+    Prediction,
+    RestModel,
+    Unknown,
+    calibrate,
+    deviations_with,
+    estimate,
+    not_told,
+    suggestions,
+    unknowns_of,
+)
+
+SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
+BAR = {
+    "name": "bar",
+    "gravity": [0.0, 0.0, -9.81],
+    "body": {
+        "mesh": {"box": {"size": [0.1, 0.02, 0.02], "cells": [6, 1, 1]}, "translation": [-0.05, -0.01, -0.01]},
+        "element": "linear",
+        "material": {"young_modulus": 3.0e5, "poisson_ratio": 0.4, "density": 1070.0},
+        "fixed": [{"box": {"minimum": [-0.0501, -1, -1], "maximum": [-0.0499, 1, 1]}}],
+    },
+    "cables": [
+        {"name": name, "pull_point": [-0.05, y, z], "axial_stiffness": 500.0,
+         "points": [[-0.011, y, z], [0.043, y, z]], "shortening": [-0.01, 0.02]}
+        for name, y, z in (("upper", 0.0, 0.009), ("left", 0.009, -0.006), ("right", -0.009, -0.006))
+    ],
+    "effectors": [{"name": "tip", "points": [[0.05, 0.0, 0.0]]}],
+    "touches": [{"name": "weight", "points": [[0.048, 0.0, 0.0]]}],
+    "markers": [{"id": i, "point": place} for i, place in enumerate(
+        [[0.047, 0.003, 0.008], [0.047, -0.003, 0.008], [0.021, 0.002, 0.0095], [0.0021, -0.004, 0.0093]])],
+    "solver": {"newton_iterations": 5, "residual_tolerance": 1e-8},
+}  # fmt: skip
+E, DENSITY = "body.material.young_modulus", "body.material.density"
+NUMBERS = [E, "cables.*.offset", "marker_frame"]
+NOISE = {"markers": 1e-4, "tension": 0.02}
+
+
+@pytest.fixture(scope="module")
+def bar():
+    return scene_from_mapping(BAR)
+
+
+@pytest.fixture
+def random():
+    seed = randbits(32)
+    print(f"seed {seed}")
+    return np.random.default_rng(seed)
+
+
+def poses_at(scene, shortenings, weights=None, with_tensions=True):
+    """Poses whose measurements are still to be made; all their numbers are finite."""
+    lengths = RestModel(scene, [], []).simulation.rest_setpoints
+    count, forces = len(shortenings), np.zeros((len(shortenings), 1, 3))
+    forces[:, 0, 2] = 0.0 if weights is None else -np.asarray(weights)
+    efforts = np.full(len(lengths), 0.0 if with_tensions else np.nan)
+    return [RestPose(lengths - shortenings[k], np.zeros((4, 3)), np.full((1, 3), np.nan), efforts,
+                     forces[k], f"pose {k}") for k in range(count)]  # fmt: skip
+
+
+def measured(scene, poses, noise=0.0, random=None):
+    """The poses, with what a robot of this scene shows there."""
+    shown = RestModel(scene, [], poses).predict(np.empty(0), False).values.reshape(len(poses), -1)
+    found = []
+    for pose, one in zip(poses, shown, strict=True):
+        markers, efforts = one[:12].reshape(4, 3), pose.efforts.copy()
+        efforts[np.isfinite(efforts)] = one[12:]
+        if noise:
+            markers = markers + noise * NOISE["markers"] * random.normal(size=(4, 3))
+            efforts = efforts + noise * NOISE["tension"] * random.normal(size=len(efforts))
+        found.append(pose._replace(markers=markers, efforts=efforts))
+    return found
+
+
+def drawn(random, count):
+    return random.uniform(0.001, 0.006, (count, 3))
+
+
+def true_scene(scene):
+    """The scene of a robot, which differs from its twin's in all of `NUMBERS`."""
+    return changed_scene(scene, {
+        E: 2.6e5, "cables[0].offset": 4e-4, "cables[1].offset": -3e-4,
+        "cables[2].offset": 2e-4, "marker_frame.position": [1e-3, -5e-4, 8e-4],
+        "marker_frame.rotation": [0.006, -0.004, 0.005]})  # fmt: skip
+
+
+# --- derivatives ---------------------------------------------------------------------------------
+
+
+def assert_derivatives(scene, poses, keys, share=1e-3):
+    handles = parameters(scene, *keys)
+    model = RestModel(scene, handles, poses)
+    values = np.array([one.read(scene) for one in handles])
+    own = model.predict(values, True).jacobian
+    assert not model.lost
+    for column, one in enumerate(handles):
+        step = np.zeros(len(values))
+        step[column] = 1e-3 * values[column] if abs(values[column]) > 1.0 else 2e-5
+        ends = [model.predict(values + sign * step, False).values for sign in (1.0, -1.0)]
+        differences = (ends[0] - ends[1]) / (2.0 * step[column])
+        scale = np.abs(differences).max()
+        assert np.abs(own[:, column] - differences).max() <= share * scale, one.key
+
+
+@pytest.mark.parametrize("keys", [
+    (E, DENSITY), ("cables.*.offset",), ("cables.*.axial_stiffness",), ("marker_frame",),
+    ("markers.*.point",), ("cables[0].points[1]", "cables[0].pull_point"),
+])  # fmt: skip
+def test_derivatives_are_those_of_differences(bar, keys):
+    turned = changed_scene(bar, {"marker_frame.rotation": [0.3, -0.2, 0.4],
+                                 "marker_frame.position": [0.01, 0.02, 0.03]})  # fmt: skip
+    poses = poses_at(bar, np.array([[0.004, 0.001, 0.002], [0.002, 0.005, 0.003]]), [0.0, 0.05])
+    assert_derivatives(turned, poses, keys)
+
+
+def test_derivatives_by_gain_and_zero_of_a_regulator_are_those_of_differences():
+    scene = load_scene(SCENES / "segment.yaml", {"cavities[1].pressure_gain": 0.95,
+                                                 "cavities[1].pressure_offset": 200.0})  # fmt: skip
+    model = RestModel(scene, [], [])
+    pressures = 0.2 * model.simulation.limits.effort_max * np.array([0.3, 1.0, 0.6, 0.1])
+    pose = RestPose(pressures, np.zeros((4, 3)), np.full((1, 3), np.nan), np.full(4, np.nan),
+                    np.zeros((0, 3)))  # fmt: skip
+    handles = parameters(scene, "cavities[1].pressure_gain", "cavities[1].pressure_offset")
+    model = RestModel(scene, handles, [pose])
+    values = np.array([0.95, 200.0])
+    own = model.predict(values, True).jacobian
+    for column, step in ((0, [1e-3, 0.0]), (1, [0.0, 10.0])):
+        ends = [model.predict(values + sign * np.array(step), False).values for sign in (1.0, -1.0)]
+        differences = (ends[0] - ends[1]) / (2.0 * step[column])
+        assert np.abs(own[:, column] - differences).max() < 2e-3 * np.abs(differences).max()
+
+
+def test_derivatives_by_the_zero_of_a_hinge_are_those_of_differences():
+    scene = load_scene(SCENES / "strider.yaml")
+    pose = RestPose(np.array([0.1, -0.05, 0.02, 0.07]), np.zeros((4, 3)), np.full((1, 3), np.nan),
+                    np.zeros(4), np.zeros((0, 3)))  # fmt: skip
+    assert_derivatives(scene, [pose], ("hinge_motors.*.offset",))
+
+
+# --- what is found -------------------------------------------------------------------------------
+
+
+def test_planted_numbers_are_found(bar, random):
+    truth, shortenings = true_scene(bar), drawn(random, 12)
+    poses = measured(truth, poses_at(bar, shortenings, 0.05 * (np.arange(12) % 2)), 1.0, random)
+    found = calibrate(bar, poses, NUMBERS)
+    assert found.is_accepted and found.not_told == ()
+    wanted = np.array([one.parameter.read(truth) for one in found.estimate.unknowns])
+    off = np.abs(found.estimate.values - wanted)
+    assert np.all(off <= 2.5 * (found.estimate.intervals[:, 1] - found.estimate.values))
+    assert found.estimate.noise[MARKERS] == pytest.approx(NOISE["markers"], rel=0.5)
+    held = found.validation
+    assert len(held.origins) == 3
+    assert held.after[MARKERS] < 0.3 * held.before[MARKERS]
+
+
+def test_one_marker_of_ten_that_is_far_off_hardly_matters(bar, random):
+    truth = true_scene(bar)
+    poses = measured(truth, poses_at(bar, drawn(random, 12)), 1.0, random)
+    wrong = [pose._replace(markers=pose.markers + 0.01 * (random.random((4, 1)) < 0.1))
+             for pose in poses]  # fmt: skip
+    found = calibrate(bar, wrong, NUMBERS)
+    assert found.values[E] == pytest.approx(2.6e5, rel=0.02)
+    assert found.values["marker_frame.position[0]"] == pytest.approx(1e-3, abs=2e-4)
+
+
+class Linear:
+    """A model that is linear in the numbers around a point."""
+
+    def __init__(self, at, here):
+        self._at, self._here = at, here
+
+    def predict(self, numbers, with_jacobian):
+        here = self._here
+        return Prediction(here.values + here.jacobian @ (numbers - self._at), here.jacobian)
+
+
+def test_intervals_of_95_percent_hold_the_truth_in_95_of_100_noisy_sets(bar, random):
+    truth = true_scene(bar)
+    unknowns = unknowns_of(bar, NUMBERS)
+    # Linear numbers, so that a linear model has them all.
+    linear = [Unknown(one.parameter, one.start, one.known * one.start if one.is_relative else one.known, False)
+              for one in unknowns]  # fmt: skip
+    poses = poses_at(bar, drawn(random, 8), 0.05 * (np.arange(8) % 2))
+    model = RestModel(truth, [one.parameter for one in unknowns], poses)
+    at = np.array([one.parameter.read(truth) for one in unknowns])
+    here, own = model.predict(at, True), model.measured
+    sigma = np.array([NOISE[kind] for kind in own.kinds])
+    inside = []
+    for _ in range(200):
+        noisy = Measurements(here.values + sigma * random.normal(size=len(sigma)), own.kinds, own.poses)
+        ends = estimate(Linear(at, here), noisy, linear).intervals
+        inside.append((ends[:, 0] < at) & (at < ends[:, 1]))
+    assert 0.90 <= np.mean(inside) <= 0.99
+    assert np.mean(inside, axis=0).min() > 0.85
+
+
+# --- what cannot be known ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("keys", "pair"), [
+    ([E, DENSITY, "cables.*.offset"], {E, DENSITY}),
+    (["cables[0].offset", "cables[0].pull_point[0]", DENSITY],
+     {"cables[0].offset", "cables[0].pull_point[0]"}),
+    (["cables[2].offset", "cables[2].pull_point[0]", E, "marker_frame"],
+     {"cables[2].offset", "cables[2].pull_point[0]"}),
+])  # fmt: skip
+def test_numbers_that_the_data_cannot_tell_apart_are_named(bar, random, keys, pair):
+    # Cables that do not stretch have no force of their own that would tell stiffness from weight.
+    stiff = changed_scene(bar, {f"cables[{i}].axial_stiffness": None for i in range(3)})
+    poses = measured(stiff, poses_at(stiff, drawn(random, 6), None, False), 0.2, random)
+    found = calibrate(stiff, poses, keys)
+    assert pair in map(set, found.not_told)
+    assert not found.is_accepted
+
+
+def test_a_number_that_the_data_say_nothing_about_stays_as_it_was(bar, random):
+    truth = changed_scene(bar, {"cables[2].offset": 5e-4})
+    # All three pull: a zero error of a slack cable shows nothing.
+    poses = measured(truth, poses_at(bar, 0.004 + 0.3 * drawn(random, 8)), 0.2, random)
+    found = calibrate(bar, poses, ["cables.*.offset", "cables[1].axial_stiffness"],
+                      {"cables[1].axial_stiffness": 1e-4})  # fmt: skip
+    assert found.not_told == (("cables[1].axial_stiffness",),)
+    assert found.scene.cables[1].axial_stiffness == 500.0
+    assert found.is_accepted
+    assert found.values["cables[2].offset"] == pytest.approx(5e-4, abs=1e-4)
+
+
+def test_what_a_suggestion_promises_comes_true(bar, random):
+    truth = true_scene(bar)
+    poses = measured(truth, poses_at(bar, drawn(random, 8), None, False), 1.0, random)
+    keys = [E, "marker_frame"]
+    found = calibrate(bar, poses, keys)
+    best = next(one for one in suggestions(found) if one.words.startswith("hang"))
+    own = np.flatnonzero([one.parameter.key == E for one in found.joint.unknowns])[0]
+    assert best.deviations[own] < 0.7 * found.joint.deviations[own]
+    # The weight of the suggestion is at the effector, 2 mm from the touch of this scene.
+    weight = -float(best.poses[0].forces[-1, 2])
+    again = poses_at(bar, np.array([RestModel(bar, [], []).simulation.rest_setpoints - pose.setpoints
+                                    for pose in best.poses]), np.full(len(best.poses), weight), False)
+    model = RestModel(bar, parameters(bar, *keys), [*found.poses, *measured(truth, again, 1.0, random)])
+    now = estimate(model, model.measured, unknowns_of(bar, keys))
+    by_noise = now.noise[MARKERS] / found.joint.noise[MARKERS]
+    got = now.deviations[own] / by_noise
+    assert got < 0.8 * found.joint.deviations[own]
+    # It is promised at numbers that are not known well yet, where other cables may be slack.
+    assert best.deviations[own] / 3.0 < got < 3.0 * best.deviations[own]
+
+
+def test_more_measurements_never_make_a_number_less_known(random):
+    J, more = random.normal(size=(2, 12, 4))
+    assert np.all(deviations_with(J, more) < deviations_with(J))
+    assert not_told(np.zeros((5, 2))) == [(0,), (1,)]
+
+
+# --- what is not accepted ------------------------------------------------------------------------
+
+
+def test_a_scene_that_does_not_become_better_is_not_accepted(bar, random):
+    poses = measured(bar, poses_at(bar, drawn(random, 8)), 0.2, random)
+    off = [pose if k % 4 == 3 else pose._replace(markers=pose.markers + [0.002, 0, 0])
+           for k, pose in enumerate(poses)]  # fmt: skip
+    found = calibrate(bar, off, ["marker_frame.position"])
+    assert not found.validation.is_better
+    assert not found.is_accepted
+
+
+def test_a_pose_in_another_shape_is_set_aside_and_named(bar, random):
+    poses = measured(bar, poses_at(bar, drawn(random, 6)), 0.2, random)
+    poses[2] = poses[2]._replace(markers=poses[2].markers + [0.0, 0.0, 0.05])
+    found = calibrate(bar, poses, [E])
+    assert len(found.set_aside) == 1 and found.set_aside[0].startswith("pose 2: ")
+    assert found.values[E] == pytest.approx(3e5, rel=0.05)
+
+
+def test_too_few_poses_and_numbers_without_a_value_are_refused(bar, random):
+    poses = measured(bar, poses_at(bar, drawn(random, 2)), 0.2, random)
+    with pytest.raises(CalibrationError, match="2 poses at rest can be used, 3 are needed"):
+        calibrate(bar, poses, [E])
+    with pytest.raises(CalibrationError, match="effectors.* is where the model looks"):
+        unknowns_of(bar, ["effectors.*.points"])
+
+
+# --- files and faces -----------------------------------------------------------------------------
+
+TEXT = """# A bar with a comment.
+name: bar
+gravity: [0.0, 0.0, -9.81]  # m/s²
+body:
+  mesh: {box: {size: [0.1, 0.02, 0.02], cells: [6, 1, 1]}, translation: [-0.05, -0.01, -0.01]}
+  element: linear
+  material:
+    young_modulus: 3.0e5      # Pa, of the data sheet
+    poisson_ratio: 0.4
+    density: 1070.0
+  fixed: [{box: {minimum: [-0.0501, -1, -1], maximum: [-0.0499, 1, 1]}}]
+cables:
+  - name: upper
+    pull_point: [-0.05, 0.0, 0.009]
+    points: [[0.043, 0.0, 0.009]]
+effectors: [{name: tip, points: [[0.05, 0.0, 0.0]]}]
+markers: [{id: 7, point: [0.047, 0.003, 0.008]}, {id: 2, point: [0.021, 0.002, 0.0095]}]
+"""
+
+
+@pytest.fixture
+def files(tmp_path, random):
+    """A scene, and a table of poses of a robot that is softer and has a zero error."""
+    scene, table = tmp_path / "bar.yaml", tmp_path / "poses.csv"
+    scene.write_text(TEXT)
+    robot = load_scene(scene, {E: 2.5e5, "cables[0].offset": 4e-4})
+    rows = ["upper_length_m," + ",".join(f"marker_{i}_{a}_m" for i in (7, 2) for a in "xyz")]
+    rest = RestModel(robot, [], [])
+    nothing = np.full((1, 3), np.nan), np.full(1, np.nan), np.zeros((0, 3))
+    poses = [RestPose(rest.simulation.rest_setpoints - s, np.zeros((2, 3)), *nothing)
+             for s in random.uniform(0.0, 0.005, 9)]  # fmt: skip
+    shown = RestModel(robot, [], poses).predict(np.empty(0), False).values.reshape(9, 6)
+    for pose, seen in zip(poses, shown + 2e-5 * random.normal(size=(9, 6)), strict=True):
+        rows.append(",".join(map(repr, [float(pose.setpoints[0]), *seen.tolist()])))
+    table.write_text("\n".join(rows))
+    return scene, table
+
+
+def run(*words):
+    chosen = program("softrobot_twin").parse_args(["calibrate", *map(str, words)])
+    return chosen.run(chosen)
+
+
+def test_the_command_writes_a_scene_that_keeps_its_text(files, capsys):
+    scene, table = files
+    picture = scene.with_name("fit.png")
+    assert run(scene, "--data", table, "--fit", E, "cables.*.offset", "--picture", picture) == 0
+    told = capsys.readouterr().out
+    assert "9 poses at rest" in told and "95 % interval" in told and "held back" in told
+    assert picture.stat().st_size > 1000
+    written = scene.with_name("bar_calibrated.yaml")
+    found = load_scene(written)
+    assert found.body.material.young_modulus == pytest.approx(2.5e5, rel=0.05)
+    assert found.cables[0].offset == pytest.approx(4e-4, abs=1e-4)
+    text = written.read_text()
+    assert text.startswith("# A bar with a comment.") and "# Pa, of the data sheet; calibrated" in text
+    assert "poses.csv" in text
+
+
+def test_the_command_writes_nothing_where_it_cannot_tell(files, capsys):
+    scene, table = files
+    assert run(scene, "--data", table, "--fit", E, DENSITY) == 1
+    told = capsys.readouterr()
+    assert f"{E}, {DENSITY}: the data do not tell them apart" in told.err
+    assert "the standard deviation of" in told.err
+    assert f"no scene is written: fit only one of {E} and {DENSITY}" in told.out
+    assert not scene.with_name("bar_calibrated.yaml").exists()
+
+
+def test_a_robot_in_python_calibrates_itself_by_a_table(files):
+    scene, table = files
+    robot = build(**{key: value for key, value in BAR.items() if key not in ("touches", "cables", "markers")},
+                  cables=[{"name": "upper", "pull_point": [-0.05, 0, 0.009], "points": [[0.043, 0, 0.009]]}],
+                  markers=[{"id": 7, "point": [0.047, 0.003, 0.008]}, {"id": 2, "point": [0.021, 0.002, 0.0095]}])  # fmt: skip
+    before = robot.state
+    found = robot.calibrate(table, [E, "cables.*.offset"])
+    assert robot.state is before
+    assert found.is_accepted
+    robot.change(found.values)
+    assert robot.scene.cables[0].offset == found.values["cables[0].offset"]
