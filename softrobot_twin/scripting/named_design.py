@@ -102,7 +102,8 @@ def poses_of(scene: Scene, commands: Iterable[NamedCommand]) -> list[Pose]:
             drive = reader.drives[name]
             holds[list(drive.places)] = not drive.factor
         efforts = read.efforts if isinstance(read, CommandEfforts) else None
-        poses.append(Pose(getattr(read, "setpoints", rest), holds, efforts))
+        setpoints = getattr(read, "setpoints", rest)
+        poses.append(Pose(setpoints, simulation.actuators.drives(setpoints), holds, efforts))
     return poses
 
 

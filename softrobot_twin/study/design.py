@@ -47,15 +47,17 @@ class Pose(NamedTuple):
     """What actuators are commanded in a pose.
 
     Attributes:
-        setpoints: Each in the unit of its kind, in the scene that is given, shape
-            (actuator_count,).
+        setpoints: Each in the unit of its kind, shape (actuator_count,).
+        drives: The displacements from rest, such as shortenings, or efforts that these hold in the
+            scene that is given, same shape.
         holds_setpoints: Whether each keeps its setpoint in other scenes, such as the length of a
-            cable; else its displacement from rest, such as its shortening; same shape.
+            cable; else its drive; same shape.
         efforts: With which actuators act in place of setpoints, NaN for the others, same shape; None
             for no efforts.
     """
 
     setpoints: np.ndarray
+    drives: np.ndarray
     holds_setpoints: np.ndarray
     efforts: np.ndarray | None = None
 
@@ -124,7 +126,6 @@ class DesignModel:
                               "a scene of statics, quasi_static")
         self.scene, self.variables, self.poses = scene, tuple(variables), tuple(poses)
         self.start = np.array([one.read(scene) for one in variables])
-        self._drives: tuple[np.ndarray, ...] | None = None
         self._last: Solved | None = None
         self._near: Solved | None = None
         self._tangents: Sensitivities | None = None
@@ -157,10 +158,6 @@ class DesignModel:
         if self._last is not None and np.array_equal(self._last.values, values):
             return self._last
         simulation = Simulation(self.scene_at(values), with_warnings=False)
-        if self._drives is None:
-            given = simulation if np.array_equal(values, self.start) else Simulation(
-                self.scene, with_warnings=False)
-            self._drives = tuple(given.actuators.drives(pose.setpoints) for pose in self.poses)
         states, places, efforts, slack = [], [], [], []
         for index in range(len(self.poses)):
             slack.append(self._settle(simulation, index))
@@ -220,13 +217,12 @@ class DesignModel:
         """Brings a simulation to a pose; gives the names of actuators that hold nothing."""
         pose, near = self.poses[index], self._near or self._last
         setpoints = np.where(pose.holds_setpoints, pose.setpoints,
-                             simulation.actuators.setpoints(self._drives[index]))
+                             simulation.actuators.setpoints(pose.drives))
         if near is None:
             simulation.reset()
-            rest = bring_to_rest(simulation, setpoints, WAY, pose.efforts)
         else:
             simulation.take_over(near.simulation, near.states[index])
-            rest = bring_to_rest(simulation, setpoints, 1, pose.efforts)
+        rest = bring_to_rest(simulation, setpoints, WAY if near is None else 1, pose.efforts)
         if not rest.is_reached:
             at = ", ".join(rest.result.report.active_limits)
             raise DesignError(f"pose {index}", f"does not come to rest: {rest.status}{at and f' ({at})'}")
@@ -237,31 +233,27 @@ def _check_held(
     simulation: Simulation, setpoints: np.ndarray, pose: Pose, index: int
 ) -> tuple[str, ...]:
     """Refuses actuators at limits; gives the names of those that hang slack."""
-    actuators, state = simulation.actuators, simulation.state
-    limits, slack = actuators.limits, []
-    given = ~actuators.is_effort_driven
-    if pose.efforts is not None:
-        given = given & ~np.isfinite(pose.efforts)
-    margin = HOLDING_MARGIN * limits.effort_scale
-    for place in np.flatnonzero(given):
-        name, kind, effort = actuators.names[place], actuators.kinds[place], state.efforts[place]
-        ends = (limits.effort_min[place], effort <= limits.effort_min[place] + margin[place], "least"), (
-            limits.effort_max[place], effort >= limits.effort_max[place] - margin[place], "greatest")
-        for end, is_there, word in ends:
-            if is_there and kind.one_sided and end == 0.0:
-                slack.append(name)
-            elif is_there:
-                raise DesignError(name, f"is at its {word} {kind.effort.word} of {end:g} "
-                                  f"{kind.effort.unit} in pose {index}, where it no longer holds its "
-                                  f"{kind.displacement.word}")
-    wanted, has = actuators.drives(setpoints), actuators.drives(state.setpoints)
-    held = np.ones(len(has), bool) if pose.efforts is None else ~np.isfinite(pose.efforts)
-    far = held & (np.abs(has - wanted) > DISPLACEMENT_MARGIN * limits.drive_scale)
-    for place in np.flatnonzero(far):
-        kind = actuators.kinds[place]
+    actuators, efforts, slack = simulation.actuators, simulation.state.efforts, []
+    limits, wanted = actuators.limits, actuators.drives(setpoints)
+    has, margins = actuators.drives(simulation.state.setpoints), HOLDING_MARGIN * limits.effort_scale
+    is_far = np.abs(has - wanted) > DISPLACEMENT_MARGIN * limits.drive_scale
+    is_commanded = np.ones(len(has), bool) if pose.efforts is None else ~np.isfinite(pose.efforts)
+    for place in np.flatnonzero(is_commanded):
+        name, kind, margin = actuators.names[place], actuators.kinds[place], margins[place]
         quantity = kind.effort if kind.is_effort_driven else kind.displacement
-        raise DesignError(actuators.names[place], f"is commanded a {quantity.word} of {wanted[place]:.6g} "
-                          f"{quantity.unit} in pose {index}, but its limit is {has[place]:.6g} {quantity.unit}")
+        if is_far[place]:
+            raise DesignError(name, f"is commanded a {quantity.word} of {wanted[place]:.6g} {quantity.unit} "
+                              f"in pose {index}, but its limit is {has[place]:.6g} {quantity.unit}")
+        if actuators.is_effort_driven[place]:
+            continue
+        least, most = limits.effort_min[place], limits.effort_max[place]
+        is_least, is_most = efforts[place] <= least + margin, efforts[place] >= most - margin
+        if is_least and kind.one_sided and least == 0.0:
+            slack.append(name)
+        elif is_least or is_most:
+            word, end = ("least", least) if is_least else ("greatest", most)
+            raise DesignError(name, f"is at its {word} {kind.effort.word} of {end:g} {kind.effort.unit} in "
+                              f"pose {index}, where it no longer holds its {kind.displacement.word}")
     return tuple(slack)
 
 
