@@ -103,11 +103,10 @@ LIBRARIES = {
         "multifrontal/definiteness",
     ),
     "study": (
-        "bench::test_bench_prints_and_writes_a_row_for_each_stage_and_a_picture",
+        "bench::test_bench_writes_a_row_for_each_stage_and_a_picture",
         "body_training::test_the_file_says_how_it_was_made", "controller_export",
-        "explain::test_explain_tells_entries_terms_stages_sizes_and_errors_of_the_mesh",
         "live_line",
-        "meshing::test_a_part_is_meshed_and_its_quality_told", "outputs", "progress",
+        "meshing::test_the_size_is_searched_for_a_step_time", "outputs", "progress",
         "reduction_basis", "reduction_states", "richardson", "run_summary",
         "run_plot::test_the_legend_of_many_cables_names_the_largest_and_overlaps_nothing",
         "run_plot::test_tables_of_commands_and_samples_of_a_workspace_are_drawn",

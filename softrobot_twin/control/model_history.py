@@ -24,10 +24,15 @@ class Moment(NamedTuple):
     Attributes:
         markers: Positions of the markers [m], shape (marker_count, 3).
         effectors: Positions of the effectors [m], shape (effector_count, 3).
+        explained: Displacements of the markers by forces that an observer found [m], as the
+            markers; zero without one.
+        by_loads: Their motion by each number of these, shape (3 marker_count, load_count).
     """
 
     markers: np.ndarray
     effectors: np.ndarray
+    explained: np.ndarray | float = 0.0
+    by_loads: np.ndarray | None = None
 
 
 class ModelHistory:
@@ -44,17 +49,24 @@ class ModelHistory:
         marker_count: Number of markers.
         effector_count: Number of effectors.
         capacity: Number of ticks to keep.
+        load_count: Numbers of the loads that an observer finds.
     """
 
     def __init__(
-        self, travels: np.ndarray, marker_count: int, effector_count: int, capacity: int = 256
-    ):
+        self, travels: np.ndarray, marker_count: int, effector_count: int, capacity: int = 256,
+        load_count: int = 0,
+    ):  # fmt: skip
         self._scales, self._markers = APART * np.asarray(travels, float), marker_count
+        self._explained, has_observer = marker_count + effector_count, load_count > 0
+        self._by_loads = None
+        if has_observer:
+            self._by_loads = np.zeros((2 * capacity, 3 * marker_count, load_count))
         self._capacity, self._count = capacity, 0
         # Twice the capacity: so the ticks are always in one piece, and are seldom moved.
         self._times = np.zeros(2 * capacity, np.int64)
         self._setpoints = np.zeros((2 * capacity, len(self._scales)))
-        self._values = np.zeros((2 * capacity, marker_count + effector_count, 3))
+        self._values = np.zeros(
+            (2 * capacity, self._explained + has_observer * marker_count, 3))
 
     def add(self, time: int, setpoints: np.ndarray, moment: Moment) -> None:
         """Adds a tick in place of the oldest.
@@ -68,11 +80,21 @@ class ModelHistory:
             self.forget()
         if self._count == len(self._times):
             self._count = self._capacity
-            for array in (self._times, self._setpoints, self._values):
+            for array in (self._times, self._setpoints, self._values, self._by_loads):
+                if array is None:
+                    continue
                 array[: self._capacity] = array[self._capacity :]
         at, self._count = self._count, self._count + 1
         self._times[at], self._setpoints[at] = time, setpoints / self._scales
-        self._values[at, : self._markers], self._values[at, self._markers :] = moment
+        values = self._values[at]
+        values[: self._markers], values[self._markers : self._explained] = moment[:2]
+        if self._by_loads is not None:
+            values[self._explained :], self._by_loads[at] = moment.explained, moment.by_loads
+
+    @property
+    def is_any(self) -> bool:
+        """Whether there is a tick."""
+        return self._count > 0
 
     def at(self, time: int) -> Moment:
         """The model at a time [ns], interpolated linearly between two ticks.
@@ -128,7 +150,19 @@ class ModelHistory:
         values = (1.0 - share) * self._values[tick]
         if share:
             values += share * self._values[tick + 1]
-        return Moment(values[: self._markers], values[self._markers :])
+        found = Moment(values[: self._markers], values[self._markers : self._explained])
+        if self._by_loads is None:
+            return found
+        by_loads = self._by_loads[tick + (share > 0.5)]
+        return found._replace(explained=values[self._explained :], by_loads=by_loads)
+
+    def load_elsewhere(self, by_loads: np.ndarray) -> None:
+        """Takes the motion by loads for that of all ticks, when a load acts at another place.
+
+        Args:
+            by_loads: See `Moment`.
+        """
+        self._by_loads[:] = by_loads
 
     def forget(self) -> None:
         """Starts a new history."""

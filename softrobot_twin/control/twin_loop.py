@@ -19,6 +19,7 @@ from softrobot_twin.control.cavity_pressures import (
 from softrobot_twin.control.command_gate import ActuatorCommand
 from softrobot_twin.control.device import DeviceWatch, MeasuredSetpoints
 from softrobot_twin.control.engagement import Activity, Engagement
+from softrobot_twin.control.force_observer import ForceObserver
 from softrobot_twin.control.guidance import Guidance
 from softrobot_twin.control.inputs import (
     ActuatorInput,
@@ -334,6 +335,7 @@ class TwinLoop:
         pulleys: The pulleys that wind cables, and their angles.
         inputs: The inputs that its scene and mode call for, by name; each is an attribute of its
             name too, and the others are None.
+        observer: Finds forces that nobody modelled; None in a scene without an observer.
         is_repeating: True when the last tick repeated the outcome of the one before.
         listeners: Take the name, the arguments and the answer of each of its `calls`, after it was
             made.
@@ -381,8 +383,11 @@ class TwinLoop:
         self.measurement = EffectorMeasurement(simulation)
         self.correction = TargetCorrection(len(simulation.effector_names))
         limits = simulation.limits
-        self._history = ModelHistory(limits.travel(limits.drive_scale), len(simulation.marker_ids),
-                                     len(simulation.effector_names))  # fmt: skip
+        self.observer = None if simulation.scene.observer is None else ForceObserver(simulation)
+        self._history = ModelHistory(
+            limits.travel(limits.drive_scale), len(simulation.marker_ids),
+            len(simulation.effector_names),
+            load_count=0 if self.observer is None else self.observer.load_count)
         self._plausibility = MarkerPlausibility(simulation)
         self._is_lost = False
         self._aimed = self._no_targets.targets
@@ -554,6 +559,8 @@ class TwinLoop:
         """Drops old misfits, which are invalid after the model was moved other than by a step."""
         self._history.forget()
         self._plausibility.forget()
+        if self.observer is not None:
+            self.observer.reset()
 
     def _forget_commands(self) -> None:
         for one in self.wishes:
@@ -637,7 +644,11 @@ class TwinLoop:
         activity, cause = self._decide(now, aims.reading, accepted)
         self._guide(activity, now, time.reach)
         command = self._command(activity, cause, aims, time)
-        touched = None if self.touches is None else self.touches.read(now)
+        felt = None if self.touches is None else self.touches.read(now)
+        touched = [] if felt is None else [felt]
+        if self.observer is not None:
+            self._observe(seen, activity)
+            touched.append(self.observer.found)
         result, released, violated = self._step(command, touched, time.reach, cause)
         predicted = self.simulation.marker_positions()
         self._remember(ros_time, predicted, result)
@@ -842,13 +853,13 @@ class TwinLoop:
         return CommandEfforts(np.where(is_omitted, present, direct.efforts), *time)
 
     def _step(
-        self, command, touched: Touched | None, reach_time: float, cause: str
+        self, command, touched: list, reach_time: float, cause: str
     ) -> tuple[StepResult, ActuatorCommand | None, tuple[str, ...]]:
         """Steps the simulation and passes its command through the gate.
 
         Args:
             command: The command of this tick.
-            touched: What is measured of touches.
+            touched: What is measured of touches, and what an observer found.
             reach_time: Time in which the actuators may move at their rates [s].
             cause: Why neither targets nor a direct command are followed.
 
@@ -858,12 +869,9 @@ class TwinLoop:
         """
         simulation, before = self.simulation, self.simulation.state
         budget = self.settings.budget
-        if (at_rest := simulation.stay(command, touched)) is not None:
-            result = at_rest
-        elif touched is None:
-            result = simulation.step(command, budget)
-        else:
-            result = simulation.step(command, budget, touched)
+        result = simulation.stay(command, touched)
+        if result is None:
+            result = simulation.step(command, budget, *([touched] if touched else ()))
         passage = None
         if cause != DISPUTED:
             passage = self._engagement.release(result, reach_time)
@@ -874,6 +882,31 @@ class TwinLoop:
             simulation.restore(before)
             result = _undone(result, before, passage.command, simulation)
         return result, passage.command, passage.violated
+
+    def _observe(self, seen: np.ndarray, activity: Activity) -> None:
+        """Finds the forces that nobody modelled, by the markers that are plausible.
+
+        Args:
+            seen: Measured markers [m], shape (marker_count, 3); NaN for hidden markers.
+            activity: What the loop does.
+        """
+        if not activity.follows_robot:
+            self.observer.reset()
+            return
+        stamp = self.markers.stamp
+        if seen is self.markers.hidden or not self._history.is_any:
+            return
+        model = self._model_of(stamp)
+        if self.observer.is_new(stamp):
+            beside = self._plausibility.without_left_out(seen) - (model.markers - model.explained)
+            if self.observer.update(beside, model.by_loads, self._plausibility.noise, stamp):
+                self._history.load_elsewhere(self.observer.by_loads)
+
+    def _model_of(self, stamp: int) -> Moment:
+        """The model at the command that the robot executed at a time [ns], or else at this time."""
+        setpoints = self.device.at(self.markers.time)
+        executed = None if setpoints is None else self._history.executed(setpoints, stamp)
+        return self._history.at(stamp) if executed is None else executed
 
     def _compare(self, seen: np.ndarray, activity: Activity) -> tuple[np.ndarray, Misfit]:
         """Compares measured markers with the model's at the time of the measurement.
@@ -896,9 +929,15 @@ class TwinLoop:
 
     def _remember(self, ros_time: int, markers: np.ndarray, result: StepResult) -> None:
         """Adds the model of this tick [ns] to its history, where markers can be compared with it."""
-        if len(markers):
-            moment = Moment(markers, result.effector_positions)
-            self._history.add(ros_time, result.setpoints, moment)
+        if not len(markers):
+            return
+        moment = Moment(markers, result.effector_positions)
+        if self.observer is not None:
+            if not result.report.is_resting:
+                self.observer.look()
+            moment = Moment(markers + self.observer.lag, moment.effectors, self.observer.explained,
+                            self.observer.by_loads)
+        self._history.add(ros_time, result.setpoints, moment)
 
     def _correct(
         self, activity: Activity, aims: Aims, effectors: np.ndarray, markers: np.ndarray,
@@ -908,7 +947,9 @@ class TwinLoop:
         touches, errors, misfit = result.touches, None, None
         stamp, follows = self.markers.stamp, activity is Activity.FOLLOWING
         # What a finger displaces is not an error of the model.
-        is_touched = touches is not None and touches.is_touched.any()
+        is_touched = touches is not None and bool(touches.is_touched.any())
+        # Nor is what a new force displaces, until it is known.
+        is_touched |= self.observer is not None and self.observer.is_settling
         if self.settings.closed_loop and follows and not is_touched:
             # Nor is its distance while an effector approaches a far target.
             comparable = np.where(aims.arrived, effectors, np.nan)
@@ -916,6 +957,8 @@ class TwinLoop:
             setpoints = self.device.at(self.markers.time) if self.correction.is_new(stamp) else None
             model = None if setpoints is None else self._history.executed(setpoints, stamp)
             if model is not None:
+                if self.observer is not None:
+                    model = self.observer.under_loads(model)
                 misfit = self.measurement.misfit(markers, model)
         targets, before = aims.reading.targets, self._aimed
         self._aimed = targets

@@ -203,6 +203,8 @@ class TwinDiagnostics:
             parts["contact"] = contact_status(contact, window, follows) if has_ticked else waits
         if loop.touches is not None:
             parts["touch"] = self._of_touches() if has_ticked else waits
+        if loop.observer is not None:
+            parts["observer"] = self._of_observer()
         name = self._loop.simulation.scene.name
         return [status_message(f"{self._name}: {key}", name, part) for key, part in parts.items()]
 
@@ -347,6 +349,15 @@ class TwinDiagnostics:
             values, "not touched",
             (self._new("refused_touches", inputs.refusals.total), WARN, "a measured touch was refused"),
             (touched, OK, f"touched: {touched}"))
+
+    def _of_observer(self) -> Part:
+        observer, values = self._loop.observer, dict[str, object]()
+        forces, spreads = observer.found.wrenches[:, :3], observer.found.deviations[:, :3]
+        for name, force, spread in zip(observer.names, forces, spreads, strict=True):
+            values[f"{name}_force_n"] = " ".join(f"{one:.3g}" for one in force)
+            values[f"{name}_deviation_n"] = " ".join(f"{one:.2g}" for one in spread)
+        found = ", ".join(compress(observer.names, observer.found.is_detected))
+        return first_of(values, "no force beyond noise", (found, OK, f"found: {found}"))
 
     def _of_limits(self) -> Part:
         window = self._window

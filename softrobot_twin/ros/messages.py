@@ -141,14 +141,18 @@ def cables_message(
     )
 
 
-def wrench_message(force: np.ndarray, header: Header) -> WrenchStamped:
-    """A force [N], shape (3,), as a message without torque.
+def wrench_message(
+    force: np.ndarray, header: Header, torque: np.ndarray = np.zeros(3)
+) -> WrenchStamped:
+    """A force [N] and a torque [N m], shape (3,) each, as a message.
 
     Args:
         force: The force [N], shape (3,).
         header: Header of the message.
+        torque: The torque [N m], shape (3,); none by default.
     """
-    return WrenchStamped(header=header, wrench=Wrench(force=coordinates(Vector3, force)))
+    wrench = Wrench(force=coordinates(Vector3, force), torque=coordinates(Vector3, torque))
+    return WrenchStamped(header=header, wrench=wrench)
 
 
 def pressure_message(pressure: float, header: Header, variance: float = 0.0) -> FluidPressure:

@@ -284,6 +284,15 @@ TWIN_TOPICS = _by_name(
           "the others held. The label of the second dimension names each column with its unit, "
           "such as `north_shortening_m` (m/m), `air_pressure_Pa` (m/Pa); by a shortening, not by "
           "the length, which has the other sign. Computed only while somebody receives it"),
+    Topic("~/external_forces/<force>", OUT, WrenchStamped, NEWEST, "N, N m",
+          "force on the robot that the scene's `observer` found, zero without one; a torque only on "
+          "a rigid body. Deviations are on the topic below and in `/diagnostics`"),
+    Topic("~/external_force_deviations/<force>", OUT, JointState, NEWEST, "N, m",
+          "names x, y, z: `position` = place of that force [m], `effort` = its standard deviation "
+          "[N]"),
+    Topic("~/external_contacts", OUT, JointState, NEWEST, "",
+          "names of the scene's observed forces: `position` = 1 where the force is larger than noise "
+          "makes it, else 0"),
     Topic("~/predicted_markers", OUT, PointCloud2, NEWEST, "m",
           "markers of the model, as in `~/markers`; only while somebody receives it"),
     Topic("~/bodies/<rigid body>", OUT, PoseStamped, NEWEST, "m",
@@ -311,7 +320,7 @@ TWIN_TOPICS = _by_name(
     Topic("/diagnostics", OUT, DiagnosticArray, DIAGNOSTICS, "",
           "1 Hz, and at once when the clock was set or another node or publisher of the same name "
           "appears: `<node>: loop`, `solver`, `limits`, `markers`, `device`, `target`, `view`, "
-          "`graph`, `record` with that parameter, and `contact` and `touch` where a scene has "
+          "`graph`, `record` with that parameter, and `contact`, `touch` and `observer` where a scene has "
           "them; `<node>` is the full name without its first slash"),
 )  # fmt: skip
 """Topics of the twin, by name."""

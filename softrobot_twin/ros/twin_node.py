@@ -46,6 +46,7 @@ from softrobot_twin.ros.messages import (
     pressure_message,
     stamp_of,
     vector_message,
+    wrench_message,
 )
 from softrobot_twin.ros.outputs import Output, open_outputs, rows_of
 from softrobot_twin.ros.parameters import TWIN, declare, loop_settings, plain
@@ -187,6 +188,11 @@ _OF_CHANNELS: dict[str, tuple] = {
     "~/effector_poses/<effector>": (pose_message, "effector_positions", "effector_orientations"),
     "~/stiffness/<effector>": (vector_message, "effector_stiffness"),
     "~/touch/<touch>": (partial(cables_message, "xyz"), "touch_displacements", "touch_forces"),
+    "~/external_forces/<force>": (
+        lambda torque, force, header: wrench_message(force, header, torque),
+        "external_torques", "external_forces"),
+    "~/external_force_deviations/<force>": (
+        partial(cables_message, "xyz"), "external_force_places", "external_force_deviations"),
 }  # fmt: skip
 """Topics of channels of the package, what makes their messages, and the channels; of each object
 that has the last one."""
@@ -216,7 +222,10 @@ def outputs_of(loop: TwinLoop) -> Iterator[Output]:
                  lambda tick: rows_of(sealed(tick.result.state.positions).values()), (1,))
     has_cables = any(kind.one_sided for kind in simulation.actuators.kinds)
     yield from _of_channels(simulation)
-    figures = simulation.figure_names
+    observed, figures = simulation.observed_names, simulation.figure_names
+    yield Output(TOPICS["~/external_contacts"], [""] * bool(observed),
+                 lambda values, header: cables_message(observed, values, (), header),
+                 lambda tick: [(tick.result.state.memory["observer.is_detected"],)], (len(observed),))
     yield Output(TOPICS["~/figures"], [""] * bool(figures),
                  lambda values, header: cables_message(figures, values, (), header),
                  lambda tick: [([*tick.result.report.figures.values()],)], (len(figures),))

@@ -67,6 +67,13 @@ def check_references(scene) -> None:
         for key, entry in scene.keyed(section):
             name = f"marker {entry.id}" if section == "markers" else entry.name
             check_carrier(f"{key}.{word}", name, getattr(entry, word), deformable, others)
+    for index, force in enumerate(scene.observer.forces if scene.observer else ()):
+        key = f"observer.forces[{index}].body"
+        others = framed if force.points else rigid
+        check_carrier(key, f"force {force.name}", force.body, deformable, others)
+    if scene.observer is not None and len(scene.markers) < 3:
+        raise refusal("markers", f"{len(scene.markers)} markers",
+                      "an observer needs three markers or more, which tell it of forces")
     for key, beam in scene.keyed("beams"):
         for index, joint in enumerate(beam.joined):
             others = [name for name in framed if name != beam.name]

@@ -254,6 +254,47 @@ class Touch(PointsOnBody):
     """A greater measured force is refused; by default none is."""
 
 
+class ObservedForce(Entry):
+    """A force that nobody modelled and that is found from markers: at known points of a body, at an
+    unknown place of a soft body's surface, or with its torque on a rigid body."""
+
+    placed: ClassVar[dict[str, str]] = {"points": "point"}
+
+    name: Name
+    """Its name, in topics and columns."""
+    body: Name | None = None
+    """The body it acts on; optional when there is only one."""
+    points: tuple[Vector, ...] = ()
+    """Places at rest: it acts at their mean. Without any, its place on the surface of a soft body is
+    found too; on a rigid body it is a force at the centre of mass and a torque."""
+
+
+class Observer(Entry):
+    """Finds forces from where the markers are beside the model: a random walk, a Kalman filter, and
+    Huber's weights for outliers. The model bears what is found."""
+
+    told: ClassVar[tuple[str, ...]] = ("changes of {walk:=} N in a second",)
+
+    forces: Annotated[tuple[ObservedForce, ...], Field(min_length=1)]
+    """The forces that are looked for; three markers or more tell one."""
+    walk: Annotated[float, unit("N", gt=0.0)] = 0.3
+    """Change of a force within a second, as standard deviation; a sudden one is noticed by itself."""
+    greatest_force: Annotated[float, unit("N", gt=0.0)] = 5.0
+    """What is expected before anything is seen, as standard deviation."""
+    marker_noise: Annotated[float | None, unit("m", gt=0.0)] = None
+    """Standard deviation of each measured coordinate; by default it is estimated."""
+    model_error: Annotated[float, unit("m", ge=0.0)] = 0.0
+    """What the model itself is off at the markers, as standard deviation: forces are the less sure."""
+
+    def check(self) -> None:
+        """Refuse a name that is given twice."""
+        names = [force.name for force in self.forces]
+        for index, name in enumerate(names):
+            if name in names[:index]:
+                raise refusal(f"forces[{index}].name", name,
+                              f"force {name} is given more than once")
+
+
 class Solver(Entry):
     """How a step is solved, and its tolerances."""
 
@@ -311,6 +352,7 @@ class Scene(Entry):
     touches: tuple[Touch, ...] = ()
     markers: tuple[Marker, ...] = ()
     marker_frame: MarkerFrame = MarkerFrame()
+    observer: Observer | None = None
     solver: Solver = Solver()
     path: Path | None = Field(default=None, exclude=True)
     """The scene file; set by the loader."""

@@ -20,9 +20,12 @@ from softrobot_twin.simulation.building.table_columns import (
     AXES,
     displacement_columns,
     force_columns,
+    force_deviation_columns,
+    place_columns,
     position_columns,
     quaternion_columns,
     stiffness_columns,
+    torque_columns,
 )
 from softrobot_twin.simulation.command import Command
 from softrobot_twin.simulation.result import StepResult
@@ -136,12 +139,31 @@ FIGURES = Channel(
     if result.report.figures else None)  # fmt: skip
 """What optional effects report of a step; their names tell the units."""
 
+
+def _observed(field: str, first: int = 0) -> Callable[[StepResult], np.ndarray | None]:
+    """Reads three numbers of what an observer found; see `ObservedForces`."""
+    key = f"observer.{field}"
+
+    def read(result: StepResult) -> np.ndarray | None:
+        found = result.state.memory.get(key)
+        return None if found is None else found[:, first : first + 3]
+
+    return read
+
+
 BUILT_IN = (
     *WANTED,
     Channel("touch_forces", "N", "touch_names", AXES, force_columns,
             lambda result: None if result.touches is None else result.touches.forces),
     Channel("touch_displacements", "m", "touch_names", AXES, displacement_columns,
             lambda result: None if result.touches is None else result.touches.displacements),
+    Channel("external_forces", "N", "observed_names", AXES, force_columns, _observed("wrenches")),
+    Channel("external_force_deviations", "N", "observed_names", AXES, force_deviation_columns,
+            _observed("deviations")),
+    Channel("external_torques", "N m", "observed_names", AXES, torque_columns,
+            _observed("wrenches", 3), "observed_with_torque"),
+    Channel("external_force_places", "m", "observed_names", AXES, place_columns,
+            _observed("places")),
     FIGURES,
 )  # fmt: skip
 """The channels of the package."""

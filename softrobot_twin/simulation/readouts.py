@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from softrobot_twin.mechanics.touch_loads import TouchState
+from softrobot_twin.simulation.effects.observed_forces import observed_term
 from softrobot_twin.simulation.appearance import (
     CavityDisplay,
     Pose,
@@ -57,6 +58,8 @@ class Readouts:
             it.
         marker_ids: Ids of the markers, shape (marker_count,).
         touch_names: Names of the touches, in the order of all their arrays.
+        observed_names: Names of the forces that an observer looks for, likewise.
+        observed_with_torque: Whether each comes with a torque.
         rigid_names: Names of the rigid bodies, in the order of all their arrays.
         guided_names: Names of the rigid bodies that follow commanded poses; others are moved by
             slides.
@@ -97,6 +100,9 @@ class Readouts:
         self.scene_stiffness = stiffness_of_scene(self.scene)
         self.marker_ids, self.effector_markers = model.marker_ids, model.effector_markers
         self.touch_names = tuple(touch.name for touch in self.scene.touches)
+        places = () if (observed := observed_term(model)) is None else observed.places
+        self.observed_names = tuple(place.name for place in places)
+        self.observed_with_torque = tuple(place.is_wrench for place in places)
         self.rigid_names = tuple(part.name for part in model.rigid)
         sliding = {slide.body for slide in self.scene.slides}
         self.guided_names = tuple(part.name for part in model.rigid

@@ -312,8 +312,8 @@ class Simulation(Readouts):
         Args:
             command: What is asked. Its arrays must fit this scene.
             budget: Time for this step [s], or None.
-            measured: What is measured beside the state, such as loads of a hand; None without
-                any. A part may replace the command by it.
+            measured: What is measured beside the state, such as loads of a hand, or a list of
+                such; None without any. A part may replace the command by it.
 
         Returns:
             The new state and what led to it; with a failure status, the last safe one.
@@ -396,7 +396,7 @@ class Simulation(Readouts):
 
         Args:
             command: What is asked.
-            measured: As in `step`; whether it says anything is its `is_any`.
+            measured: As in `step`; whether each says anything is its `is_any`.
 
         Returns:
             The result, at which `report.is_resting`; None where the step must be made.
@@ -404,7 +404,7 @@ class Simulation(Readouts):
         kept = self.kept
         if kept is None or kept.result is None or not self.asks_as(kept.command, command):
             return None
-        if measured is not None and measured.is_any:
+        if any(one.is_any for one in _each(measured)):
             return None
         if any(part.is_stepping for part in self._parts_with["step_in_place"]):
             return None
@@ -453,22 +453,22 @@ class Simulation(Readouts):
 
         Args:
             command: What is asked.
-            measured: What is measured; one part takes it.
+            measured: What is measured; one part takes each.
 
         Returns:
             What is to be done, and whether the stiffness is another than before.
         """
-        taken, changes = measured is None, False
+        left, changes = _each(measured), False
         for part in self._parts_with["recall"]:
             part.recall(self.state)
         for part in self._parts_with["begin"]:
-            takes = part.takes is not None and isinstance(measured, part.takes)
-            changes |= part.begin(self.state, measured if takes else None)
-            taken = taken or takes
+            own = [one for one in left if part.takes is not None and isinstance(one, part.takes)]
+            changes |= part.begin(self.state, own[0] if own else None)
+            left = [one for one in left if not own or one is not own[0]]
         for part in self._parts_with["command"]:
             command = part.command(command, self.state)
-        if not taken:
-            what = type(measured).__name__.lower()
+        if left:
+            what = type(left[0]).__name__.lower()
             raise CommandError(what, f"nothing in this scene can be {what}")
         return command, changes
 
@@ -805,6 +805,11 @@ class Simulation(Readouts):
         return self._results.of_failure(
             command, clock, iterations, status, limits, self.state, self.effector_positions()
         )
+
+
+def _each(measured: object | None) -> list:
+    """What is measured in a step, one by one."""
+    return measured if isinstance(measured, list) else [] if measured is None else [measured]
 
 
 def _motion_of(model: Model) -> Statics | Dynamics:

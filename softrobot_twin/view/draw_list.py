@@ -5,7 +5,7 @@ rerun, markers of RViz, pictures and notebooks draw this list, each in its own l
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple, Self
 
@@ -131,7 +131,7 @@ class DrawList:
         self.size = size_of(simulation)
         every = (self._bodies(), self._actuators(), self._springs(), self._cavities(),
                  self._rigid(facets), self._obstacles(facets), self._contacts(), self._touches(),
-                 self._axes(), self._fixed(), self._points())  # fmt: skip
+                 self._observed(), self._axes(), self._fixed(), self._points())  # fmt: skip
         self._effects: list[Effect] = [effect for effect in every if effect[0]]
         self.entities = tuple(entity for entities, _ in self._effects for entity in entities)
 
@@ -273,6 +273,28 @@ class DrawList:
             Entity("/touches/forces", "arrows", _FORCE_COLOUR, 1.5, kind="force"),
         ], lambda _: self._acting(term.points(simulation.state.positions),
                                   term.forces(simulation.state.positions))  # fmt: skip
+
+    def _observed(self) -> Effect:
+        """Forces that an observer found, and the same with two deviations more or less."""
+        simulation = self._simulation
+        if not simulation.observed_names:
+            return (), None
+        return [
+            Entity("/observer/points", "points", (150, 90, 210), 4.0, simulation.observed_names,
+                   kind="observed", noun="observed force"),
+            Entity("/observer/forces", "arrows", (150, 90, 210), 1.5, kind="force"),
+            Entity("/observer/two_deviations", "arrows", (205, 175, 235), 4.0, kind="force"),
+        ], lambda _: self._found(simulation.state.memory)  # fmt: skip
+
+    def _found(self, memory: Mapping[str, np.ndarray]) -> tuple[Drawn, Drawn, Drawn]:
+        """Places, forces, and what two deviations add and take away at the tips of these."""
+        places = memory["observer.places"]
+        forces = self._force_scale * memory["observer.wrenches"][:, :3]
+        spread = 2.0 * self._force_scale * np.linalg.norm(
+            memory["observer.deviations"][:, :3], axis=1, keepdims=True)
+        along = forces / np.maximum(np.linalg.norm(forces, axis=1, keepdims=True), 1.0e-12)
+        return (Drawn(places), Drawn(places, forces),
+                Drawn(places + forces - spread * along, 2.0 * spread * along))
 
     def _acting(self, points: np.ndarray, forces: np.ndarray) -> tuple[Drawn, Drawn]:
         """Points and arrows of forces [N]."""

@@ -41,6 +41,7 @@ from softrobot_twin.mechanics.sealed_gas import SealedGas
 from softrobot_twin.mechanics.springs import Springs, segments
 from softrobot_twin.mechanics.strain_rate_damping import StrainRateDamping
 from softrobot_twin.mechanics.strain_watch import StrainWatch
+from softrobot_twin.mechanics.observed_loads import ObservedLoads, ObservedPlace
 from softrobot_twin.mechanics.touch_loads import TouchLoads
 from softrobot_twin.scene.body_entries import Fibre, Helix
 from softrobot_twin.simulation.building.beam_bodies import all_elements
@@ -90,6 +91,9 @@ def force_terms(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
         yield spring_term(layout, notes)
     if scene.touches:
         yield _touch_loads(layout, notes)
+    if scene.observer is not None:
+        places = tuple(_observed_places(layout, notes))
+        yield ObservedLoads(places, layout.nodes.free_node_count)
     if scene.sealed_cavities:
         yield _sealed_gas(layout, notes)
     if any(scene.gravity) and any(cavity.liquid_density for cavity in scene.cavities):
@@ -114,6 +118,45 @@ def _touch_loads(layout: Layout, notes: list[str]) -> TouchLoads:
     axes = [[axis in touch.directions for axis in "xyz"] for touch in scene.touches]
     points = reduce(BarycentricMapping.followed_by, mappings)
     return TouchLoads(points, np.array(axes), np.array(stiffness), layout.nodes.free_index)
+
+
+def _observed_places(layout: Layout, notes: list[str]) -> Iterator[ObservedPlace]:
+    """Where an observer looks for forces."""
+    for index, force in enumerate(layout.scene.observer.forces):
+        key, body = f"observer.forces[{index}]", layout.body_named(force.body)
+        if isinstance(body, Body) and body.vertebrae is not None and force.points:
+            raise layout.scene.error(f"{key}.body", body.name, "is reduced to vertebrae: forces on "
+                                     "such bodies are not observed")
+        if force.points:
+            points = layout.carried(force.body, force.points, f"{key}.points", notes)
+            yield ObservedPlace(force.name, points)
+        elif isinstance(body, Body):
+            yield _found_place(layout, body, force.name, key)
+        else:
+            points = body.origin + np.vstack([np.zeros(3), layout.nodes.size * np.eye(3)])
+            yield ObservedPlace(force.name, body.carried(points), is_wrench=True)
+
+
+def _found_place(layout: Layout, body: Body, name: str, key: str) -> ObservedPlace:
+    """The middles of the triangles of a body's surface that are not held."""
+    if body.reduction is not None or body.vertebrae is not None:
+        raise layout.scene.error(f"{key}.body", body.name, "is reduced: an unknown place on it is "
+                                 "not built; give points")
+    mesh, free = body.mesh, layout.nodes.free_index
+    corners = mesh.node_positions[mesh.surface_triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    thirds = BarycentricMapping(mesh.surface_triangles, np.full((len(corners), 3), 1.0 / 3.0))
+    points = body.carried_by(thirds)
+    index = free[points.nodes]
+    if (index >= layout.nodes.free_node_count).any():
+        raise layout.scene.error(f"{key}.body", body.name, "is held by rigid bodies: an unknown "
+                                 "place on it is not built; give points")
+    moves = (index >= 0).all(axis=1)
+    if not moves.any():
+        raise layout.scene.error(f"{key}.body", body.name, "has no surface that can move")
+    points = BarycentricMapping(points.nodes[moves], points.barycentric_weights[moves])
+    return ObservedPlace(name, points, is_found=True, normals=normals[moves])
 
 
 def _mean(points: BarycentricMapping) -> BarycentricMapping:

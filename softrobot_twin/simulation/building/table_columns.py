@@ -81,6 +81,34 @@ def force_columns(name: str) -> tuple[str, ...]:
     return tuple(f"{name}_force_{axis}_N" for axis in AXES)
 
 
+def force_deviation_columns(name: str) -> tuple[str, ...]:
+    """Columns of the standard deviation of an observed force [N], such as
+    ``tip_force_deviation_x_N``.
+
+    Args:
+        name: Name of the force.
+    """
+    return tuple(f"{name}_force_deviation_{axis}_N" for axis in AXES)
+
+
+def torque_columns(name: str) -> tuple[str, ...]:
+    """Columns of an observed torque [N m], such as ``cube_torque_x_N_m``.
+
+    Args:
+        name: Name of the force that comes with it.
+    """
+    return tuple(f"{name}_torque_{axis}_N_m" for axis in AXES)
+
+
+def place_columns(name: str) -> tuple[str, ...]:
+    """Columns of where an observed force acts [m], such as ``tip_place_x_m``.
+
+    Args:
+        name: Name of the force.
+    """
+    return tuple(f"{name}_place_{axis}_m" for axis in AXES)
+
+
 def displacement_columns(name: str) -> tuple[str, ...]:
     """Columns of the displacement of a touch [m], such as ``finger_displacement_x_m``.
 

@@ -219,6 +219,25 @@ class Newton:
             return None
         return self._model.factorization
 
+    def held_factorization(self, is_held: np.ndarray) -> Factorization | None:
+        """What solves with the tangent of statics, while some actuators hold their displacements.
+
+        Where these hold, it makes no difference that their rows augment the tangent.
+
+        Args:
+            is_held: Whether each actuator with a row holds, shape (actuator_row_count,).
+
+        Returns:
+            It; None where the last step did not have it.
+        """
+        is_other = self._model.is_dynamic or self.projected_tangent or not self._conserves
+        if not self.is_augmented or is_other or self.factor_age is None:
+            return self.static_factorization
+        rows, augmented = self._rows, self._augmented
+        has_own = rows.own_compliance() is not None or augmented.contact_stiffness.any()
+        holds = is_held[augmented.stiffness[: len(is_held)] != 0.0].all()
+        return augmented if holds and not has_own else None
+
     def forget(self) -> None:
         """Forget what earlier states taught: the next linearization starts from nothing."""
         for stages in self._traced:

@@ -1,0 +1,250 @@
+"""Forces that nobody modelled: an observer finds them, and the model bears them.
+
+A force comes in from an observer of markers before a step; see `control/force_observer.py`. The step
+takes it for given, so that the model stays where the robot is, and targets are reached under it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from softrobot_twin.constraints.effector import EffectorPoints, Effectors
+from softrobot_twin.constraints.row_stack import RowStack
+from softrobot_twin.mechanics.barycentric import BarycentricMapping
+from softrobot_twin.mechanics.observed_loads import ObservedLoads, ObservedPlace
+from softrobot_twin.simulation.building.model import Model
+from softrobot_twin.simulation.state import State
+from softrobot_twin.simulation.step.interpretation import fitting
+from softrobot_twin.simulation.step.step_part import StepPart
+
+
+class ObservedForces(NamedTuple):
+    """What an observer found, for a step.
+
+    Attributes:
+        wrenches: Force on the robot [N] and torque about the place [N m], zero where there is
+            none, shape (place_count, 6).
+        deviations: Their standard deviations, same shape.
+        points: The point at which each acts, among those of its place, shape (place_count,).
+        is_detected: Whether each is larger than noise makes it, same shape.
+    """
+
+    wrenches: np.ndarray
+    deviations: np.ndarray
+    points: np.ndarray
+    is_detected: np.ndarray
+
+    @classmethod
+    def none(cls, count: int) -> ObservedForces:
+        """Nothing at so many places.
+
+        Args:
+            count: Number of places.
+        """
+        return cls(*np.zeros((2, count, 6)), np.zeros(count, np.int64), np.zeros(count, bool))
+
+    @property
+    def is_any(self) -> bool:
+        """Whether there is any force."""
+        return bool(self.wrenches.any())
+
+
+def observed_term(model: Model) -> ObservedLoads | None:
+    """The force term of what is observed in a scene; None without an observer.
+
+    Args:
+        model: The model of a simulation.
+    """
+    return next((term for term in model.forces if isinstance(term, ObservedLoads)), None)
+
+
+class ObservedRows:
+    """Rows along all axes of markers and of observed places.
+
+    Attributes:
+        places: The places.
+        marker_count: Number of markers, whose rows come first.
+        stack: The rows.
+    """
+
+    def __init__(self, model: Model, places: tuple[ObservedPlace, ...], with_markers: bool):
+        """Lay the rows out, of found places at their first point.
+
+        Args:
+            model: The model of a simulation.
+            places: The places.
+            with_markers: Whether there are rows of the markers too.
+        """
+        self.places, self._nodes = places, model.nodes
+        markers = model.markers if with_markers else None
+        self.marker_count = 0 if markers is None else markers.point_count
+        self._own = [] if markers is None else [_point(markers, i) for i in range(self.marker_count)]
+        self._chosen: tuple[int, ...] | None = None
+        self.choose(np.zeros(len(places), np.int64))
+
+    def choose(self, points: np.ndarray) -> bool:
+        """Have found places at other points.
+
+        Args:
+            points: Index of the point of each place, shape (place_count,).
+
+        Returns:
+            Whether any changed.
+        """
+        chosen = tuple(int(one) for one in points)
+        if chosen == self._chosen:
+            return False
+        mappings = list(self._own)
+        for place, point in zip(self.places, chosen, strict=True):
+            if place.is_wrench:
+                mappings += [_point(place.points, i) for i in range(4)]
+            else:
+                mappings.append(_point(place.points, point) if place.is_found else place.points)
+        effectors = tuple(EffectorPoints("", one, (0, 1, 2), 1.0) for one in mappings)
+        self._chosen, self._term = chosen, Effectors(effectors, self._nodes.free_index, self._nodes.size)
+        self.stack = RowStack([self._term], self._nodes.carried)
+        return True
+
+    def basis(self, positions: np.ndarray) -> np.ndarray:
+        """Forces at the rows of the places by the numbers of their loads.
+
+        A wrench is the least forces at its four points that have this sum and torque.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+
+        Returns:
+            Shape (row_count of places, number of loads).
+        """
+        points = self._term.positions(positions)[self.marker_count :]
+        blocks, first = [], 0
+        for place in self.places:
+            if place.is_wrench:
+                arms = points[first : first + 4] - points[first]
+                sums = np.hstack([np.vstack([np.eye(3), _cross(arm)]) for arm in arms])
+                blocks.append(np.linalg.pinv(sums))
+            else:
+                blocks.append(np.eye(3))
+            first += 4 if place.is_wrench else 1
+        whole = np.zeros((sum(map(len, blocks)), sum(one.shape[1] for one in blocks)))
+        row = column = 0
+        for one in blocks:
+            whole[row : row + len(one), column : column + one.shape[1]] = one
+            row, column = row + len(one), column + one.shape[1]
+        return whole
+
+    def places_at(self, positions: np.ndarray) -> np.ndarray:
+        """Where the loads act [m], shape (place_count, 3).
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
+        points = self._term.positions(positions)[self.marker_count :]
+        counts = [4 if place.is_wrench else 1 for place in self.places]
+        return points[np.cumsum(counts) - counts]
+
+    def add_forces(self, positions: np.ndarray, loads: np.ndarray, forces: np.ndarray) -> None:
+        """Add the loads to the forces on the unknowns.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            loads: Numbers of all loads [N] and [N m], shape (load_count,).
+            forces: On the unknowns [N], shape (free_node_count, 3); added to.
+        """
+        self.stack.evaluate(positions)
+        self.stack.add_forces(self.basis(positions) @ loads, forces)
+
+
+def _point(points: BarycentricMapping, index: int) -> BarycentricMapping:
+    """One of some points."""
+    one = slice(index, index + 1)
+    return BarycentricMapping(points.nodes[one], points.barycentric_weights[one])
+
+
+def _cross(arm: np.ndarray) -> np.ndarray:
+    """The matrix of a × b by b, shape (3, 3)."""
+    x, y, z = arm
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def numbers_of(places: tuple[ObservedPlace, ...], wrenches: np.ndarray) -> np.ndarray:
+    """The numbers of all loads, without torques that a place does not have, shape (load_count,).
+
+    Args:
+        places: The places.
+        wrenches: Forces and torques, shape (place_count, 6).
+    """
+    return np.concatenate([one[: place.dimension] for place, one in zip(places, wrenches, strict=True)])
+
+
+def observed_forces_of(model: Model) -> Iterator[StepPart]:
+    """The part of a scene with an observer.
+
+    Args:
+        model: The model of a simulation.
+    """
+    if (term := observed_term(model)) is not None:
+        yield Observed(model, term)
+
+
+class Observed(StepPart):
+    """Lets the model bear what an observer found."""
+
+    name, takes = "observer", ObservedForces
+
+    def __init__(self, model: Model, term: ObservedLoads):
+        """Take the term.
+
+        Args:
+            model: The built scene.
+            term: Its force term of observed loads.
+        """
+        self._term, self._rows = term, ObservedRows(model, term.places, with_markers=False)
+        self._none = ObservedForces.none(len(term.places))
+        self._found, self._rest = self._none, model.nodes.rest_positions
+
+    def memory_at_rest(self) -> dict[str, np.ndarray]:
+        """The fields of an `ObservedForces` that found nothing, and places [m]."""
+        return {**self._none._asdict(), "places": self._rows.places_at(self._rest)}
+
+    def begin(self, state: State, measured: ObservedForces | None) -> bool:
+        """Set the loads of a step.
+
+        Args:
+            state: Where the step begins.
+            measured: What was found; None where nothing was.
+
+        Returns:
+            False: the stiffness stays.
+
+        Raises:
+            CommandError: An array has another shape, or holds infinite values or NaN.
+        """
+        found = self._none if measured is None else measured
+        count = len(self._term.places)
+        wrenches = fitting("observed forces", found.wrenches, (count, 6), nan_allowed=False)
+        self._found = found._replace(wrenches=np.array(wrenches))
+        self._term.forces[:] = 0.0
+        self._rows.choose(found.points)
+        if wrenches.any():
+            loads = numbers_of(self._term.places, wrenches)
+            self._rows.add_forces(state.positions, loads, self._term.forces)
+        return False
+
+    def end(self, positions: np.ndarray, efforts: np.ndarray) -> dict[str, np.ndarray]:
+        """The loads of the step, and where they act."""
+        found = {field: np.array(one) for field, one in self._found._asdict().items()}
+        return {**found, "places": self._rows.places_at(positions)}
+
+    @property
+    def loads(self) -> np.ndarray:
+        """All forces and torques, shape (6 place_count,)."""
+        return self._found.wrenches.ravel()
+
+    @property
+    def load(self) -> float:
+        """Sum of the forces of the step by magnitude [N]."""
+        return float(np.linalg.norm(self._found.wrenches[:, :3], axis=1).sum())

@@ -1,0 +1,154 @@
+"""What markers yield to forces at observed places, while the actuators hold what they hold."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from softrobot_twin.simulation.apparent_compliance import HeldTangent
+from softrobot_twin.simulation.effects.observed_forces import ObservedRows, observed_term
+from softrobot_twin.simulation.simulation import Simulation
+from softrobot_twin.simulation.step.apparent_stiffness import sharing
+from softrobot_twin.solvers.factorization import Factorization
+
+# Where a step left markers further from balance than this share of the robot's size, what they yield is
+# found by the stiffness there, and not by that where the step began.
+FAR = 0.001
+
+
+class MarkerCompliance(HeldTangent):
+    """Computes the compliance of markers at the present state of a simulation with an observer.
+
+    Attributes:
+        rows: Rows of the markers and of the places.
+    """
+
+    def __init__(self, simulation: Simulation):
+        """Lay the rows out.
+
+        Args:
+            simulation: The simulation.
+        """
+        super().__init__(simulation)
+        self.rows = ObservedRows(simulation.model, observed_term(simulation.model).places, True)
+        self._take_rows()
+
+    def _take_rows(self) -> None:
+        self.own_rows = self.rows.stack
+        self._count = self.own_rows.row_count // 3
+
+    def at_state(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What markers yield, and how far they are from balance, by one linearization.
+
+        By the factorization of the last step where it has that of statics; see
+        `EffectorCompliance.after_step`.
+
+        Args:
+            points: Index of the point of each place, shape (place_count,).
+
+        Returns:
+            Motion by each number of the loads [m/N] and [m/(N m)], shape
+            (3 marker_count, load_count); and what the last step left to move [m], shape
+            (3 marker_count,).
+        """
+        if self.rows.choose(points):
+            self._take_rows()
+        positions = self._simulation.state.positions
+        holding = self._holding(None)
+        rows = self._rows(positions, holding)
+        left, apart = self._left(holding)
+        factorization = self._factorization(positions, holding)
+        by_force, lag = self._moves(factorization, rows, holding, left, apart)
+        markers = 3 * self.rows.marker_count
+        if factorization is not None and np.abs(lag[:markers]).max() > FAR * self._model.nodes.size:
+            # So far from balance the tangent is another one than where the step began.
+            by_force, lag = self._moves(self._definite(positions), rows, holding, left, apart)
+        return by_force[:markers, markers:] @ self.rows.basis(positions), lag[:markers]
+
+    def _moves(
+        self, factorization: Factorization | None, rows, holding, left: np.ndarray,
+        apart: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+        """Motion of markers and places by forces on them, and by what the last step left.
+
+        Args:
+            factorization: A⁻¹; None where only the saddle has a solution.
+            rows: The rows.
+            holding: What holds.
+            left: Forces out of balance [N], shape (free_node_count, 3).
+            apart: Displacements that what holds is apart, shape (held_count,).
+        """
+        count, h = len(holding.held) + len(holding.contacts), holding.places
+        if factorization is None:
+            saddle = self._saddle(rows, holding)
+            E = saddle.H[count:].toarray()
+            below = np.column_stack([np.zeros((len(h), len(E))), apart])
+            moves = E @ saddle.solve(np.column_stack([E.T, left.ravel()]), below)[0]
+        else:
+            W, free = factorization.condense(rows.H, left)
+            M = W[np.ix_(h, h)] + holding.own_of_places
+            M[np.diag_indices_from(M)] += sharing(M.diagonal())
+            held = np.linalg.solve(M, np.column_stack([-W[h, count:], apart - free[h]]))
+            moves = np.column_stack([W[count:, count:], free[count:]]) + W[count:, h] @ held
+        return moves[:, :-1], moves[:, -1]
+
+    def _left(self, holding) -> tuple[np.ndarray, np.ndarray]:
+        """What the last step left: forces out of balance [N], and displacements of what holds."""
+        model, state = self._model, self._simulation.state
+        forces, apart = self._simulation.newton.forces, np.zeros(len(holding.places))
+        if model.is_dynamic:
+            return np.zeros_like(forces), apart
+        a = model.rows.groups.actuators
+        off = model.actuators.drives(state.setpoints)[a] - model.rows.actuator_paths(state.efforts[a])
+        is_set = holding.held & ~model.actuators.is_effort_driven[a]
+        apart[: np.count_nonzero(holding.held)] = np.where(is_set, off, 0.0)[holding.held]
+        return forces, apart
+
+    def _factorization(self, positions: np.ndarray, holding) -> Factorization | None:
+        """A⁻¹ of statics while what holds holds; None where it is not definite."""
+        found = self._simulation.newton.held_factorization(holding.held)
+        return self._definite(positions) if found is None else found
+
+    def by_candidates(self, place: int) -> np.ndarray:
+        """Motion of the markers by a force at each of the points among which a place is.
+
+        Args:
+            place: Index of the place.
+
+        Returns:
+            [m/N], shape (point_count, 3 marker_count, 3).
+        """
+        positions, nodes = self._simulation.state.positions, self._model.nodes
+        holding = self._holding(None)
+        rows = self._rows(positions, holding)
+        count, markers = len(holding.held) + len(holding.contacts), 3 * self.rows.marker_count
+        H, h = rows.H.transposed(nodes.free_node_count), holding.places
+        seen = self._moved(positions, rows, holding, H[:, h], H[:, count : count + markers])
+        by_node = seen.reshape(nodes.free_node_count, 3, markers)
+        points = self.rows.places[place].points
+        free = nodes.free_index[points.nodes]
+        weights = np.where(free >= 0, points.barycentric_weights, 0.0)
+        return np.einsum("pa,paik->pki", weights, by_node[np.maximum(free, 0)])
+
+    def _moved(self, positions, rows, holding, held: np.ndarray, loads: np.ndarray) -> np.ndarray:
+        """Moves of the unknowns by loads on them, while what holds holds.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            rows: The rows there.
+            holding: What holds.
+            held: Its rows, transposed, shape (3 free_node_count, held_count).
+            loads: Forces on the unknowns, shape (3 free_node_count, load_count).
+        """
+        factorization = self._factorization(positions, holding)
+        if factorization is None:
+            none = np.zeros((held.shape[1], loads.shape[1]))
+            return self._saddle(rows, holding).solve(loads, none)[0]
+        moved = np.column_stack([
+            factorization.solve(np.ascontiguousarray(one).reshape(-1, 3)).ravel()
+            for one in np.hstack([held, loads]).T])  # fmt: skip
+        by_held, by_loads = moved[:, : held.shape[1]], moved[:, held.shape[1] :]
+        if not held.shape[1]:
+            return by_loads
+        M = held.T @ by_held + holding.own_of_places
+        M[np.diag_indices_from(M)] += sharing(M.diagonal())
+        return by_loads - by_held @ np.linalg.solve(M, held.T @ by_loads)

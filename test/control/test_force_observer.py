@@ -1,0 +1,351 @@
+"""Forces that nobody modelled: found from markers, told with their deviations, borne by the model."""
+
+import copy
+
+import numpy as np
+import pytest
+
+from softrobot_twin.control.force_observer import ForceObserver
+from softrobot_twin.errors import CommandError, SceneError
+from softrobot_twin.scene import scene_from_mapping
+from softrobot_twin.scene.schema import ObservedForce, Observer
+from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation, Touched
+from softrobot_twin.simulation.effects.observed_forces import ObservedForces, observed_term
+from softrobot_twin.simulation.marker_compliance import MarkerCompliance
+
+from .conftest import Driver, coarse, warmed_up
+
+TIP = [0.0, 0.0, 0.125]
+NOISE = 1.0e-4
+FRAME = 25_000_000
+
+
+def observing(mapping, *forces, **entries):
+    """A scene with an observer of these forces."""
+    return {**copy.deepcopy(mapping), "observer": {"forces": list(forces), **entries}}
+
+
+def built(mapping):
+    return warmed_up(Simulation(scene_from_mapping(mapping)))
+
+
+@pytest.fixture(scope="module")
+def observed(small_scene_mapping):
+    return built(observing(small_scene_mapping, {"name": "tip", "points": [TIP]}))
+
+
+@pytest.fixture(scope="module")
+def searching(small_scene_mapping):
+    return built(observing(small_scene_mapping, {"name": "push"}))
+
+
+def exact(mapping):
+    return {**copy.deepcopy(mapping), "solver": {"newton_iterations": 20}}
+
+
+@pytest.fixture(scope="module")
+def pushed(small_scene_mapping):
+    """The same robot; a force is a measured touch."""
+    return built({**exact(small_scene_mapping), "touches": [
+        {"name": "tip", "points": [TIP], "while_touched": "follow_targets"}]})  # fmt: skip
+
+
+@pytest.fixture
+def rng():
+    seed = int(np.random.default_rng().integers(1 << 31))
+    print("seed", seed)
+    return np.random.default_rng(seed)
+
+
+def pose(simulation, rng):
+    """Setpoints at which the tip is somewhere in its workspace [m]."""
+    target = np.append(rng.uniform(-0.012, 0.012, 2), rng.uniform(0.128, 0.140))
+    simulation.reset()
+    for _ in range(40):
+        result = simulation.step(FollowTargets(target[None], 1.0))
+    return np.array(result.setpoints)
+
+
+def hold(simulation, setpoints, count, *measured):
+    for _ in range(count):
+        simulation.step(CommandSetpoints(setpoints, 1.0), None, *measured)
+
+
+def force_of(vector):
+    wrench = np.zeros((1, 6))
+    wrench[0, : len(vector)] = vector
+    return ObservedForces.none(1)._replace(wrenches=wrench)
+
+
+def observe(twin, observer, setpoints, markers, frame):
+    """One measurement, and the steps of the model until the next one."""
+    observer.look()
+    beside = markers - (twin.marker_positions() + observer.lag - observer.explained)
+    observer.update(beside, observer.by_loads, NOISE, (frame + 1) * FRAME)
+    hold(twin, setpoints, 2, observer.found)
+
+
+# --- what markers yield ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("wound", ["pose", "buckled"])
+def test_the_compliance_of_markers_is_the_slope_of_their_motion(observed, rng, wound):
+    setpoints = pose(observed, rng)
+    if wound == "buckled":  # Its tangent is definite by the held cables only.
+        setpoints = observed.rest_setpoints - 0.01
+    observed.reset()
+    hold(observed, setpoints, 80)
+    by_loads, lag = MarkerCompliance(observed).at_state(np.zeros(1, int))
+    assert np.abs(lag).max() < 1e-8
+    before, state, size = observed.marker_positions(), observed.state, 1e-3
+    for axis in range(3):
+        observed.restore(state)
+        hold(observed, setpoints, 40, force_of(size * np.eye(3)[axis]))
+        moved = (observed.marker_positions() - before).ravel() / size
+        assert moved == pytest.approx(by_loads[:, axis], abs=3e-3 * np.abs(by_loads).max())
+
+
+def test_what_a_step_left_to_move_is_told_by_its_residual(observed, rng):
+    setpoints = pose(observed, rng)
+    observed.reset()
+    hold(observed, setpoints, 60)
+    hold(observed, setpoints, 1, force_of([1.0, 0.0, 0.0]))
+    _, lag = MarkerCompliance(observed).at_state(np.zeros(1, int))
+    before = observed.marker_positions()
+    hold(observed, setpoints, 60, force_of([1.0, 0.0, 0.0]))
+    left = (observed.marker_positions() - before).ravel()
+    assert np.abs(left).max() > 1e-6
+    assert np.linalg.norm(lag - left) < 0.5 * np.linalg.norm(left)
+
+
+def test_a_force_at_each_point_of_the_surface_moves_the_markers_as_at_that_point_alone(searching, rng):
+    setpoints = pose(searching, rng)
+    hold(searching, setpoints, 20)
+    compliance = MarkerCompliance(searching)
+    field = compliance.by_candidates(0)
+    for point in rng.integers(len(field), size=4):
+        alone, _ = compliance.at_state(np.array([point]))
+        assert field[point] == pytest.approx(alone, abs=1e-9 * np.abs(alone).max())
+
+
+# --- forces ----------------------------------------------------------------------------------------
+
+
+def pushes(observed, pushed, rng, count):
+    """Errors of the force as its share, whether components are within 2σ, and 2σ as that share."""
+    errors, inside, spreads = [], [], []
+    for _ in range(count):
+        setpoints = pose(observed, rng)
+        force = rng.normal(size=3)
+        force *= rng.uniform(0.5, 2.0) / np.linalg.norm(force)
+        marred = rng.choice(8, 3, replace=False)
+        pushed.reset()
+        observed.reset()
+        hold(pushed, setpoints, 60, Touched(force[None], np.full((1, 3), np.nan)))
+        hold(observed, setpoints, 40)
+        observer = ForceObserver(observed)
+        for frame in range(20):
+            markers = pushed.marker_positions() + rng.normal(0.0, NOISE, (8, 3))
+            markers[marred[0]] += rng.normal(0.0, 0.02, 3)
+            markers[marred[1:]] = np.nan
+            observe(observed, observer, setpoints, markers, frame)
+        found, spread = observer.found.wrenches[0, :3], observer.found.deviations[0, :3]
+        size = np.linalg.norm(force)
+        errors.append(np.linalg.norm(found - force) / size)
+        inside.append(np.abs(found - force) < 2.0 * spread)
+        spreads.append(2.0 * np.linalg.norm(spread) / size)
+    print(f"force off by {100 * np.median(errors):.1f} % (median), inside 2 sigma "
+          f"{100 * np.mean(inside):.0f} %, 2 sigma {100 * np.median(spreads):.0f} % of the force")
+    return np.median(errors), np.mean(inside), np.median(spreads)
+
+
+def test_a_push_at_a_known_place_is_found_with_an_outlier_and_two_lost_markers(observed, pushed, rng):
+    error, _, spread = pushes(observed, pushed, rng, 12)
+    assert error < 0.1
+    assert spread < 0.5
+
+
+@pytest.mark.exhaustive
+def test_deviations_of_a_hundred_pushes_hold(observed, pushed, rng):
+    error, inside, spread = pushes(observed, pushed, rng, 100)
+    assert error < 0.1
+    assert inside >= 0.88
+    assert spread < 0.5
+
+
+@pytest.mark.slow
+def test_a_push_that_grows_at_an_unknown_place_is_found(searching, small_scene_mapping, rng):
+    real = built(exact(observing(small_scene_mapping, {"name": "push"})))
+    place = observed_term(real.model).places[0]
+    points = place.points.positions(real.model.nodes.rest_positions)
+    may = np.flatnonzero((np.hypot(*points.T[:2]) > 0.03) | (points[:, 2] > 0.05))
+    away, errors = [], []
+    for _ in range(15):
+        setpoints = pose(searching, rng)
+        point = rng.choice(may)
+        normal, side = place.normals[point], rng.normal(size=3)
+        side -= (side @ normal) * normal
+        force = -normal + 0.5 * side / np.linalg.norm(side)
+        force *= rng.uniform(0.5, 2.0) / np.linalg.norm(force)
+        real.reset()
+        searching.reset()
+        hold(real, setpoints, 20)
+        hold(searching, setpoints, 40)
+        observer = ForceObserver(searching)
+        for frame in range(25):
+            grown = min(1.0, (frame + 1) / 12)
+            hold(real, setpoints, 4, force_of(grown * force)._replace(points=np.array([point])))
+            markers = real.marker_positions() + rng.normal(0.0, NOISE, (8, 3))
+            observe(searching, observer, setpoints, markers, frame)
+        away.append(np.linalg.norm(points[observer.found.points[0]] - points[point]))
+        errors.append(np.linalg.norm(observer.found.wrenches[0, :3] - force) / np.linalg.norm(force))
+    print(f"place off by {1e3 * np.median(away):.1f} mm (median), force {100 * np.median(errors):.0f} %")
+    assert np.median(away) < 0.003
+    assert np.median(errors) < 0.25
+
+
+def test_noise_is_no_force_at_an_unknown_place(searching, rng):
+    setpoints = pose(searching, rng)
+    hold(searching, setpoints, 20)
+    observer, markers = ForceObserver(searching), searching.marker_positions()
+    found = 0
+    for frame in range(40):
+        observe(searching, observer, setpoints, markers + rng.normal(0.0, NOISE, (8, 3)), frame)
+        found += observer.found.is_detected[0]
+    assert found <= 2
+
+
+def test_a_sudden_force_of_a_fifth_of_a_newton_is_noticed_in_three_measurements(observed, pushed, rng):
+    setpoints = pose(observed, rng)
+    for robot in (observed, pushed):
+        robot.reset()
+        hold(robot, setpoints, 40)
+    observer = ForceObserver(observed)
+    direction = rng.normal(size=3)
+    touched = Touched((0.2 * direction / np.linalg.norm(direction))[None], np.full((1, 3), np.nan))
+    for frame in range(33):
+        if frame >= 30:
+            hold(pushed, setpoints, 10, touched)
+        markers = pushed.marker_positions() + rng.normal(0.0, NOISE, (8, 3))
+        observe(observed, observer, setpoints, markers, frame)
+    assert observer.found.is_detected[0]
+
+
+def test_without_a_marker_nothing_is_learnt(observed):
+    observed.reset()
+    observer = ForceObserver(observed)
+    observe(observed, observer, observed.rest_setpoints, np.full((8, 3), np.nan), 0)
+    assert not observer.found.is_any
+
+
+PLATE = {
+    "name": "plate", "gravity": [0.0, 0.0, 0.0],
+    "body": {"name": "bar", "mesh": {"box": {"size": [0.1, 0.02, 0.02], "cells": [5, 1, 1]}},
+             "element": "quadratic",
+             "material": {"young_modulus": 3e5, "poisson_ratio": 0.4, "density": 1000.0},
+             "fixed": [{"box": {"minimum": [-0.001, -1.0, -1.0], "maximum": [0.001, 1.0, 1.0]}}],
+             "attached": [{"to": "plate", "box": {"minimum": [0.099, -1.0, -1.0],
+                                                  "maximum": [0.101, 1.0, 1.0]}}]},
+    "rigid_bodies": [{"name": "plate", "density": 1000.0, "position": [0.11, 0.01, 0.01],
+                      "box": {"size": [0.01, 0.04, 0.04]}}],
+    "markers": [{"id": i, "body": "plate", "point": point} for i, point in enumerate(
+        [[0.11, -0.01, -0.01], [0.11, 0.03, -0.01], [0.11, 0.03, 0.03], [0.12, 0.0, 0.03]])],
+}  # fmt: skip
+
+
+def test_a_wrench_on_a_rigid_body_is_found(rng):
+    """Force and torque, told apart from each other by four markers."""
+    mapping = exact(observing(PLATE, {"name": "plate", "body": "plate"}, marker_noise=1e-5))
+    twin, real = built(mapping), built(mapping)
+    none = np.empty(0)
+    wrench = np.append(rng.uniform(-0.05, 0.05, 3), rng.uniform(-0.002, 0.002, 3))
+    hold(real, none, 40, force_of(wrench))
+    observer = ForceObserver(twin)
+    for frame in range(30):
+        markers = real.marker_positions() + rng.normal(0.0, 1e-5, (4, 3))
+        observe(twin, observer, none, markers, frame)
+    off = observer.found.wrenches[0] - wrench
+    assert np.abs(off[1:3]).max() < 0.005  # Of the 0.05 N and 0.002 N m that are drawn.
+    assert np.abs(off[3:]).max() < 0.0002
+    assert (np.abs(off) < 4.0 * observer.found.deviations[0]).all()
+
+
+# --- in the loop -----------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("closed", [False, True])
+def test_a_load_at_the_tip_is_compensated_in_its_delay_and_four_ticks(closed, rng):
+    """1 N aside; commands act a tick late, and frames with noise come another tick later."""
+    tick, target = 0.025, np.array([0.008, 0.0, 0.136])
+    mapping = coarse("diamond", "diamond_600")
+    mapping["body"]["element"] = "smoothed"
+    twin = built({**observing(mapping, {"name": "tip", "points": [TIP]}),
+                  "solver": {"newton_iterations": 4}})
+    real = built({**mapping, "touches": [
+        {"name": "tip", "points": [TIP], "while_touched": "follow_targets"}]})  # fmt: skip
+    driver = Driver(twin, rate=1.0 / tick, closed_loop=closed)
+    sent, away, seen = [], [], None
+    for k in range(130):
+        if seen is not None:
+            driver.see(seen[0] + rng.normal(0.0, 2e-4, (8, 3)), age=tick)
+            driver.measure(seen[1], age=tick)
+        driver.target(*target)
+        sent.append(np.array(driver.tick().command.setpoints))
+        setpoints = sent[-2] if k else real.rest_setpoints
+        load = np.array([[0.8, 0.6, 0.0]]) * (k > 80)
+        for _ in range(3):
+            real.step(CommandSetpoints(setpoints, tick / 3.0), None,
+                      Touched(load, np.full((1, 3), np.nan)))  # fmt: skip
+        seen = real.marker_positions(), np.array(real.state.setpoints)
+        away.append(np.linalg.norm(real.effector_positions()[0] - target))
+    late = np.flatnonzero(np.array(away[81:]) > 0.5e-3)
+    print("displaced by", 1e3 * max(away[81:]), "mm, settled after", late[-1] + 1, "ticks")
+    assert max(away[81:]) > 5e-3
+    assert late[-1] + 1 <= 2 + 4
+    assert driver.loop.observer.found.wrenches[0, :3] == pytest.approx([0.8, 0.6, 0.0], abs=0.1)
+
+
+def test_a_scene_without_an_observer_has_nothing_of_it(drive, simulation):
+    assert drive().loop.observer is None
+    assert observed_term(simulation.model) is None
+    assert not any(key.startswith("observer.") for key in simulation.state.memory)
+
+
+def test_a_state_remembers_its_forces(observed, rng):
+    setpoints = pose(observed, rng)
+    hold(observed, setpoints, 10, force_of([0.1, 0.2, 0.0]))
+    state = observed.state
+    assert state.memory["observer.wrenches"][0, :3].tolist() == [0.1, 0.2, 0.0]
+    ends = []
+    for _ in range(2):
+        observed.restore(state)
+        hold(observed, setpoints, 5, force_of([0.1, 0.2, 0.0]))
+        ends.append(observed.state.positions)
+    assert np.array_equal(*ends)
+
+
+def test_forces_of_another_shape_are_refused(observed):
+    with pytest.raises(CommandError, match="observed forces"):
+        hold(observed, observed.rest_setpoints, 1, ObservedForces.none(2))
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    ({"markers": []}, "three markers"),
+    ({"observer": {"forces": [{"name": "a"}, {"name": "a"}]}}, "more than once"),
+    ({"observer": {"forces": [{"name": "a", "body": "leg"}]}}, "leg"),
+    ({"observer": {"forces": []}}, "at least 1"),
+    ({"observer": {"forces": [{"name": "a"}], "walk": -1.0}}, "walk"),
+])  # fmt: skip
+def test_an_observer_that_cannot_be_is_refused_by_name(small_scene_mapping, change, message):
+    mapping = {**observing(small_scene_mapping, {"name": "push"}), **change}
+    mapping["effectors"] = [{**mapping["effectors"][0], "measured_by": []}]
+    with pytest.raises(SceneError, match=message):
+        scene_from_mapping(mapping)
+
+
+def test_an_unknown_place_on_a_reduced_body_is_refused():
+    scene = Simulation.from_scene_file("config/scenes/diamond_reduced.yaml").scene
+    changed = scene.changed(observer=Observer(forces=(ObservedForce(name="push"),)))
+    with pytest.raises(SceneError, match="unknown place"):
+        Simulation(changed)
