@@ -146,7 +146,8 @@ def _written_out(text: str, scene: Scene, places: Mapping[tuple, EditedNumber]) 
         anchors = dict(_ANCHOR.findall(text[begin:end]))
         text = text[:begin] + "\n".join([head, *made]) + text[end:]
         for name, content in anchors.items():
-            text = re.sub(rf"\*{name}\b", lambda _, content=content: content, text)
+            # A backslash in the content is itself.
+            text = re.sub(rf"\*{name}\b", content.replace("\\", r"\\"), text)
     return text
 
 

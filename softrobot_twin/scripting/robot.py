@@ -446,7 +446,7 @@ class Robot:
             self.scene, variables_of(self.scene, parameters), poses_of(self.scene, commands))
 
     def calibrate(
-        self, data: Any, fit: Iterable[str], known: Mapping[str, float] = NOTHING
+        self, data: Any, fit: Iterable[str], known: Mapping[str, float] | None = None
     ) -> Calibration:
         """Fits numbers of its scene to what was measured at rest; the robot stays as it is.
 
@@ -466,7 +466,7 @@ class Robot:
             CalibrationError: The poses are too few, or a number cannot be fitted.
         """
         poses, _ = measured_poses(data, self.simulation)
-        return calibrate(self.scene, poses, list(fit), known)
+        return calibrate(self.scene, poses, list(fit), known or {})
 
     def reset(self) -> None:
         """Goes back to rest. What follows is the same, to the bit, as the first time."""
