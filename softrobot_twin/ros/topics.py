@@ -287,10 +287,10 @@ TWIN_TOPICS = _by_name(
     Topic("~/external_forces/<force>", OUT, WrenchStamped, NEWEST, "N, N m",
           "force on the robot that the scene's `observer` found, zero without one; a torque only on "
           "a rigid body. Deviations are on the topic below and in `/diagnostics`"),
-    Topic("~/external_force_deviations/<force>", OUT, JointState, NEWEST, "N, m",
+    Topic("~/force_deviations/<force>", OUT, JointState, NEWEST, "N, m",
           "names x, y, z: `position` = place of that force [m], `effort` = its standard deviation "
           "[N]"),
-    Topic("~/external_contacts", OUT, JointState, NEWEST, "",
+    Topic("~/external_contacts", OUT, JointState, NEWEST, "1",
           "names of the scene's observed forces: `position` = 1 where the force is larger than noise "
           "makes it, else 0"),
     Topic("~/predicted_markers", OUT, PointCloud2, NEWEST, "m",

@@ -191,7 +191,7 @@ _OF_CHANNELS: dict[str, tuple] = {
     "~/external_forces/<force>": (
         lambda torque, force, header: wrench_message(force, header, torque),
         "external_torques", "external_forces"),
-    "~/external_force_deviations/<force>": (
+    "~/force_deviations/<force>": (
         partial(cables_message, "xyz"), "external_force_places", "external_force_deviations"),
 }  # fmt: skip
 """Topics of channels of the package, what makes their messages, and the channels; of each object

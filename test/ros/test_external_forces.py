@@ -24,7 +24,7 @@ def twin(world, small_scene_file, diagnostics):
 
 def test_a_displacement_of_the_markers_is_told_as_a_force(world, diagnostics, twin):
     forces = world.hear(WrenchStamped, "/twin/external_forces/push")
-    spreads = world.hear(JointState, "/twin/external_force_deviations/push")
+    spreads = world.hear(JointState, "/twin/force_deviations/push")
     contacts = world.hear(JointState, "/twin/external_contacts")
     markers = world.speaker(PointCloud2, "/twin/markers")
     simulation = twin.loop.simulation
