@@ -153,7 +153,7 @@ class ForceObserver:
         seen = np.isfinite(displacements).all(axis=1)
         if since == 0.0 or not seen.any():
             return False
-        R = (self._entry.marker_noise or noise) ** 2 + self._entry.model_error**2
+        R = (self._entry.marker_noise or noise) ** 2 + self._entry.systematic_error**2
         y = np.where(seen[:, None], displacements, 0.0).ravel()
         weights = seen.astype(float)
         shown = by_loads @ self._loads
@@ -188,7 +188,7 @@ class ForceObserver:
         """Says what the model is to bear, and how sure it is."""
         w = np.repeat(weights, 3) / R
         gain = np.linalg.solve(np.linalg.inv(self._prior()) + (G.T * w) @ G, G.T * w)
-        off = self._entry.model_error**2 + UNSETTLED**2 * float(np.mean(self.lag**2))
+        off = self._entry.systematic_error**2 + UNSETTLED**2 * float(np.mean(self.lag**2))
         covariance = self._covariance + off * gain @ gain.T
         deviations = np.sqrt(covariance.diagonal())
         # What noise and the model's own error alone would make of no force.

@@ -283,7 +283,7 @@ class Observer(Entry):
     """What is expected before anything is seen, as standard deviation."""
     marker_noise: Annotated[float | None, unit("m", gt=0.0)] = None
     """Standard deviation of each measured coordinate; by default it is estimated."""
-    model_error: Annotated[float, unit("m", ge=0.0)] = 0.0
+    systematic_error: Annotated[float, unit("m", ge=0.0)] = 0.0
     """What the model itself is off at the markers, as standard deviation: forces are the less sure."""
 
     def check(self) -> None:
