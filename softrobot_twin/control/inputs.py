@@ -309,7 +309,8 @@ class MarkerInput(Input):
 
     Attributes:
         unknown: Number of points with an id that the scene does not have; they are ignored.
-        positions: Measured positions in the frame of the robot [m], shape (marker_count, 3); NaN for hidden markers.
+        positions: Measured positions in the frame of the robot [m], shape (marker_count, 3); NaN for
+            hidden markers.
         hidden: The array that `measured` gives when they are too old, all NaN.
         stamp: Time of the measurement [ns].
         time: The same on the clock of `Arrival.time` [s].
@@ -351,7 +352,8 @@ class MarkerInput(Input):
         self.stamp, self.time = arrival.stamp or arrival.ros_time, arrival.time - arrival.age
         measured = np.full_like(self.positions, np.nan)
         known = np.isin(ids, self._sorted_ids)
-        measured[self._order[np.searchsorted(self._sorted_ids, ids[known])]] = self._of_robot(positions[known])
+        places = self._order[np.searchsorted(self._sorted_ids, ids[known])]
+        measured[places] = self._of_robot(positions[known])
         self.unknown += int((~known).sum())
         measured[np.isnan(measured).any(axis=1)] = np.nan
         self.positions = measured

@@ -61,7 +61,6 @@ from softrobot_twin.simulation import (
     State,
     Status,
     StepResult,
-    Touched,
 )
 from softrobot_twin.simulation.appearance import Pose
 from softrobot_twin.simulation.channels import measured
@@ -896,17 +895,16 @@ class TwinLoop:
         stamp = self.markers.stamp
         if seen is self.markers.hidden or not self._history.is_any:
             return
-        model = self._model_of(stamp)
         if self.observer.is_new(stamp):
+            model = self._executed(stamp) or self._history.at(stamp)
             beside = self._plausibility.without_left_out(seen) - (model.markers - model.explained)
             if self.observer.update(beside, model.by_loads, self._plausibility.noise, stamp):
                 self._history.load_elsewhere(self.observer.by_loads)
 
-    def _model_of(self, stamp: int) -> Moment:
-        """The model at the command that the robot executed at a time [ns], or else at this time."""
+    def _executed(self, stamp: int) -> Moment | None:
+        """The model at the command that the robot executed at a time [ns]; None where unknown."""
         setpoints = self.device.at(self.markers.time)
-        executed = None if setpoints is None else self._history.executed(setpoints, stamp)
-        return self._history.at(stamp) if executed is None else executed
+        return None if setpoints is None else self._history.executed(setpoints, stamp)
 
     def _compare(self, seen: np.ndarray, activity: Activity) -> tuple[np.ndarray, Misfit]:
         """Compares measured markers with the model's at the time of the measurement.
@@ -954,8 +952,7 @@ class TwinLoop:
             # Nor is its distance while an effector approaches a far target.
             comparable = np.where(aims.arrived, effectors, np.nan)
             errors = self.measurement.differences(aims.reading.targets, comparable)
-            setpoints = self.device.at(self.markers.time) if self.correction.is_new(stamp) else None
-            model = None if setpoints is None else self._history.executed(setpoints, stamp)
+            model = self._executed(stamp) if self.correction.is_new(stamp) else None
             if model is not None:
                 if self.observer is not None:
                     model = self.observer.under_loads(model)

@@ -458,6 +458,40 @@ def _condensed(
     )
 
 
+class CondensedHold:
+    """Unknowns and multipliers by a factorization of A and the condensed system of what holds."""
+
+    def __init__(
+        self, factorization: Factorization, held: np.ndarray, own: np.ndarray
+    ):
+        """Condense.
+
+        Args:
+            factorization: A⁻¹.
+            held: Rows of what holds, shape (held_count, 3 node_count).
+            own: Their compliance, shape (held_count, held_count).
+        """
+        self._factorization, self._held = factorization, held
+        self._by_efforts = self._moves(self._held.T)
+        self._M = self._held @ self._by_efforts + own
+        self._M[np.diag_indices_from(self._M)] += sharing(self._M.diagonal())
+
+    def _moves(self, forces: np.ndarray) -> np.ndarray:
+        """A⁻¹ of forces, shape (3 node_count, load_count)."""
+        solved = [self._factorization.solve(np.ascontiguousarray(one).reshape(-1, 3)).reshape(-1)
+                  for one in forces.T]  # fmt: skip
+        return np.array(solved).T.reshape(forces.shape)
+
+    def solve(
+        self, above: np.ndarray, below: np.ndarray, transposed: bool = False
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """See `Saddle.solve`."""
+        moves, sign = self._moves(above), -1.0 if transposed else 1.0
+        M = self._M.T if transposed else self._M
+        multipliers = np.linalg.solve(M, below - sign * (self._held @ moves))
+        return moves + sign * (self._by_efforts @ multipliers), multipliers
+
+
 class Saddle:
     """Unknowns and multipliers of what holds, solved together, whether A is definite or not.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.simulation.apparent_compliance import HeldTangent
+from softrobot_twin.simulation.apparent_compliance import CondensedHold, HeldTangent
 from softrobot_twin.simulation.effects.observed_forces import ObservedRows, observed_term
 from softrobot_twin.simulation.simulation import Simulation
 from softrobot_twin.simulation.step.apparent_stiffness import sharing
@@ -122,33 +122,12 @@ class MarkerCompliance(HeldTangent):
         rows = self._rows(positions, holding)
         count, markers = len(holding.held) + len(holding.contacts), 3 * self.rows.marker_count
         H, h = rows.H.transposed(nodes.free_node_count), holding.places
-        seen = self._moved(positions, rows, holding, H[:, h], H[:, count : count + markers])
+        factorization = self._factorization(positions, holding)
+        system = (self._saddle(rows, holding) if factorization is None
+                  else CondensedHold(factorization, H[:, h].T, holding.own_of_places))
+        seen, _ = system.solve(H[:, count : count + markers], np.zeros((len(h), markers)))
         by_node = seen.reshape(nodes.free_node_count, 3, markers)
         points = self.rows.places[place].points
         free = nodes.free_index[points.nodes]
         weights = np.where(free >= 0, points.barycentric_weights, 0.0)
         return np.einsum("pa,paik->pki", weights, by_node[np.maximum(free, 0)])
-
-    def _moved(self, positions, rows, holding, held: np.ndarray, loads: np.ndarray) -> np.ndarray:
-        """Moves of the unknowns by loads on them, while what holds holds.
-
-        Args:
-            positions: Node positions [m], shape (node_count, 3).
-            rows: The rows there.
-            holding: What holds.
-            held: Its rows, transposed, shape (3 free_node_count, held_count).
-            loads: Forces on the unknowns, shape (3 free_node_count, load_count).
-        """
-        factorization = self._factorization(positions, holding)
-        if factorization is None:
-            none = np.zeros((held.shape[1], loads.shape[1]))
-            return self._saddle(rows, holding).solve(loads, none)[0]
-        moved = np.column_stack([
-            factorization.solve(np.ascontiguousarray(one).reshape(-1, 3)).ravel()
-            for one in np.hstack([held, loads]).T])  # fmt: skip
-        by_held, by_loads = moved[:, : held.shape[1]], moved[:, held.shape[1] :]
-        if not held.shape[1]:
-            return by_loads
-        M = held.T @ by_held + holding.own_of_places
-        M[np.diag_indices_from(M)] += sharing(M.diagonal())
-        return by_loads - by_held @ np.linalg.solve(M, held.T @ by_loads)

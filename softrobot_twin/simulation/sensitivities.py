@@ -25,16 +25,14 @@ import numpy as np
 from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.errors import NamedError, SceneError
 from softrobot_twin.mechanics.touch_loads import TouchLoads
-from softrobot_twin.scene import Scene
 from softrobot_twin.scene.scene_parameters import JointParameter, Parameter
-from softrobot_twin.simulation.apparent_compliance import HeldTangent, Saddle
+from softrobot_twin.simulation.apparent_compliance import CondensedHold, HeldTangent, Saddle
 from softrobot_twin.simulation.build import Terms, build_terms, with_cables
 from softrobot_twin.simulation.building.scene_layout import Layout
 from softrobot_twin.simulation.simulation import Simulation
 from softrobot_twin.simulation.state import State
-from softrobot_twin.simulation.step.apparent_stiffness import effector_rows, sharing
+from softrobot_twin.simulation.step.apparent_stiffness import effector_rows
 from softrobot_twin.simulation.step.step_part import memories_of_terms
-from softrobot_twin.solvers.factorization import Factorization
 
 # Differences are taken over this share of a number. Residuals have 1e-16 of the inner forces as
 # round-off, so 1e-10 of the derivative is lost, and by the curvature 1e-12.
@@ -134,40 +132,6 @@ class AtState(NamedTuple):
         holds = np.atleast_1d(holds_setpoints)[: len(self.drives)]
         held = np.where(holds, self.drives, 0.0)
         return Loads(self.forces, held - self.paths, self.effectors)
-
-
-class _Condensed:
-    """Unknowns and multipliers by a factorization of A and the condensed system of what holds."""
-
-    def __init__(
-        self, factorization: Factorization, held: np.ndarray, own: np.ndarray
-    ):
-        """Condense.
-
-        Args:
-            factorization: A⁻¹.
-            held: Rows of what holds, shape (held_count, 3 node_count).
-            own: Their compliance, shape (held_count, held_count).
-        """
-        self._factorization, self._held = factorization, held
-        self._by_efforts = self._moves(self._held.T)
-        self._M = self._held @ self._by_efforts + own
-        self._M[np.diag_indices_from(self._M)] += sharing(self._M.diagonal())
-
-    def _moves(self, forces: np.ndarray) -> np.ndarray:
-        """A⁻¹ of forces, shape (3 node_count, load_count)."""
-        solved = [self._factorization.solve(np.ascontiguousarray(one).reshape(-1, 3)).reshape(-1)
-                  for one in forces.T]  # fmt: skip
-        return np.array(solved).T.reshape(forces.shape)
-
-    def solve(
-        self, above: np.ndarray, below: np.ndarray, transposed: bool = False
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """See `Saddle.solve`."""
-        moves, sign = self._moves(above), -1.0 if transposed else 1.0
-        M = self._M.T if transposed else self._M
-        multipliers = np.linalg.solve(M, below - sign * (self._held @ moves))
-        return moves + sign * (self._by_efforts @ multipliers), multipliers
 
 
 class Sensitivities(HeldTangent):
@@ -363,7 +327,7 @@ class Sensitivities(HeldTangent):
             return max(abs(value), LEAST_LENGTH * size if np.isfinite(size) else 0.0) or 1.0
         return abs(value) or ZEROS.get(unit, 1.0)
 
-    def _system(self) -> tuple[Saddle | _Condensed, int]:
+    def _system(self) -> tuple[Saddle | CondensedHold, int]:
         """The factorized equations at the present state, and the number of actuators with rows."""
         state = self._simulation.state
         by_effort = b"" if self.by_effort is None else self.by_effort.tobytes()
@@ -374,7 +338,7 @@ class Sensitivities(HeldTangent):
             H = rows.H.transposed(self._model.nodes.free_node_count).T
             self._effectors = H[len(H) - 3 * self._count :]
             self._solver = (self._saddle(rows, held) if A is None
-                            else _Condensed(A, H[held.places], own))
+                            else CondensedHold(A, H[held.places], own))
             self._at = state, by_effort
         return self._solver, len(self._held.held)
 

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from softrobot_twin.constraints.effector import EffectorPoints, Effectors
 from softrobot_twin.constraints.row_stack import RowStack
@@ -129,12 +130,7 @@ class ObservedRows:
             else:
                 blocks.append(np.eye(3))
             first += 4 if place.is_wrench else 1
-        whole = np.zeros((sum(map(len, blocks)), sum(one.shape[1] for one in blocks)))
-        row = column = 0
-        for one in blocks:
-            whole[row : row + len(one), column : column + one.shape[1]] = one
-            row, column = row + len(one), column + one.shape[1]
-        return whole
+        return block_diag(*blocks)
 
     def places_at(self, positions: np.ndarray) -> np.ndarray:
         """Where the loads act [m], shape (place_count, 3).
