@@ -1,4 +1,4 @@
-"""Weight: the constant part of P(t) in Coevoet 2017, eq. (1)."""
+"""Forces that do not depend on the shape: weight, the constant part of P(t) in Coevoet 2017, eq. (1)."""
 
 from __future__ import annotations
 
@@ -8,8 +8,41 @@ from softrobot_twin.geometry.vector_arrays import add_vectors
 from softrobot_twin.mechanics.force_term import ForceTerm
 
 
-class Gravity(ForceTerm):
-    """Force term of all bodies' own weight."""
+class ConstantForces(ForceTerm):
+    """Force term of forces that stay as they are in a step: they have no stiffness.
+
+    Attributes:
+        forces: On the unknowns [N], shape (free_node_count, 3).
+    """
+
+    forces: np.ndarray
+
+    def stencils(self) -> np.ndarray:
+        """They do not depend on the shape: no node pairs, shape (0, 1)."""
+        return np.empty((0, 1), dtype=np.int64)
+
+    def bind(self, elimination_rank, slots) -> None:
+        """Does nothing: there is no stiffness."""
+
+    def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
+        """Add them [N] to forces, shape (free_node_count, 3); they invert no element."""
+        add_vectors(self.forces, forces)
+        return 0
+
+    def add(self, positions, forces, storage, projected) -> None:
+        """Add them; they have no stiffness."""
+        add_vectors(self.forces, forces)
+
+    def add_force_curvature(self, positions, direction, reach, curvature) -> None:
+        """Adds nothing: they are constant."""
+
+
+class Gravity(ConstantForces):
+    """Force term of all bodies' own weight.
+
+    Attributes:
+        weights: The same as its forces.
+    """
 
     name = "gravity"
     is_traceable = True
@@ -26,25 +59,6 @@ class Gravity(ForceTerm):
             more: Weight at unknowns that are no places, such as coordinates of a basis [N], shape
                 (free_node_count, 3); None without any.
         """
-        self.weights = np.outer(masses, np.asarray(gravity, dtype=float))
+        self.forces = self.weights = np.outer(masses, np.asarray(gravity, dtype=float))
         if more is not None:
             self.weights += more
-
-    def stencils(self) -> np.ndarray:
-        """Weight does not depend on the shape: no node pairs, shape (0, 1)."""
-        return np.empty((0, 1), dtype=np.int64)
-
-    def bind(self, elimination_rank, slots) -> None:
-        """Does nothing: there is no stiffness."""
-
-    def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
-        """Add the weight [N] to forces, shape (free_node_count, 3); it inverts no element."""
-        add_vectors(self.weights, forces)
-        return 0
-
-    def add(self, positions, forces, storage, projected) -> None:
-        """Add the weight; it has no stiffness."""
-        add_vectors(self.weights, forces)
-
-    def add_force_curvature(self, positions, direction, reach, curvature) -> None:
-        """Adds nothing: the weight is constant."""

@@ -6,9 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.geometry.vector_arrays import add_vectors
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
-from softrobot_twin.mechanics.force_term import ForceTerm
+from softrobot_twin.mechanics.gravity import ConstantForces
 
 
 class ObservedPlace(NamedTuple):
@@ -36,12 +35,12 @@ class ObservedPlace(NamedTuple):
         return 6 if self.is_wrench else 3
 
 
-class ObservedLoads(ForceTerm):
+class ObservedLoads(ConstantForces):
     """Force term of the loads that an observer found.
 
     Attributes:
         places: Where they are looked for.
-        forces: On the unknowns [N], shape (free_node_count, 3); changed in place before a step.
+        forces: See `ConstantForces`; changed in place before a step.
     """
 
     name = "observed loads"
@@ -55,22 +54,3 @@ class ObservedLoads(ForceTerm):
             free_node_count: Number of unknowns.
         """
         self.places, self.forces = places, np.zeros((free_node_count, 3))
-
-    def stencils(self) -> np.ndarray:
-        """Given loads do not depend on the shape: no node pairs, shape (0, 1)."""
-        return np.empty((0, 1), dtype=np.int64)
-
-    def bind(self, elimination_rank, slots) -> None:
-        """Does nothing: there is no stiffness."""
-
-    def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
-        """Add the loads [N] to forces, shape (free_node_count, 3); they invert no element."""
-        add_vectors(self.forces, forces)
-        return 0
-
-    def add(self, positions, forces, storage, projected) -> None:
-        """Add the loads; they have no stiffness."""
-        add_vectors(self.forces, forces)
-
-    def add_force_curvature(self, positions, direction, reach, curvature) -> None:
-        """Adds nothing: the loads are constant."""
