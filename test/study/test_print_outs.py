@@ -56,6 +56,7 @@ def inputs(column, stamp, cantilever, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_CACHE_HOME", "cache")
     monkeypatch.setenv("COLUMNS", "100")
+    monkeypatch.setattr("sys.argv", ["softrobot_twin"])  # else usage names how pytest was called
 
 
 @pytest.mark.parametrize("name", NAMES)
