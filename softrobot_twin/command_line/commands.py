@@ -435,7 +435,8 @@ def explain(
 
 def calibrate(
     scene: GivenFile, *, data: Sequence[GivenFile], fit: Sequence[str], known: Sequence[str] = (),
-    output: Path | None = None, picture: Path | None = None, suggest: bool = False,
+    check: Sequence[GivenFile] = (), output: Path | None = None, picture: Path | None = None,
+    suggest: bool = False,
 ) -> int:  # fmt: skip
     """Fit numbers of a scene to what was measured on the robot.
 
@@ -458,14 +459,15 @@ def calibrate(
         known (KEY=DEVIATION): What is known of them before: a standard deviation in their unit, or as a
             share of moduli, stiffnesses and densities (default: 30 % of moduli and densities, 2 % of
             the robot's size for lengths).
+        check (FILE): Runs and tables that judge the result (default: every fourth pose of the data).
         output (FILE.yaml): Scene to write (default: beside the scene, SCENE_calibrated.yaml).
         picture (FILE.png): Draw the errors at poses held back, before and after, and the intervals.
         suggest: Tell what should be measured next, and what it would bring.
     """
     from softrobot_twin.study.calibration_report import calibrate_scene
 
-    _check_outputs((scene, *data), output=output, picture=picture)
-    return calibrate_scene(scene, data, fit, known, output, picture, suggest)
+    _check_outputs((scene, *data, *check), output=output, picture=picture)
+    return calibrate_scene(scene, data, fit, known, output, picture, suggest, check)
 
 
 def workspace(

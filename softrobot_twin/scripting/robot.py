@@ -446,8 +446,9 @@ class Robot:
             self.scene, variables_of(self.scene, parameters), poses_of(self.scene, commands))
 
     def calibrate(
-        self, data: Any, fit: Iterable[str], known: Mapping[str, float] | None = None
-    ) -> Calibration:
+        self, data: Any, fit: Iterable[str], known: Mapping[str, float] | None = None,
+        check: Any = (),
+    ) -> Calibration:  # fmt: skip
         """Fits numbers of its scene to what was measured at rest; the robot stays as it is.
 
         Args:
@@ -456,6 +457,7 @@ class Robot:
             fit: Keys of the numbers; see `parameters`.
             known: Standard deviations of what is known before by keys, in their units; as shares of
                 moduli, stiffnesses and densities.
+            check: Data that judge the result, in place of every fourth pose.
 
         Returns:
             The numbers with their intervals and errors at poses that were held back. Where it
@@ -465,8 +467,8 @@ class Robot:
             SceneError: No number has such a key, or the robot has no statics.
             CalibrationError: The poses are too few, or a number cannot be fitted.
         """
-        poses, _ = measured_poses(data, self.simulation)
-        return calibrate(self.scene, poses, list(fit), known or {})
+        poses, judges = (measured_poses(one, self.simulation)[0] for one in (data, check))
+        return calibrate(self.scene, poses, list(fit), known or {}, judges)
 
     def reset(self) -> None:
         """Goes back to rest. What follows is the same, to the bit, as the first time."""

@@ -76,7 +76,7 @@ _PLACE = re.compile(r"markers\[(\d+)\]\.point\[(\d)\]")
 _FRAME = re.compile(r"marker_frame\.(position|rotation)\[(\d)\]")
 _ZERO = re.compile(r"(cables|hinge_motors)\[(\d+)\]\.offset")
 _REGULATOR = re.compile(r"cavities\[(\d+)\]\.pressure_(gain|offset)")
-MARKERS, EFFECTORS = "markers", "effectors"
+POINTS = MARKERS, EFFECTORS = "markers", "effectors"
 
 
 class CalibrationError(NamedError):
@@ -181,6 +181,8 @@ class RestModel:
     Attributes:
         measured: What was measured at the poses, in the order of predictions.
         lost: Poses at which the model did not come to rest in the last prediction.
+        distances: Root mean square distances of the points from the measured ones in the last
+            prediction [m], NaN where the model did not come to rest, shape (pose_count,).
         size: Of the robot [m].
     """
 
@@ -202,6 +204,7 @@ class RestModel:
         self.size = float(size) if np.isfinite(size) else 1.0
         self._states: dict[int, tuple[float, State]] = {}
         self.lost: list[int] = []
+        self.distances = np.full(len(self.poses), np.nan)
         self._layout = None
         if any(_PLACE.fullmatch(one.key) for one in self._keys):
             self._layout = build_terms(self.simulation.scene).layout
@@ -238,6 +241,7 @@ class RestModel:
         """
         self._take(np.asarray(numbers, float))
         self.lost, values, parts = [], [], []
+        self.distances = np.full(len(self.poses), np.nan)
         for index, pose in enumerate(self.poses):
             mask = self._masks[index]
             if not self._rests(index, pose):
@@ -251,12 +255,6 @@ class RestModel:
         empty = np.empty((0, len(self._keys)))
         jacobian = np.concatenate([empty, *parts]) if with_jacobian else None
         return Prediction(np.concatenate([np.empty(0), *values]), jacobian)
-
-    def distances(self) -> np.ndarray:
-        """Root mean square distances of the points from the measured ones, with the present numbers
-        [m], NaN where the model does not come to rest, shape (pose_count,)."""
-        self.predict(self._at, False)
-        return np.array([np.nan if k in self.lost else self._states[k][0] for k in range(len(self.poses))])
 
     def _take(self, numbers: np.ndarray) -> None:
         """Builds the simulation with these numbers, unless it has them."""
@@ -283,7 +281,8 @@ class RestModel:
                 simulation.restore(begin)
             if bring_to_rest(simulation, setpoints, way, None, touched).is_reached:
                 # Of several shapes at one pose that nearest to the measured one is followed.
-                if (now := self._misfit(index)) <= misfit:
+                self.distances[index] = now = self._misfit(index)
+                if now <= misfit:
                     self._states[index] = now, simulation.state
                 return True
         return False
@@ -421,6 +420,7 @@ class Estimate(NamedTuple):
         noise: Standard deviation of each kind of measurement, in its unit.
         jacobian: Of the measurements over their noise, by z, shape (n, p).
         residuals: Predicted less measured, over the noise, shape (n,).
+        freedom: Degrees of freedom of the variances of z, shape (p,).
     """
 
     unknowns: tuple[Unknown, ...]
@@ -429,6 +429,7 @@ class Estimate(NamedTuple):
     noise: dict[str, float]
     jacobian: np.ndarray
     residuals: np.ndarray
+    freedom: np.ndarray
 
     @property
     def values(self) -> np.ndarray:
@@ -438,8 +439,7 @@ class Estimate(NamedTuple):
     @property
     def intervals(self) -> np.ndarray:
         """Ends of the 95 % intervals of the numbers, shape (p, 2)."""
-        freedom = max(1, len(self.residuals) - len(self.z))
-        wide = t.ppf(0.975, freedom) * np.sqrt(np.diag(self.covariance))
+        wide = t.ppf(0.975, self.freedom) * np.sqrt(np.diag(self.covariance))
         return np.array([[one.value(z - w), one.value(z + w)]
                          for one, z, w in zip(self.unknowns, self.z, wide, strict=True)])  # fmt: skip
 
@@ -461,7 +461,8 @@ class Estimate(NamedTuple):
         moved = np.linalg.solve(J.T @ J + np.eye(len(kept)), J.T @ others)
         return Estimate(
             tuple(self.unknowns[i] for i in kept), self.z[kept] + moved,
-            self.covariance[np.ix_(kept, kept)], self.noise, J, self.residuals - others + J @ moved)
+            self.covariance[np.ix_(kept, kept)], self.noise, J, self.residuals - others + J @ moved,
+            self.freedom[kept])
 
     def at_bounds(self) -> list[str]:
         """Keys of the numbers that went as far as they may."""
@@ -515,7 +516,12 @@ def estimate(model: Model, measured: Measurements, unknowns: Sequence[Unknown]) 
     # Information of an estimate with pulls ψ: (Σ ψ')² / Σ ψ², by which normal noise loses 1 %.
     share = np.mean(soft**-1.5) ** 2 / max(np.mean(residuals**2 / soft), 1.0e-12)
     covariance = np.linalg.inv(min(share, 1.0) * J.T @ J + np.eye(count))
-    return Estimate(tuple(unknowns), z, covariance, noise, J, residuals)
+    # By Satterthwaite: a variance is the sum of one of the data, whose noise is known from residuals,
+    # and one of what is known before.
+    variances = np.diag(covariance)
+    of_data = np.maximum(variances - np.sum(covariance**2, axis=1), 1.0e-12 * variances)
+    freedom = max(1, len(residuals) - count) * (variances / of_data) ** 2
+    return Estimate(tuple(unknowns), z, covariance, noise, J, residuals, freedom)
 
 
 def _polished(
@@ -666,6 +672,8 @@ class Validation(NamedTuple):
     Attributes:
         before: Root mean square of each kind of measurement, before; of points that of distances [m].
         after: The same with the fitted numbers.
+        inside: Share of the measurements of each kind that are within their 95 % intervals of
+            prediction; see `forecast`.
         by_pose: Root mean square distance of the points at each pose [m], before and after, shape
             (2, pose_count).
         origins: Of the poses.
@@ -673,13 +681,14 @@ class Validation(NamedTuple):
 
     before: dict[str, float]
     after: dict[str, float]
+    inside: dict[str, float]
     by_pose: np.ndarray
     origins: tuple[str, ...]
 
     @property
     def is_better(self) -> bool:
         """Whether the points, or without any the efforts, are nearer than before."""
-        points = [kind for kind in self.before if kind in (MARKERS, EFFECTORS)]
+        points = [kind for kind in self.before if kind in POINTS]
         return all(self.after[kind] < self.before[kind] for kind in points or self.before)
 
 
@@ -769,7 +778,7 @@ def _unknown(
 
 def calibrate(
     scene: Scene, poses: Sequence[RestPose], keys: Sequence[str],
-    known: Mapping[str, float] | None = None,
+    known: Mapping[str, float] | None = None, check: Sequence[RestPose] = (),
 ) -> Calibration:  # fmt: skip
     """Fits numbers of a scene to what was measured at rest, and tries them at poses held back.
 
@@ -778,6 +787,7 @@ def calibrate(
         poses: The poses.
         keys: Keys of the numbers; see `unknowns_of`.
         known: See `unknowns_of`.
+        check: Poses that judge, in place of every fourth one.
 
     Raises:
         SceneError: No number has such a key, or the robot has no statics.
@@ -785,11 +795,12 @@ def calibrate(
     """
     unknowns = unknowns_of(scene, keys, known)
     handles = [one.parameter for one in unknowns]
-    used, aside = _usable(scene, poses)
-    if len(used) < LEAST_POSES:
-        raise CalibrationError("data", f"{len(used)} poses at rest can be used, {LEAST_POSES} are "
+    (used, aside), (judges, more) = _usable(scene, poses), _usable(scene, check)
+    aside, total = aside + more, len(used) + len(judges)
+    if total < LEAST_POSES or (check and not judges) or not used:
+        raise CalibrationError("data", f"{total} poses at rest can be used, {LEAST_POSES} are "
                                f"needed: {'; '.join(aside) or 'no more were recorded'}")
-    held = used[EACH_HELD_BACK - 1 :: EACH_HELD_BACK] or used[-1:]
+    held = judges or used[EACH_HELD_BACK - 1 :: EACH_HELD_BACK] or used[-1:]
     own = [pose for pose in used if not any(pose is one for one in held)]
     found = estimate(model := RestModel(scene, handles, own), model.measured, unknowns)
     groups = not_told(found.jacobian)
@@ -797,14 +808,17 @@ def calibrate(
     numbers = zip((one.parameter.key for one in kept.unknowns), kept.values.tolist(), strict=True)
     fitted = changed_scene(scene, dict(numbers))
     keys_of = tuple(tuple(handles[i].key for i in group) for group in groups)
-    return Calibration(fitted, kept, validated(scene, fitted, held), keys_of, len(own), tuple(aside),
-                       scene, tuple(own), found)  # fmt: skip
+    return Calibration(fitted, kept, validated(scene, fitted, found, held), keys_of, len(own),
+                       tuple(aside), scene, tuple(own), found)  # fmt: skip
 
 
 def _usable(scene: Scene, poses: Sequence[RestPose]) -> tuple[list[RestPose], list[str]]:
     """Poses at which the model rests in the measured shape, and why others are set aside."""
+    if not poses:
+        return [], []
     model = RestModel(scene, [], poses)
-    apart = model.distances()
+    model.predict(np.empty(0), False)
+    apart = model.distances
     typical = np.nanmedian(apart) if np.isfinite(apart).any() else np.nan
     far = apart > max(OTHER_SHAPE * typical, OTHER_SHAPE_SIZE * model.size)
     used, aside = [], []
@@ -819,25 +833,61 @@ def _usable(scene: Scene, poses: Sequence[RestPose]) -> tuple[list[RestPose], li
     return used, aside
 
 
-def validated(before: Scene, after: Scene, poses: Sequence[RestPose]) -> Validation:
+class Forecast(NamedTuple):
+    """What a scene predicts of measurements.
+
+    Attributes:
+        off: Predicted less measured, shape (n,).
+        reach: By how much a measurement may be off in 95 of 100 cases, shape (n,): by the covariance
+            of the numbers, and by the noise of the fit; NaN of kinds that the fit did not have.
+        distances: See `RestModel`.
+    """
+
+    off: np.ndarray
+    reach: np.ndarray
+    distances: np.ndarray
+
+
+def forecast(model: RestModel, joint: Estimate, scene: Scene) -> Forecast:
+    """Predicts what is measured at poses, with 95 % intervals.
+
+    Args:
+        model: Of these poses and of the numbers of the estimate; it begins where it rested before.
+        joint: The estimate, with the numbers that were not told.
+        scene: Has the numbers to predict with.
+    """
+    at = np.array([one.parameter.read(scene) for one in joint.unknowns])
+    found = model.predict(at, True)
+    noise = np.array([joint.noise.get(kind, np.nan) for kind in model.measured.kinds])
+    by_known = found.jacobian * [
+        one.known * (value if one.is_relative else 1.0) for one, value in zip(joint.unknowns, at)]
+    spread = np.einsum("ki,ij,kj->k", by_known, joint.covariance, by_known)
+    return Forecast(found.values - model.measured.values, 1.96 * np.sqrt(spread + noise**2),
+                    model.distances)
+
+
+def validated(
+    before: Scene, after: Scene, joint: Estimate, poses: Sequence[RestPose]
+) -> Validation:
     """Compares two scenes by what was measured at poses.
+
+    Where a pose has several shapes the second scene is in that of the first.
 
     Args:
         before: One scene.
-        after: The other one, with the same markers, effectors and actuators.
+        after: The other one, with other numbers.
+        joint: See `forecast`.
         poses: The poses.
     """
-    errors, distances = [], []
-    for scene in (before, after):
-        model = RestModel(scene, [], poses)
-        distances.append(model.distances())
-        apart = model.predict(np.empty(0), False).values - model.measured.values
-        own = {}
-        for kind in dict.fromkeys(model.measured.kinds.tolist()):
-            squares = apart[model.measured.kinds == kind] ** 2
-            own[kind] = float(np.sqrt(np.mean(squares) * (3 if kind in (MARKERS, EFFECTORS) else 1)))
-        errors.append(own)
-    return Validation(errors[0], errors[1], np.array(distances), tuple(pose.origin for pose in poses))
+    model = RestModel(before, [one.parameter for one in joint.unknowns], poses)
+    told = [forecast(model, joint, scene) for scene in (before, after)]
+    kinds = {kind: model.measured.kinds == kind for kind in dict.fromkeys(model.measured.kinds.tolist())}
+    errors = [{kind: float(np.sqrt(np.mean(one.off[own] ** 2) * (3 if kind in POINTS else 1)))
+               for kind, own in kinds.items()} for one in told]  # fmt: skip
+    inside = {kind: float(np.mean(np.abs(told[1].off[own]) <= told[1].reach[own]))
+              for kind, own in kinds.items() if kind in joint.noise}  # fmt: skip
+    return Validation(*errors, inside, np.array([one.distances for one in told]),
+                      tuple(pose.origin for pose in poses))  # fmt: skip
 
 
 # --- what would tell more ------------------------------------------------------------------------

@@ -16,8 +16,7 @@ from softrobot_twin.scene import load_scene
 from softrobot_twin.scene.scene_editing import EditedNumber, edited_text
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.study.calibration import (
-    EFFECTORS,
-    MARKERS,
+    POINTS,
     Calibration,
     CalibrationError,
     Suggestion,
@@ -55,6 +54,7 @@ def measured_poses(data: Any, simulation: Simulation) -> tuple[list[RestPose], l
 def calibrate_scene(
     path: Path, data: Sequence[Path], fit: Sequence[str], known: Sequence[str] = (),
     output: Path | None = None, picture: Path | None = None, suggest: bool = False,
+    check: Sequence[Path] = (),
 ) -> int:  # fmt: skip
     """Calibrates a scene, prints what was found, and writes another scene where it is better.
 
@@ -66,6 +66,7 @@ def calibrate_scene(
         output: Scene to write; None for one beside the first.
         picture: Picture to write; None for none.
         suggest: Whether to tell what should be measured next.
+        check: Files that judge in place of every fourth pose.
 
     Returns:
         Exit code: 1 where no scene was written.
@@ -77,10 +78,11 @@ def calibrate_scene(
     with terminal_status("reading what was measured"):
         simulation = Simulation(scene, with_warnings=False)
         poses, words = read_poses(data, simulation)
-    for sentence in words:
+        judges, more = read_poses(check, simulation)
+    for sentence in words + more:
         print(sentence)
     with terminal_status("fitting"):
-        found = calibrate(scene, poses, fit, _known(known))
+        found = calibrate(scene, poses, fit, _known(known), judges)
     print_apart(*tables(found))
     for sentence in found.set_aside:
         warn(sentence)
@@ -152,15 +154,16 @@ def tables(found: Calibration) -> list:
                                                  estimate.intervals, strict=True)))  # fmt: skip
     kinds = table(
         f"{len(held.origins)} poses that were held back, root mean square errors", "measured",
-        "before", "after", "noise of the fit",
+        "before", "after", "noise of the fit", "inside 95 %",
         rows=([kind, _of_kind(kind, held.before[kind]), _of_kind(kind, held.after[kind]),
-               _of_kind(kind, estimate.noise[kind]) if kind in estimate.noise else ""]
+               *([_of_kind(kind, estimate.noise[kind]), f"{held.inside[kind]:.0%}"]
+                 if kind in held.inside else ["", ""])]
               for kind in held.before))  # fmt: skip
     return [numbers, kinds]
 
 
 def _of_kind(kind: str, value: float) -> str:
-    return f"{1e3 * value:.3g} mm" if kind in (MARKERS, EFFECTORS) else f"{value:.3g}"
+    return f"{1e3 * value:.3g} mm" if kind in POINTS else f"{value:.3g}"
 
 
 def deviation_in_words(one: Unknown, deviation: float) -> str:
