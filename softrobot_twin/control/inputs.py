@@ -23,6 +23,7 @@ from softrobot_twin.control.arrival import (
     refusal_of_vector,
 )
 from softrobot_twin.control.loop_settings import LoopSettings
+from softrobot_twin.control.target_lead import TargetStream
 from softrobot_twin.simulation import Simulation, Touched
 from softrobot_twin.simulation.appearance import Pose
 from softrobot_twin.simulation.building.limits import Pulleys
@@ -100,12 +101,15 @@ class TargetInput(Input):
         self.slowed = 0
         self._velocity_effector = velocity_effector
         self._targets = np.full((effector_count, 3), np.nan)
+        self._streams = [TargetStream() for _ in range(effector_count)]
         super().__init__(settings, frame_id, range(effector_count))
 
     def reset(self) -> None:
         """Forgets all targets and velocities; the counts stay."""
         super().reset()
         self._targets[:] = np.nan
+        for stream in self._streams:
+            stream.forget()
         if self._orientations is not None:
             self._orientations[:] = np.nan
         self._velocity = np.zeros(3)
@@ -126,7 +130,7 @@ class TargetInput(Input):
         """
         if refusal := refusal_of_vector(position):
             return refusal
-        self._keep_position(effector, position, "point")
+        self._keep_position(effector, position, "point", arrival)
         return None
 
     @latched
@@ -150,13 +154,16 @@ class TargetInput(Input):
             return refusal
         if abs(math.hypot(*quaternion) - 1.0) > NOT_UNIT:
             return Refusal.NO_ROTATION
-        self._keep_position(effector, position, "pose")
+        self._keep_position(effector, position, "pose", arrival)
         self._orientations[effector] = quaternion / math.hypot(*quaternion)
         return None
 
-    def _keep_position(self, effector: int, position: np.ndarray, source: str) -> None:
+    def _keep_position(
+        self, effector: int, position: np.ndarray, source: str, arrival: Arrival
+    ) -> None:
         """Keeps a valid position [m], shape (3,); it replaces a velocity."""
         self._targets[effector] = self._inside(position)
+        self._streams[effector].add(self._targets[effector].copy(), arrival)
         self._source = source
         if effector == self._velocity_effector:
             self._velocity_time = -math.inf
@@ -179,6 +186,7 @@ class TargetInput(Input):
             self.slowed += bool(np.linalg.norm(velocity) > self.settings.speed_limit)
         self._velocity, self._velocity_time = velocity, time
         self._newest, self._source = time, "velocity"
+        self._streams[self._velocity_effector].forget()
         return None
 
     def stop(self) -> None:
@@ -209,6 +217,23 @@ class TargetInput(Input):
         timed_out = timeout > 0.0 and math.isfinite(age) and age > timeout
         turns = None if self._orientations is None else self._orientations.copy()
         return TargetReading(self._targets.copy(), self._source, age, timed_out, turns)
+
+    def leads(self, now: float, delay: float) -> np.ndarray:
+        """From each target to where it will be after a delay, inside the workspace [m].
+
+        Args:
+            now: Time on the clock of `Arrival.time` [s].
+            delay: The delay [s].
+
+        Returns:
+            Shape (effector_count, 3); NaN where the messages show no course.
+        """
+        leads = np.full_like(self._targets, np.nan)
+        for lead, target, stream in zip(leads, self._targets, self._streams, strict=True):
+            way = stream.lead(now, delay, self.settings.lead_limit)
+            if way is not None:
+                lead[:] = self.settings.in_workspace(target + way) - target
+        return leads
 
     def _integrate_velocity(self, time_step: float, start: np.ndarray) -> None:
         """Moves the target. A target outside the workspace may move inwards but not outwards."""

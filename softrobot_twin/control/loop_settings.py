@@ -88,6 +88,8 @@ class LoopSettings:
         correction_gain: Gain k_i of the integrator that stands in for it where setpoints are not
             measured [1/s].
         correction_limit: Greatest length of the correction [m].
+        lead_limit: In closed loop a moving target is aimed at where it will be when the command is
+            executed, at most this time ahead [s]; 0 aims at where it is.
         marker_timeout: Markers count as lost after this time without any [s].
         on_lost_markers: What to do then, in closed loop.
         device_timeout: The device counts as lost after this time without its setpoints [s].
@@ -113,6 +115,7 @@ class LoopSettings:
     misfit_rate: float = number("1/s", 20.0)
     correction_gain: float = number("1/s", 2.0)
     correction_limit: float = number("m", 0.01)
+    lead_limit: float = number("s", 0.15)
     marker_timeout: float = number("s", 0.5, above_zero=True)
     on_lost_markers: WhenLost = WhenLost.OPEN_LOOP
     device_timeout: float = number("s", 0.5, above_zero=True)

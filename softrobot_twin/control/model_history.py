@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,8 @@ actuators' travels is between them."""
 PREFERENCE = 0.1
 """Of two ticks that are equally near, the newer one is meant: a second counts as this share of
 `APART`."""
+MOVES = 1.0
+"""Setpoints tell a delay while they move by this multiple of `APART` in a second."""
 
 
 class Moment(NamedTuple):
@@ -27,12 +30,14 @@ class Moment(NamedTuple):
         explained: Displacements of the markers by forces that an observer found [m], as the
             markers; zero without one.
         by_loads: Their motion by each number of these, shape (3 marker_count, load_count).
+        delay: How late the device was there [s]; NaN where this is not known.
     """
 
     markers: np.ndarray
     effectors: np.ndarray
     explained: np.ndarray | float = 0.0
     by_loads: np.ndarray | None = None
+    delay: float = math.nan
 
 
 class ModelHistory:
@@ -143,7 +148,14 @@ class ModelHistory:
         apart = np.abs(places + shares[:, None] * ways).max(axis=1, initial=0.0)
         ages = (time - self._times[first : self._count]) / NANOSECONDS
         best = int(np.argmin(apart + PREFERENCE * np.maximum(ages, 0.0)))
-        return self._moment(first + best, shares[best]) if apart[best] <= 1.0 else None
+        if apart[best] > 1.0:
+            return None
+        # While they rest, each of the ticks may be meant.
+        near = slice(max(best - 1, 0), best + 2)
+        passed, share = -np.diff(ages, append=ages[-1]), shares[best]
+        moves = np.sqrt(lengths[near].max()) > MOVES * passed[near].max()
+        delay = max(ages[best] - share * passed[best], 0.0) if moves else math.nan
+        return self._moment(first + best, share)._replace(delay=delay)
 
     def _moment(self, tick: int, share: float) -> Moment:
         """The model at a share of the way from a tick to the next one."""

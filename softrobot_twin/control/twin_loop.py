@@ -46,10 +46,12 @@ from softrobot_twin.control.marker_checks import MarkerPlausibility
 from softrobot_twin.control.model_history import ModelHistory, Moment
 from softrobot_twin.control.target_correction import (
     EffectorMeasurement,
+    Law,
     TargetCorrection,
     approach,
     approach_poses,
 )
+from softrobot_twin.control.target_lead import TargetLead
 from softrobot_twin.control.voices import CONTESTED_TIME
 from softrobot_twin.simulation import (
     Command,
@@ -381,6 +383,7 @@ class TwinLoop:
         self._guidance = Guidance(simulation, self.poses)
         self.measurement = EffectorMeasurement(simulation)
         self.correction = TargetCorrection(len(simulation.effector_names))
+        self.lead = TargetLead(len(simulation.effector_names))
         limits = simulation.limits
         self.observer = None if simulation.scene.observer is None else ForceObserver(simulation)
         self._history = ModelHistory(
@@ -558,6 +561,7 @@ class TwinLoop:
         """Drops old misfits, which are invalid after the model was moved other than by a step."""
         self._history.forget()
         self._plausibility.forget()
+        self.lead.reset()
         if self.observer is not None:
             self.observer.reset()
 
@@ -718,6 +722,7 @@ class TwinLoop:
             or self.commands.age(now) <= settings.target_timeout
             or (targets is not None and targets.age(now) <= settings.target_timeout)
             or self.correction.is_any
+            or bool(self.lead.ways.any())
             or bool(self._contested)
         )
 
@@ -751,7 +756,11 @@ class TwinLoop:
         reading = self._no_targets
         if self.targets is not None:
             reading = self.targets.read(now, time_step, positions)
-        corrected = reading.targets + self.correction.offsets
+            if self.correction.law is Law.MISFIT:
+                self.lead.follow(self.targets.leads(now, self.lead.delay))
+            else:
+                self.lead.reset()
+        corrected = reading.targets + self.lead.ways + self.correction.offsets
         wanted = self.measurement.controlled(corrected, positions)
         reach = self.settings.reach
         if reading.orientations is None:
@@ -954,6 +963,7 @@ class TwinLoop:
             errors = self.measurement.differences(aims.reading.targets, comparable)
             model = self._executed(stamp) if self.correction.is_new(stamp) else None
             if model is not None:
+                self.lead.see(model.delay, stamp)
                 if self.observer is not None:
                     model = self.observer.under_loads(model)
                 misfit = self.measurement.misfit(markers, model)

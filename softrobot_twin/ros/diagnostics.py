@@ -400,6 +400,8 @@ class TwinDiagnostics:
                 "misfit_rms_mm": newest.misfit.rms * _MILLI,
                 "correction_mm": float(offsets.max(initial=0.0)) * _MILLI,
                 "correction_by": loop.correction.law.value,
+                "delay_ms": loop.lead.delay * _MILLI,
+                "lead_mm": float(np.linalg.norm(loop.lead.ways, axis=1).max(initial=0.0)) * _MILLI,
             }
         left_out = ", ".join(
             f"{marker} ({ticks} ticks)" for marker, ticks in sorted(self._window.left_out.items())

@@ -207,14 +207,18 @@ def other_meshes():
     return made
 
 
-def late_run(twin, real, path, ticks, seed=0, delay=1, measured=True, closed=True, opened=0):
+def late_run(
+    twin, real, path, ticks, seed=0, delay=1, measured=True, closed=True, opened=0, noise=0.0,
+    **settings,
+):
     """Positions of a robot that acts some ticks late, and is seen a tick later [m]; and its driver.
 
-    The loop is closed after `opened` ticks.
+    The loop is closed after `opened` ticks; the stream of targets has a noise [m].
     """
+    source = np.random.default_rng(seed)
     twin.reset()
     real.reset()
-    driver = Driver(twin, rate=1.0 / TICK, correction_gain=8.0)
+    driver = Driver(twin, rate=1.0 / TICK, correction_gain=8.0, **settings)
     device = SimulatedDevice(real, DeviceFlaws(marker_noise=2e-4, seed=seed, servo_rate=1.0))
     sent, seen, places = [], None, []
     for tick in range(ticks):
@@ -224,7 +228,7 @@ def late_run(twin, real, path, ticks, seed=0, delay=1, measured=True, closed=Tru
             driver.see(seen.marker_positions, age=TICK)
             if measured:
                 driver.measure(seen.setpoints, age=TICK)
-        driver.target(*path(driver.time))
+        driver.target(*(path(driver.time) + source.normal(0.0, noise, 3)))
         sent.append(driver.tick().command.setpoints)
         if len(sent) > delay:
             device.apply(sent[-1 - delay], driver.time - TICK)
@@ -273,6 +277,67 @@ def test_a_late_robot_does_not_overshoot_and_its_cables_rest(other_meshes, delay
     assert settled <= delay + 8
     assert np.linalg.norm(places[-40:] - target, axis=1).mean() < 0.2e-3
     assert driver.commands[-40:].std(axis=0).max() < 0.02e-3
+
+
+def rms_now(places, path, first=60):
+    """RMS distance from where the target is at the same moment [m], from a tick on."""
+    targets = np.array([path(tick * TICK) for tick in range(first, len(places))])
+    return np.sqrt(((places[first:] - targets) ** 2).sum(axis=1).mean())
+
+
+@pytest.mark.parametrize("delay", [1, 4])
+def test_a_robot_that_acts_late_is_where_its_moving_target_is(other_meshes, delay):
+    late, _ = late_run(*other_meshes, ROUND, 160, delay=delay, lead_limit=0.0)
+    led, driver = late_run(*other_meshes, ROUND, 160, delay=delay)
+    late, led = rms_now(late, ROUND), rms_now(led, ROUND)
+    print(f"{delay} ticks late: RMS {1e3 * late:.2f} mm, led {1e3 * led:.2f} mm")
+    assert driver.loop.lead.delay == pytest.approx(delay * TICK, abs=2e-3)
+    # What is left is the error of the model, which the correction follows late.
+    assert led < 0.35e-3
+    assert led < 0.55 * late
+    driver.loop.reset()
+    driver.tick()
+    assert not driver.loop.lead.ways.any()
+
+
+@pytest.mark.parametrize("ramp", [0.0, 0.5])
+def test_a_target_that_stops_is_overshot_by_its_way_of_the_delay_at_most(other_meshes, ramp):
+    """At once: what was sent before is executed yet. Where it slows down, the robot does too."""
+    speed, moves, delay = 0.01, 2.0, 4
+
+    def path(time):
+        slowing = np.clip(time - moves, 0.0, ramp)
+        way = min(time, moves) + 0.5 * slowing * (2.0 - slowing / max(ramp, TICK))
+        return np.array([speed * way - 0.012, 0.0, 0.136])
+
+    late, _ = late_run(*other_meshes, path, 160, delay=delay, lead_limit=0.0)
+    led, driver = late_run(*other_meshes, path, 160, delay=delay)
+    past = led[80:, 0].max() - max(path(10.0)[0], late[80:, 0].max())
+    rms = [rms_now(places, path, 40) for places in (late, led)]
+    print(f"past the end by {1e3 * past:.2f} mm; RMS late {1e3 * rms[0]:.2f}, led {1e3 * rms[1]:.2f}")
+    assert past < (speed * (delay + 1) * TICK if ramp == 0.0 else 0.2e-3)
+    assert rms[1] < 0.8 * rms[0]
+    assert not driver.loop.lead.ways.any()
+    assert led[-20:].mean(axis=0) == pytest.approx(late[-20:].mean(axis=0), abs=0.05e-3)
+
+
+def test_a_target_that_jumps_is_followed_as_without_a_lead(other_meshes):
+    def path(time):
+        return np.array([0.008 * (int(time / 0.5) % 2), 0.0, 0.136])
+
+    without, _ = late_run(*other_meshes, path, 60, delay=4, lead_limit=0.0)
+    led, driver = late_run(*other_meshes, path, 60, delay=4)
+    assert np.array_equal(led, without)
+    assert driver.loop.lead.delay == 0.0
+
+
+def test_noise_of_a_standing_target_is_not_led(other_meshes):
+    seed = int(np.random.default_rng().integers(1 << 30))
+    print("seed", seed)
+    arguments = (*other_meshes, standing, 120, seed)
+    without, _ = late_run(*arguments, delay=4, noise=2e-4, lead_limit=0.0)
+    led, _ = late_run(*arguments, delay=4, noise=2e-4)
+    assert rms_now(led, standing) < 1.1 * rms_now(without, standing)
 
 
 @pytest.mark.parametrize("closed", [False, True])

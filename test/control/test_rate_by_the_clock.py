@@ -27,6 +27,7 @@ VALUES = {
     "misfit_rate": (0.0, 20.0, 1000.0),
     "correction_gain": (0.0, 2.0, 1000.0),
     "correction_limit": (0.0, 0.01, 1.0),
+    "lead_limit": (0.0, 0.15, 1.0),
     "marker_timeout": (0.001, 0.5, 60.0),
     "on_lost_markers": tuple(WhenLost),
     "device_timeout": (0.001, 0.5, 60.0),
