@@ -68,14 +68,14 @@ class IdleWatch:
         """Starts the process.
 
         Args:
-            simulation: The twin's simulation, whose scene is the first message.
+            simulation: The twin's simulation.
             yields: Whether the process has the lowest priority.
         """
         program = PROGRAM.format(module=type(self).__module__, yields=yields)
         self.answers = 0
         self.cause = ""
         self._received = b""
-        self._unsent, self._asked = framed(simulation.scene), b""
+        self._unsent, self._asked = framed(self.first_message(simulation)), b""
         self._waiting, self._next = True, 0.0
         paths = os.pathsep.join(path for path in sys.path if path)
         self.process = subprocess.Popen(
@@ -86,6 +86,14 @@ class IdleWatch:
         for pipe in (self.process.stdin, self.process.stdout):
             os.set_blocking(pipe.fileno(), False)
         self._send()
+
+    def first_message(self, simulation: Simulation) -> object:
+        """What the process is told before it is asked anything: the scene.
+
+        Args:
+            simulation: The twin's simulation.
+        """
+        return simulation.scene
 
     def request_of(self, simulation: Simulation, forces_given: bool) -> object:
         """What is asked about the present state; see `offer`."""

@@ -13,6 +13,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
+from softrobot_twin.control.live_calibration import LiveCalibration
 from softrobot_twin.control.loop_settings import Mode, WhenLost
 from softrobot_twin.control.loop_timing import TickClock
 from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
@@ -135,6 +136,7 @@ class RunningTwin(Protocol):
     refused_requests: int
     is_simulated_time: bool
     recording: RunRecording | None
+    calibration: LiveCalibration | None
     clashes: list[Clash]
 
     def get_fully_qualified_name(self) -> str: ...
@@ -198,6 +200,8 @@ class TwinDiagnostics:
             parts["graph"] = self._of_graph(node)
         if recording is not None:
             parts["record"] = self._of_record(recording.recorder)
+        if node is not None and node.calibration is not None:
+            parts["calibration"] = self._of_calibration(node.calibration)
         if contact is not None:
             follows = loop.mode is Mode.INVERSE
             parts["contact"] = contact_status(contact, window, follows) if has_ticked else waits
@@ -515,6 +519,18 @@ class TwinDiagnostics:
             {"file": recorder.path, **_attributes(recorder, "ticks", "waiting", "lost")}, "recording",
             (recorder.failure, ERROR, f"nothing is recorded any more: {recorder.failure}"),
             (recorder.lost, WARN, "ticks were dropped: the run can be replayed only up to there"))
+
+    @staticmethod
+    def _of_calibration(calibration: LiveCalibration) -> Part:
+        """The poses for a calibration, and what the last one gave."""
+        watch, outcome = calibration.watch, calibration.outcome
+        values = {"poses": len(watch.found), "dropped": sum(watch.dropped.values()),
+                  "proposal": calibration.proposal if calibration.code == 0 else ""}  # fmt: skip
+        return first_of(
+            values, f"{len(watch.found)} poses at rest",
+            (calibration.cause, WARN, f"no fits any more: {calibration.cause}"),
+            (calibration.is_fitting, OK, "fitting"), (calibration.code == 0, OK, outcome),
+            (outcome, WARN, outcome))  # fmt: skip
 
     def _of_view(self) -> Part:
         if self._feed is None:

@@ -245,6 +245,8 @@ TWIN = COMMON + RUNTIME + _fixed(
     Entry("mesh_error", True, "Estimate the error of the mesh, in a process of the lowest priority."),
     Entry("reduction_error", True, "Compare reduced bodies with the full model, in a process of the "
           "lowest priority; nothing in scenes without them."),
+    Entry("calibrate_fit", [""], "Keys of the numbers that ~/calibrate fits, as of the command calibrate; "
+          "[''] for its choice."),
     Entry("velocity_effector", "",
           "Effector whose target target_velocity moves; empty for the first."),
     Entry("priority", Priority.REAL_TIME.value, "Priority requested for the ticks: real-time "

@@ -361,6 +361,11 @@ TWIN_SERVICES = (
     Service("~/reset", Trigger,
             "back to the rest shape, within the rate limits; with a device only the model returns, "
             "and the twin is disabled"),
+    Service("~/calibrate", Trigger,
+            "fits numbers of the scene, `calibrate_fit`, to the poses at which the robot rested since the "
+            "start, in a process of its own. The answer comes at once: how many poses there are and which "
+            "file gets the proposal, or why there is no fit. The result is told in `calibration` of "
+            "`/diagnostics` and in the log. The twin stays as it is until it is started with the proposal"),
 )  # fmt: skip
 """Services of the twin."""
 

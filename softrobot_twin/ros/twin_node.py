@@ -26,9 +26,11 @@ from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.control.command_gate import ActuatorCommand
 from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
 from softrobot_twin.control.last_command import LastCommand
+from softrobot_twin.control.live_calibration import LiveCalibration
 from softrobot_twin.control.loop_settings import LoopSettings, Mode
 from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
 from softrobot_twin.control.reduction_error_watch import ReductionErrorWatch
+from softrobot_twin.control.rest_watch import RestWatch, sample_of
 from softrobot_twin.control.twin_loop import TickOutcome, TwinLoop, owner_of
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.audience import Audience
@@ -310,6 +312,7 @@ class TwinNode(TickingNode):
         recording: Records the run; None without `record`.
         claim: Its claim of the topic of its commands.
         last_command: Keeps the last command over a restart; None with a device.
+        calibration: Gathers poses at rest and has them fitted; None in a scene without markers.
         feed: Feeds the view; None without one.
         window: The ticks since the last diagnostics.
         diagnostics: Writes them.
@@ -325,6 +328,7 @@ class TwinNode(TickingNode):
     recording: RunRecording | None = None
     claim: TopicClaim | None = None
     last_command: LastCommand | None = None
+    calibration: LiveCalibration | None = None
     feed: ViewFeed | None = None
     _mesh_error: MeshErrorWatch | None = None
     _mesh_error_reported = False
@@ -361,6 +365,10 @@ class TwinNode(TickingNode):
             self._velocity_effector(simulation), self.loop_frame, float(values["ambient_pressure"]))
         for note in self.loop.cavities.notes:
             self.get_logger().warning(note)
+        if simulation.scene.markers:
+            self.calibration = LiveCalibration(
+                simulation, RestWatch(simulation, simulation.scene.name),
+                [key for key in values["calibrate_fit"] if key], path.changes)
         simulation.warm_up()
         if self.recording is not None:
             self.recording.begin(self.loop, values)
@@ -480,6 +488,7 @@ class TwinNode(TickingNode):
                     objects.get(kind, [((), "")]), has_it.get(name, repeat(True)))]
         self.create_service(SetBool, "~/enable", self.enable)
         self.create_service(Trigger, "~/reset", self.reset)
+        self.create_service(Trigger, "~/calibrate", self.calibrate)
 
     def _listen(self, topic: Topic, key: tuple, name: str) -> Subscription:
         """Receives a topic of the table; see `TickingNode.listen`.
@@ -575,6 +584,19 @@ class TwinNode(TickingNode):
         self.get_logger().info(f"reset: {response.message}")
         return response
 
+    def calibrate(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Answers ``~/calibrate``: begins a fit in another process, and changes nothing here.
+
+        Args:
+            request: Has no content.
+            response: The answer; is filled.
+        """
+        response.success, response.message = (
+            (False, "the scene has no markers: nothing that is measured tells where the robot is")
+            if self.calibration is None else self.calibration.ask(self.monotonic()))  # fmt: skip
+        self.get_logger().info(f"calibrate: {response.message}")
+        return response
+
     def work(self, now: float) -> None:
         """Steps the loop and publishes the results, all with the same stamp.
 
@@ -583,6 +605,11 @@ class TwinNode(TickingNode):
         """
         outcome = self.loop.tick(now, self.stamp)
         self._publish(outcome, self.stamp)
+        if self.calibration is not None:
+            command, touches = outcome.command, outcome.result.touches
+            self.calibration.offer_sample(now, lambda: sample_of(
+                self.loop, now, now, None if command is None else command.setpoints,
+                None if touches is None else touches.forces))
         if self.loop.is_repeating and self.window.ticks:
             self.window.add_again(outcome)
         else:
@@ -655,6 +682,8 @@ class TwinNode(TickingNode):
             return
         self._diagnostics_due = now + DIAGNOSTICS_PERIOD
         self._watch_mesh_error(now)
+        if self.calibration is not None and self.calibration.look(now):
+            self.get_logger().info(f"calibrate:\n{self.calibration.told}")
         if self._reduction is not None and not self.loop.simulation.falls_back:
             self._reduction.offer(self.loop.simulation, False, now)
         message = DiagnosticArray(status=self.diagnostics.statuses(now))
@@ -736,8 +765,8 @@ class TwinNode(TickingNode):
         """Closes the view, the recording and the process that estimates the mesh's error, then
         destroys the node.
         """
-        for part in (self.claim, self.last_command, self._mesh_error, self._reduction, self.feed,
-                     self.recording):  # fmt: skip
+        for part in (self.claim, self.last_command, self._mesh_error, self._reduction,
+                     self.calibration, self.feed, self.recording):  # fmt: skip
             if part is not None:
                 part.close()
         super().destroy_node()

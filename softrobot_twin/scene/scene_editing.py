@@ -12,7 +12,7 @@ from softrobot_twin.errors import SceneError
 from softrobot_twin.scene.loading import read_yaml, scene_from_mapping, written_out
 from softrobot_twin.scene.patterns import as_written
 from softrobot_twin.scene.refusal_messages import parts
-from softrobot_twin.scene.scene_parameters import changed_scene
+from softrobot_twin.scene.scene_parameters import changed_scene, parameters
 from softrobot_twin.scene.schema import Scene
 
 _ANCHOR = re.compile(r"&(\w+)\s+(\{[^{}]*\}|\[[^\[\]]*\]|[^\s#]+)")
@@ -33,8 +33,8 @@ class EditedNumber(NamedTuple):
 def edited_text(text: str, scene: Scene, numbers: Mapping[str, EditedNumber]) -> str:
     """The text of a scene file with other numbers.
 
-    A key that the file leaves out is added to its section. Repeated entries of which a number is changed
-    are written out, because their copies have numbers of their own.
+    A key that the file leaves out is added to its section. Repeated entries are written out, where their
+    copies get numbers of their own.
 
     Args:
         text: The text of the file.
@@ -45,7 +45,10 @@ def edited_text(text: str, scene: Scene, numbers: Mapping[str, EditedNumber]) ->
         SceneError: The text cannot be changed so that the file has these numbers.
     """
     places = {tuple(parts(key)): number for key, number in numbers.items()}
-    text = _written_out(text, scene, places)
+    shared = _shared(scene, places)
+    text = _written_out(text, scene, {place: number for place, number in places.items()
+                                      if place not in shared})  # fmt: skip
+    places = {shared.get(place, place): number for place, number in places.items()}
     comments: dict[int, list[str]] = {}
     for place, number in sorted(places.items(), key=lambda one: str(one[0])):
         text = _with_number(text, place, number.value)
@@ -62,6 +65,18 @@ def edited_text(text: str, scene: Scene, numbers: Mapping[str, EditedNumber]) ->
     if scene_from_mapping(read_yaml(text), scene.path) != wanted:
         raise SceneError(scene.path, next(iter(numbers)), "", "", "cannot be written into this file")
     return text
+
+
+def _shared(scene: Scene, places: Mapping[tuple, EditedNumber]) -> dict[tuple, tuple]:
+    """Where the file has the numbers that are the same in all copies of a repeated entry."""
+    copies: dict[tuple, list[tuple]] = {}
+    for one in parameters(scene):
+        place = tuple(parts(one.key))
+        copies.setdefault(as_written(scene.source.mapping, place)[0], []).append(place)
+    alone = {written[:2] for written, own in copies.items()
+             if len({places[one].value if one in places else None for one in own}) > 1}  # fmt: skip
+    return {one: written for written, own in copies.items()
+            if len(own) > 1 and own[0] in places and written[:2] not in alone for one in own}  # fmt: skip
 
 
 def _found(root: yaml.Node, place: tuple) -> tuple[yaml.Node, tuple]:

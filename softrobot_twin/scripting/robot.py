@@ -446,7 +446,7 @@ class Robot:
             self.scene, variables_of(self.scene, parameters), poses_of(self.scene, commands))
 
     def calibrate(
-        self, data: Any, fit: Iterable[str], known: Mapping[str, float] | None = None,
+        self, data: Any, fit: Iterable[str] = (), known: Mapping[str, float] | None = None,
         check: Any = (),
     ) -> Calibration:  # fmt: skip
         """Fits numbers of its scene to what was measured at rest; the robot stays as it is.
@@ -454,7 +454,8 @@ class Robot:
         Args:
             data: A recorded run (.mcap), a table (.csv, a `pandas.DataFrame` or a dict) with setpoints,
                 markers such as ``marker_4_x_m``, and efforts, or a list of these or of `RestPose`.
-            fit: Keys of the numbers; see `parameters`.
+            fit: Keys of the numbers, see `parameters`; none for moduli, regulators, zeros of motors and
+                winches and where cables are tied, as far as the data tell them.
             known: Standard deviations of what is known before by keys, in their units; as shares of
                 moduli, stiffnesses and densities.
             check: Data that judge the result, in place of every fourth pose.

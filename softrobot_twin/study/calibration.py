@@ -23,10 +23,15 @@ from scipy.optimize import least_squares, lsq_linear
 from scipy.stats import qmc, t
 
 from softrobot_twin.errors import NamedError
-from softrobot_twin.record.rest_poses import RestPose
+from softrobot_twin.control.rest_watch import RestPose
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.actuator_entries import Cavity
-from softrobot_twin.scene.scene_parameters import Parameter, changed_scene, parameters
+from softrobot_twin.scene.scene_parameters import (
+    JointParameter,
+    Parameter,
+    changed_scene,
+    parameters,
+)
 from softrobot_twin.scene.schema import MarkerFrame
 from softrobot_twin.simulation import Simulation, Touched
 from softrobot_twin.simulation.build import build_terms
@@ -87,13 +92,13 @@ class Unknown(NamedTuple):
     """A number that is fitted.
 
     Attributes:
-        parameter: Its handle.
+        parameter: Its handle; of equal moduli that change together that of all.
         start: Its value before.
         known: Standard deviation of what is known before, in its unit; as a share where relative.
         is_relative: Whether its logarithm is fitted, because it is above zero by its nature.
     """
 
-    parameter: Parameter
+    parameter: Parameter | JointParameter
     start: float
     known: float
     is_relative: bool
@@ -186,7 +191,7 @@ class RestModel:
         size: Of the robot [m].
     """
 
-    def __init__(self, scene: Scene, keys: Sequence[Parameter], poses: Sequence[RestPose]):
+    def __init__(self, scene: Scene, keys: Sequence[Parameter | JointParameter], poses: Sequence[RestPose]):
         """Build the simulation.
 
         Args:
@@ -261,7 +266,9 @@ class RestModel:
         if np.array_equal(numbers, self._at):
             return
         self._at = numbers
-        own = {one.key: float(value) for one, value in zip(self._keys, numbers, strict=True)}
+        own = dict[str, float]()
+        for one, value in zip(self._keys, numbers, strict=True):
+            own |= one.changes(float(value))
         self._scene = changed_scene(self._scene, own)
         if not all(_FRAME.fullmatch(key) for key in own):
             self._build()
@@ -652,6 +659,15 @@ def not_told(jacobian: np.ndarray, least: float = TOLD) -> list[tuple[int, ...]]
     return groups
 
 
+def _beside(jacobian: np.ndarray) -> list[int]:
+    """Numbers that the data cannot tell beside those before."""
+    kept: list[int] = []
+    for place in range(jacobian.shape[1]):
+        if not not_told(jacobian[:, [*kept, place]]):
+            kept.append(place)
+    return [place for place in range(jacobian.shape[1]) if place not in kept]
+
+
 def deviations_with(jacobian: np.ndarray, *others: np.ndarray) -> np.ndarray:
     """Standard deviations of z by measurements with these Jacobians, shape (p,).
 
@@ -721,8 +737,10 @@ class Calibration(NamedTuple):
     @property
     def values(self) -> dict[str, float]:
         """The fitted numbers by their keys, each in its unit."""
-        return {one.parameter.key: float(value) for one, value in
-                zip(self.estimate.unknowns, self.estimate.values, strict=True)}  # fmt: skip
+        found = dict[str, float]()
+        for one, value in zip(self.estimate.unknowns, self.estimate.values, strict=True):
+            found |= one.parameter.changes(float(value))
+        return found
 
     @property
     def is_accepted(self) -> bool:
@@ -731,14 +749,35 @@ class Calibration(NamedTuple):
         return are_apart and bool(self.estimate.unknowns) and self.validation.is_better
 
 
+def usual_keys(scene: Scene) -> list[str]:
+    """Keys of what differs most often between a robot and its scene, the first first.
+
+    Moduli, gains and zeros of regulators, zeros of motors, where a cable is tied that has one point, and
+    zeros of winches.
+
+    Args:
+        scene: The scene.
+    """
+    known = [one.key for one in parameters(scene)]
+    tied = [re.escape(f"cables[{index}].points") for index, cable in enumerate(scene.cables)
+            if len(cable.points) == 1]  # fmt: skip
+    regulated = [rf"cavities\[{index}\]\.pressure_(gain|offset)" for index, cavity in
+                 enumerate(scene.cavities) if cavity.control == "pressure"]  # fmt: skip
+    kinds = (r".*\.young_modulus", *regulated, r"hinge_motors.*\.offset", *(f"{one}.*" for one in tied),
+             r"cables.*\.offset")  # fmt: skip
+    return [key for kind in kinds for key in known if re.fullmatch(kind, key)]
+
+
 def unknowns_of(
     scene: Scene, keys: Sequence[str], known: Mapping[str, float] | None = None
 ) -> tuple[Unknown, ...]:
     """Numbers of a scene that shall be fitted, with what is known of them before.
 
+    Young's moduli that one key names and that are equal change together: they are of one material.
+
     Args:
         scene: The scene.
-        keys: See `softrobot_twin.scene.scene_parameters.parameters`.
+        keys: See `softrobot_twin.scene.scene_parameters.parameters`; none for `usual_keys`.
         known: Standard deviations by keys, in their units; as shares of numbers above zero by nature.
 
     Raises:
@@ -751,11 +790,27 @@ def unknowns_of(
     given = {one.key: value for key, value in (known or {}).items()
              for one in parameters(scene, key)}  # fmt: skip
     efforts = simulation.actuators.effort_scale[simulation.actuators.of_section("cavities")]
-    return tuple(_unknown(scene, one, size, efforts, given) for one in parameters(scene, *keys))
+    found = dict[str, Parameter | JointParameter]()
+    for own in [[key] for key in keys] or [usual_keys(scene)]:
+        found |= {one.key: one for one in _together(scene, parameters(scene, *own))}
+    return tuple(_unknown(scene, one, size, efforts, given) for one in found.values())
+
+
+def _together(scene: Scene, found: Sequence[Parameter]) -> Iterator[Parameter | JointParameter]:
+    """Numbers, of which equal moduli are one."""
+    alike: dict[object, list[Parameter]] = {}
+    for one in found:
+        is_modulus = one.key.endswith("young_modulus")
+        alike.setdefault(one.read(scene) if is_modulus else one.key, []).append(one)
+    for own in alike.values():
+        others = len(own) - 1
+        yield own[0] if not others else JointParameter(
+            f"{own[0].key} and {others} more", own[0].unit, tuple(own), (0.0,) * len(own),
+            (1.0,) * len(own))  # fmt: skip
 
 
 def _unknown(
-    scene: Scene, one: Parameter, size: float, efforts: np.ndarray, given: Mapping[str, float]
+    scene: Scene, one: Parameter | JointParameter, size: float, efforts: np.ndarray, given: Mapping[str, float]
 ) -> Unknown:
     """A number with what is known of it before."""
     start, unit, match = one.read(scene), one.unit, _REGULATOR.fullmatch(one.key)
@@ -785,7 +840,8 @@ def calibrate(
     Args:
         scene: The scene.
         poses: The poses.
-        keys: Keys of the numbers; see `unknowns_of`.
+        keys: Keys of the numbers, see `unknowns_of`. Without any, those that the data do not tell beside
+            those before stay as they were.
         known: See `unknowns_of`.
         check: Poses that judge, in place of every fourth one.
 
@@ -803,10 +859,12 @@ def calibrate(
     held = judges or used[EACH_HELD_BACK - 1 :: EACH_HELD_BACK] or used[-1:]
     own = [pose for pose in used if not any(pose is one for one in held)]
     found = estimate(model := RestModel(scene, handles, own), model.measured, unknowns)
-    groups = not_told(found.jacobian)
+    groups = not_told(found.jacobian) if keys else [(i,) for i in _beside(found.jacobian)]
     kept = found.without([group[0] for group in groups if len(group) == 1])
-    numbers = zip((one.parameter.key for one in kept.unknowns), kept.values.tolist(), strict=True)
-    fitted = changed_scene(scene, dict(numbers))
+    numbers = dict[str, float]()
+    for one, value in zip(kept.unknowns, kept.values, strict=True):
+        numbers |= one.parameter.changes(float(value))
+    fitted = changed_scene(scene, numbers)
     keys_of = tuple(tuple(handles[i].key for i in group) for group in groups)
     return Calibration(fitted, kept, validated(scene, fitted, found, held), keys_of, len(own),
                        tuple(aside), scene, tuple(own), found)  # fmt: skip

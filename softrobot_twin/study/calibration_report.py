@@ -10,9 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from softrobot_twin.record.rest_poses import RestPose, read_poses
+from softrobot_twin.control.rest_watch import RestPose
+from softrobot_twin.record.rest_poses import read_poses
 from softrobot_twin.record.run_description import files_named
 from softrobot_twin.scene import load_scene
+from softrobot_twin.scene.scene_parameters import parameters
 from softrobot_twin.scene.scene_editing import EditedNumber, edited_text
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.study.calibration import (
@@ -253,8 +255,13 @@ def write_scene(found: Calibration, path: Path, written: Path, data: str) -> Non
     for one, value, ends in zip(estimate.unknowns, estimate.values, estimate.intervals, strict=True):
         words = (f"calibrated {day} by {data}: {_name(one.parameter.key)} {value:.5g}, 95 % "
                  f"{ends[0]:.5g} to {ends[1]:.5g} {one.parameter.unit}").strip()  # fmt: skip
-        numbers[one.parameter.key] = EditedNumber(float(f"{value:.{DIGITS}g}"), words)
+        for key, number in one.parameter.changes(float(f"{value:.{DIGITS}g}")).items():
+            numbers[key] = EditedNumber(number, words)
     scene = found.start
+    as_written = load_scene(Path(scene.path))
+    for one in parameters(scene):
+        if one.key not in numbers and one.read(scene) != one.read(as_written):
+            numbers[one.key] = EditedNumber(one.read(scene), "as it was set for the calibration")
     text = edited_text(scene.path.read_text(encoding="utf-8-sig"), scene, numbers)
     if written.resolve().parent != scene.path.resolve().parent:
         for name in dict.fromkeys(files_named(scene)):

@@ -1,10 +1,13 @@
 """Poses at rest, of recorded runs and of tables."""
 
+from secrets import randbits
+
 import numpy as np
 import pytest
 
 from softrobot_twin.control.arrival import Arrival
-from softrobot_twin.record.rest_poses import RestWatch, Sample, RestPose, poses_of_run, poses_of_table
+from softrobot_twin.control.rest_watch import MOST_POSES, RestPose, RestWatch, Sample
+from softrobot_twin.record.rest_poses import poses_of_run, poses_of_table
 from softrobot_twin.scene import load_scene, scene_from_mapping
 from softrobot_twin.scene.scene_parameters import changed_scene
 from softrobot_twin.simulation import Simulation
@@ -109,3 +112,44 @@ def test_a_table_without_times_has_a_pose_in_each_row(simulation):
     assert same[1].effectors[0].tolist() == [0.1, 0.0, 0.0]
     with pytest.raises(TableFileError, match="lacks what drives north.*north_length_m|north_length_m"):
         poses_of_table({"marker_4_x_m": [0.0]}, simulation)
+
+
+@pytest.mark.parametrize("period", [0.01, 0.05])
+def test_noise_of_the_cameras_is_no_motion(simulation, period):
+    seed = randbits(32)
+    print(f"seed {seed}")
+    random, samples = np.random.default_rng(seed), []
+    for time in np.arange(0.0, 100.0, period):
+        noise = random.normal(0.0, 2e-4, (8, 3))
+        samples.append(sample(time, simulation, 1e-3 * (time // 2.0), noise))
+    watch = watched(simulation, samples)
+    assert len(watch.found) >= 48, watch.in_words()
+
+
+def test_the_table_of_a_watch_is_read_again(simulation, tmp_path):
+    watch = RestWatch(simulation)
+    efforts = np.array([1.0, np.nan, 0.25, 3.0])
+    for place in range(3):
+        at = simulation.rest_setpoints - 0.003 * place
+        markers = simulation.marker_positions() + 0.001 * place
+        markers[place] = np.nan
+        watch.found.append(RestPose(at, markers, np.full((1, 3), np.nan), efforts, np.zeros((0, 3))))
+    file = tmp_path / "rests.csv"
+    file.write_text(watch.table())
+    poses, _ = poses_of_table(file, simulation)
+    for one, own in zip(poses, watch.found, strict=True):
+        for name in ("setpoints", "markers", "effectors", "efforts", "forces"):
+            assert np.allclose(getattr(one, name), getattr(own, name), rtol=1e-8, equal_nan=True), name
+
+
+def test_what_is_kept_of_a_long_run_is_bounded(simulation):
+    watch = RestWatch(simulation)
+    for number in range(2 * MOST_POSES):
+        # The robot goes to and fro: what it repeats pushes no other pose out.
+        command = simulation.rest_setpoints - 0.01 * (number % 2)
+        pose = RestPose(command, simulation.marker_positions(), np.full((1, 3), np.nan), np.full(4, np.nan),
+                        np.zeros((0, 3)))  # fmt: skip
+        for time in np.arange(0.0, 1.5, 0.05):
+            watch.add(Sample(2.0 * number + time, command, pose))
+    watch.end()
+    assert len(watch.found) == 2 and watch.dropped["it repeats an earlier pose"] == 2 * MOST_POSES - 2

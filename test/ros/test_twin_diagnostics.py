@@ -20,7 +20,7 @@ from softrobot_twin.simulation.building.actuator_kinds import Quantity
 from softrobot_twin.simulation.building.cable_actuator import CableActuator
 from softrobot_twin.simulation.building.slide_actuator import SlideActuator
 
-PARTS = {"loop", "solver", "limits", "markers", "device", "target", "view", "graph"}
+PARTS = {"loop", "solver", "limits", "markers", "device", "target", "view", "graph", "calibration"}
 OK, WARN, ERROR = b"\x00", b"\x01", b"\x02"
 
 

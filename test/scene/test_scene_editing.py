@@ -49,3 +49,12 @@ def test_copies_of_which_one_has_another_number_are_written_out(name, key, value
     for place, (old, now) in enumerate(zip(getattr(before, section), getattr(scene, section), strict=True)):
         assert (old == now) == (place != index)
     assert "# Written out" in new
+
+
+@pytest.mark.parametrize("name", ["flexo", "strider"])
+def test_a_number_that_all_copies_share_is_changed_once_and_the_pattern_stays(name):
+    scene = load_scene(SCENES / f"{name}.yaml")
+    keys = [f"beams[{place}].material.young_modulus" for place in range(len(scene.beams))]
+    text, new, scene = edited(name, dict.fromkeys(keys, 3.3e7))
+    assert {beam.material.young_modulus for beam in scene.beams} == {3.3e7}
+    assert len(set(new.split("\n")) - set(text.split("\n"))) == 1 and "# Written out" not in new

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.command_line.commands import program
-from softrobot_twin.record.rest_poses import RestPose
+from softrobot_twin.control.rest_watch import RestPose
 from softrobot_twin.scene import load_scene, scene_from_mapping
 from softrobot_twin.scene.scene_parameters import changed_scene, parameters
 from softrobot_twin.scripting import build
@@ -24,6 +24,7 @@ from softrobot_twin.study.calibration import (
     not_told,
     suggestions,
     unknowns_of,
+    usual_keys,
 )
 
 SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
@@ -209,6 +210,36 @@ def test_intervals_of_95_percent_hold_the_truth_in_95_of_100_noisy_sets(bar, ran
         inside.append((ends[:, 0] < at) & (at < ends[:, 1]))
     assert 0.90 <= np.mean(inside) <= 0.99
     assert np.mean(inside, axis=0).min() > 0.85
+
+
+def test_without_keys_the_usual_numbers_are_fitted_as_far_as_the_data_tell(bar, random):
+    truth = true_scene(changed_scene(bar, {"cables[2].points": [[0.043, -0.009, -0.006]]}))
+    start = changed_scene(bar, {"cables[2].points": [[0.043, -0.009, -0.006]], "marker_frame": truth.marker_frame})
+    assert {key.partition("[")[2][:1] for key in usual_keys(start) if ".points" in key} == {"2"}
+    poses = measured(truth, poses_at(start, 0.004 + 0.3 * drawn(random, 12)), 1.0, random)
+    found = calibrate(start, poses, [])
+    assert found.is_accepted
+    assert found.values[E] == pytest.approx(2.6e5, rel=0.03)
+    assert found.values["cables[0].offset"] == pytest.approx(4e-4, abs=2e-4)
+    # Where the third cable pulls along itself is not told beside the zero of its winch.
+    asked = {"cables[2].points[0][0]", "cables[2].offset"}
+    assert len(asked - found.values.keys()) == 1 and len(found.not_told) >= 1
+
+
+def test_equal_moduli_of_one_key_are_one_number(random):
+    scene = load_scene(SCENES / "strider.yaml")
+    (one,) = unknowns_of(scene, ["beams.*.material.young_modulus"])
+    assert one.parameter.key == "beams[0].material.young_modulus and 3 more"
+    assert set(one.parameter.changes(2e7)) == {f"beams[{i}].material.young_modulus" for i in range(4)}
+    assert len(unknowns_of(scene, [f"beams[{i}].material.young_modulus" for i in range(4)])) == 4
+    truth = changed_scene(scene, one.parameter.changes(31e6))
+    poses = [RestPose(angles, np.zeros((4, 3)), np.full((1, 3), np.nan), np.zeros(4), np.zeros((0, 3)))
+             for angles in random.uniform(-0.2, 0.2, (4, 4))]  # fmt: skip
+    shown = RestModel(truth, [], poses).predict(np.empty(0), False).values.reshape(4, 16)
+    seen = [pose._replace(markers=values[:12].reshape(4, 3) + 1e-5 * random.normal(size=(4, 3)), efforts=values[12:])
+            for pose, values in zip(poses, shown, strict=True)]  # fmt: skip
+    found = calibrate(scene, seen, ["beams.*.material.young_modulus"])
+    assert found.values == {f"beams[{i}].material.young_modulus": pytest.approx(31e6, rel=1e-3) for i in range(4)}
 
 
 # --- what cannot be known ------------------------------------------------------------------------

@@ -28,7 +28,7 @@ from real_beam import (
     swing_centre,
 )
 
-from softrobot_twin.record.rest_poses import RestPose
+from softrobot_twin.control.rest_watch import RestPose
 from softrobot_twin.scene.scene_parameters import changed_scene
 from softrobot_twin.study.calibration import RestModel, calibrate, forecast
 from softrobot_twin.study.terminal import console
