@@ -51,10 +51,10 @@ def edited_text(text: str, scene: Scene, numbers: Mapping[str, EditedNumber]) ->
     places = {shared.get(place, place): number for place, number in places.items()}
     comments: dict[int, list[str]] = {}
     for place, number in sorted(places.items(), key=lambda one: str(one[0])):
-        text = _with_number(text, place, number.value)
+        text = _with_number(text, place, number.value, place in shared.values())
     root = yaml.compose(text, Loader=yaml.SafeLoader)
     for place, number in places.items():
-        line = _found(root, place)[0].end_mark.line
+        line = _found(root, place, place in shared.values())[0].end_mark.line
         comments.setdefault(line, []).append(number.comment)
     lines = text.split("\n")
     for line, words in comments.items():
@@ -79,12 +79,13 @@ def _shared(scene: Scene, places: Mapping[tuple, EditedNumber]) -> dict[tuple, t
             if len(own) > 1 and own[0] in places and written[:2] not in alone for one in own}  # fmt: skip
 
 
-def _found(root: yaml.Node, place: tuple) -> tuple[yaml.Node, tuple]:
-    """The node at a place or the innermost one around it, and the rest of the place that is missing."""
+def _found(root: yaml.Node, place: tuple, with_merged: bool = False) -> tuple[yaml.Node, tuple]:
+    """The node at a place or the innermost one around it, and the rest of the place that is missing;
+    perhaps also one that is merged there by ``<<``."""
     node = root
     for depth, step in enumerate(place):
         if isinstance(node, yaml.MappingNode):
-            inside = next((value for key, value in node.value if key.value == step), None)
+            inside = _in_mapping(node, step, with_merged)
         else:
             inside = node.value[step] if isinstance(node, yaml.SequenceNode) else None
         if inside is None:
@@ -93,9 +94,18 @@ def _found(root: yaml.Node, place: tuple) -> tuple[yaml.Node, tuple]:
     return node, ()
 
 
-def _with_number(text: str, place: tuple, value: float) -> str:
-    """The text with a number at a place."""
-    node, missing = _found(yaml.compose(text, Loader=yaml.SafeLoader), place)
+def _in_mapping(node: yaml.MappingNode, step: Any, with_merged: bool) -> yaml.Node | None:
+    """What a mapping has for a key."""
+    own = dict((key.value, value) for key, value in node.value)
+    merged = own.get("<<")
+    if step in own or not with_merged or not isinstance(merged, yaml.MappingNode):
+        return own.get(step)
+    return _in_mapping(merged, step, True)
+
+
+def _with_number(text: str, place: tuple, value: float, with_merged: bool) -> str:
+    """The text with a number at a place; see `_found`."""
+    node, missing = _found(yaml.compose(text, Loader=yaml.SafeLoader), place, with_merged)
     if not missing:
         begin, end = node.start_mark.index, node.end_mark.index
         return text[:begin] + _number(value) + text[end:]
