@@ -53,6 +53,7 @@ Arguments of the kernels here; those of one hinge have no first axis:
 
 from __future__ import annotations
 
+from copy import copy
 from typing import NamedTuple
 
 import numpy as np
@@ -366,6 +367,16 @@ class HingedFrames(RigidFrames):
         """Index of each frame node; see `RigidFrames`. Shape (4 (body_count + hinge_count),)."""
         first = self.free_node_count + self._rigid_points
         return np.concatenate([super().free_index(), first + np.arange(4 * self.hinge_count)])
+
+    def resting_at(self, positions: np.ndarray) -> HingedFrames:
+        """The same frames, whose angles count from other positions.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
+        frames = copy(self)
+        frames.hinges = self.hinges._replace(rotations=self.relative(writable(positions)))
+        return frames
 
     def rest_poses(self, positions: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         """Origin [m] and rotation of every hinged frame at rest.

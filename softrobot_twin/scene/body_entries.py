@@ -763,7 +763,7 @@ class BeamMaterial(Entry):
 class BeamJoint(Entry):
     """Joins one of the points of a beam to something else."""
 
-    placed: ClassVar[dict[str, str]] = {"axis": "direction"}
+    placed: ClassVar[dict[str, str]] = {"axis": "direction", "through": "point"}
 
     at: Literal["start", "end"] | Annotated[int, Field(ge=0)]
     """First or last point of the beam, or a point by its index."""
@@ -773,14 +773,19 @@ class BeamJoint(Entry):
     by: Literal["rigid", "hinge", "ball"] = "rigid"
     """Rigidly, by a hinge that turns about `axis`, or by a ball joint."""
     axis: Direction | None = None
-    """Axis of a hinge, through the point that is joined, in the world at rest."""
+    """Axis of a hinge, in the world at rest."""
+    through: Vector | None = None
+    """Where the hinge or the ball joint is, at rest; by default at the point that is joined. It is rigid
+    between both, and without mass."""
 
     def check(self) -> None:
-        """Refuse a hinge without an axis, and an axis without a hinge."""
+        """Refuse a hinge without an axis, and an axis or a place without a hinge."""
         if self.by == "hinge" and (self.axis is None or not any(self.axis)):
             raise ValueError("a hinge needs an axis that is not zero")
         if self.by != "hinge" and self.axis is not None:
             raise ValueError(f"an axis is that of a hinge; this joint is {self.by}")
+        if self.by == "rigid" and self.through is not None:
+            raise ValueError("a rigid joint needs no place: it is rigid between what it joins")
         if self.by == "rigid" and self.to == "world":
             raise ValueError("an end that is clamped in the world is given as fixed")
 
@@ -958,7 +963,7 @@ class Obstacle(Shaped):
 
 
 class RigidBody(Shaped):
-    """A rigid body: free, or guided by commanded poses."""
+    """A rigid body: free, guided by commanded poses, or fixed."""
 
     told: ClassVar[tuple[str, ...]] = (
         "{motion:=}", "{shape}", "{mass} kg", "{density} kg/m³", "at most {speed:mm} mm/s",
@@ -969,8 +974,9 @@ class RigidBody(Shaped):
 
     name: Name
     """Its name, in topics, columns and pairs of contact."""
-    motion: Literal["free", "guided"] = "free"
-    """Free: it moves by forces. Guided: it follows commanded poses, or stays."""
+    motion: Literal["free", "guided", "fixed"] = "free"
+    """Free: it moves by forces. Guided: it follows commanded poses, or stays. Fixed: it stays where it
+    is mounted."""
     mass: Annotated[float | None, unit("kg", gt=0.0)] = None
     """Mass of a free body."""
     density: Annotated[float | None, unit("kg/m³", gt=0.0)] = None
@@ -993,10 +999,12 @@ class RigidBody(Shaped):
             raise ValueError("a free rigid body has either a mass or a density")
         if self.motion == "guided" and given:
             raise ValueError("a guided rigid body follows commanded poses: it has no mass")
-        if self.motion == "free" and (self.speed is not None or self.turn_rate is not None):
+        if self.motion == "fixed" and given:
+            raise ValueError("a fixed rigid body does not move: it has no mass")
+        if self.motion != "guided" and (self.speed is not None or self.turn_rate is not None):
             raise ValueError("speed and turn_rate are limits of guided bodies")
-        if self.motion == "guided" and any(self.velocity + self.angular_velocity):
-            raise ValueError("a guided rigid body has no initial velocity")
+        if self.motion != "free" and any(self.velocity + self.angular_velocity):
+            raise ValueError(f"a {self.motion} rigid body has no initial velocity")
         if self.plane is not None:
             raise ValueError("a plane is infinite: it can only be an obstacle")
 

@@ -43,6 +43,7 @@ from softrobot_twin.scene.entry import (
     refusal,
     unit,
 )
+from softrobot_twin.scene.mounting_entries import MountingStage, check_mounting
 from softrobot_twin.scene.patterns import Source
 from softrobot_twin.scene.references import check_names, check_references
 from softrobot_twin.scene.words import number
@@ -353,6 +354,8 @@ class Scene(Entry):
     markers: tuple[Marker, ...] = ()
     marker_frame: MarkerFrame = MarkerFrame()
     observer: Observer | None = None
+    mounting: tuple[MountingStage, ...] = ()
+    """How the robot is assembled, in this order. Without it, it rests as it is drawn."""
     solver: Solver = Solver()
     path: Path | None = Field(default=None, exclude=True)
     """The scene file; set by the loader."""
@@ -363,6 +366,7 @@ class Scene(Entry):
         self._check_time_scheme()
         check_names(self)
         check_references(self)
+        check_mounting(self)
 
     def _check_time_scheme(self) -> None:
         """Refuse a scheme, or its parameter, where it would have no effect."""

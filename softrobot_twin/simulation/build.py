@@ -32,8 +32,9 @@ MOST_DENSE = 400
 
 
 def build_model(
-    scene: Scene, factorization_type: type | None = None, with_warnings: bool = True
-) -> Model:
+    scene: Scene, factorization_type: type | None = None, with_warnings: bool = True,
+    mounted: np.ndarray | None = None,
+) -> Model:  # fmt: skip
     """Turn every effect of a scene into one term, and lay out the system they sum to.
 
     Args:
@@ -41,6 +42,7 @@ def build_model(
         factorization_type: Class of the factorization, in place of the one that the scene names.
         with_warnings: Whether to look for unlikely values; for this the body is solved under its
             weight.
+        mounted: See `lay_out`.
 
     Returns:
         The model.
@@ -50,7 +52,7 @@ def build_model(
         MeshError: The mesh cannot be used.
     """
     try:
-        model = _model_of(scene, factorization_type)
+        model = _model_of(scene, factorization_type, mounted)
         if with_warnings:
             model.notes.extend(unit_slips(model))
             model.notes.extend(model.actuators.doubts(model))
@@ -89,22 +91,23 @@ class Terms(NamedTuple):
         return [*self.actuators.terms, *others]
 
 
-def build_terms(scene: Scene) -> Terms:
+def build_terms(scene: Scene, mounted: np.ndarray | None = None) -> Terms:
     """The terms of a scene alone, which tell forces and rows at a state.
 
     Args:
         scene: The scene.
+        mounted: See `lay_out`.
 
     Raises:
         SceneError: An entry does not fit the mesh.
         MeshError: The mesh cannot be used.
     """
     notes: list[str] = []
-    terms = _terms(lay_out(scene, notes), notes)
+    terms = _terms(lay_out(scene, notes, mounted=mounted), notes)
     if terms.layout.asked is not None:
         # Terms have asked for points of reduced bodies, of which only these are kept.
         notes = []
-        terms = _terms(lay_out(scene, notes, terms.layout.asked), notes)
+        terms = _terms(lay_out(scene, notes, terms.layout.asked, mounted), notes)
     return terms
 
 
@@ -124,8 +127,10 @@ def with_cables(terms: Terms, scene: Scene) -> Terms:
     return terms._replace(layout=layout, forces=forces, actuators=actuators)
 
 
-def _model_of(scene: Scene, factorization_type: type | None) -> Model:
-    terms = build_terms(scene)
+def _model_of(
+    scene: Scene, factorization_type: type | None, mounted: np.ndarray | None
+) -> Model:
+    terms = build_terms(scene, mounted)
     layout, forces, constraints = terms.layout, terms.forces, terms.constraints
     nodes, is_dense = layout.nodes, _is_dense(layout)
     factorization = bound_factorization(
@@ -138,7 +143,7 @@ def _model_of(scene: Scene, factorization_type: type | None) -> Model:
     if dense:
         factorization = DenseStiffness(factorization, dense)
     factorization.prepare_rows(rows.reached_nodes, rows.row_capacity)
-    guided = any(not part.is_free for part in layout.rigid)
+    guided = any(part.is_guided for part in layout.rigid)
     guides = Guides(layout) if guided else None
     remembering = [term for term in forces if term.remembers_start]
     remembering += [term for term in constraints if term.varies]

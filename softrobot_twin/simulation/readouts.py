@@ -106,7 +106,7 @@ class Readouts:
         self.rigid_names = tuple(part.name for part in model.rigid)
         sliding = {slide.body for slide in self.scene.slides}
         self.guided_names = tuple(part.name for part in model.rigid
-                                  if not part.is_free and part.name not in sliding)  # fmt: skip
+                                  if part.is_guided and part.name not in sliding)  # fmt: skip
         meshes = [body.mesh for body in model.bodies]
         self.node_count = sum(mesh.node_count for mesh in meshes)
         self.tet_count, self.hexahedron_count = (

@@ -28,6 +28,7 @@ from softrobot_twin.simulation.command import (
     may_move,
 )
 from softrobot_twin.simulation.effects.effects import step_parts
+from softrobot_twin.simulation.mounting import Mounted, mount
 from softrobot_twin.simulation.readouts import Readouts
 from softrobot_twin.simulation.result import Status, StepResult
 from softrobot_twin.simulation.scene_warnings import stability_notes
@@ -117,6 +118,7 @@ class Simulation(Readouts):
         now: Gives the time that stages and budgets are measured by [s].
         newton: Linearizes the model and corrects positions.
         inverse: Finds actuation towards targets; None in scenes without effectors.
+        mounted: What its mounting came to; None where the robot rests as it is drawn.
         parts: The optional effects around its steps.
         kept: What keeps the state; None where the last step changed it.
         is_balanced: Whether the last step ended in balance, or near it.
@@ -126,7 +128,7 @@ class Simulation(Readouts):
     def __init__(
         self, scene: Scene, now: Callable[[], float] = perf_counter,
         factorization_type: type | None = None, qp_solvers: tuple | None = None,
-        with_warnings: bool = True,
+        with_warnings: bool = True, mounted: Mounted | None = None,
     ):
         """Build a scene.
 
@@ -137,13 +139,17 @@ class Simulation(Readouts):
             qp_solvers: Solvers in the order they are asked, in place of the scene's.
             with_warnings: Whether to look for what looks wrong, see `build_model`, and for a body that
                 buckles at given tensions.
+            mounted: Where a robot of this structure was mounted, from which this one is; None to begin
+                with the drawn one.
 
         Raises:
             SceneError: An entry does not fit the mesh.
             MeshError: The mesh cannot be used.
         """
         tell_of_compilation()
-        self._take(build_model(scene, factorization_type, with_warnings))
+        self.mounted = mount(scene, type(self), mounted) if scene.mounting else None
+        rest = None if self.mounted is None else self.mounted.positions
+        self._take(build_model(scene, factorization_type, with_warnings, rest))
         self.now = now
         parts = step_parts(self.model)
         self._time_budget = TimeBudget()
@@ -200,7 +206,8 @@ class Simulation(Readouts):
             part.receive(self, None)
         count = len(self.actuator_names)
         self.state = State(
-            self.model.nodes.rest_positions.copy(), self.rest_setpoints.copy(), np.zeros(count),
+            self.model.nodes.rest_positions.copy(), self.rest_setpoints.copy(),
+            np.zeros(count) if self.mounted is None else self.mounted.efforts.copy(),
             velocities=self._motion.at_rest(), memory=self._memory(
                 part.remembered(part.memory_at_rest()) for part in self.parts
             ),

@@ -436,9 +436,9 @@ def _beam_effects(
 
 def _rigid_effects(simulation: Simulation, names: list[str]) -> Iterator[Effect]:
     for part in simulation.model.rigid:
-        made = f"6 unknowns, {_term(names, 'rigid')}"
-        yield Effect(f"rigid_bodies: {part.name}", part.entry.describe(),
-                     made if part.is_free else "no unknowns, moves as commanded")
+        made = {"free": f"6 unknowns, {_term(names, 'rigid')}", "fixed": "no unknowns",
+                "guided": "no unknowns, moves as commanded"}  # fmt: skip
+        yield Effect(f"rigid_bodies: {part.name}", part.entry.describe(), made[part.entry.motion])
     for entry in simulation.scene.obstacles:
         yield Effect(f"obstacles: {entry.name}", entry.describe(), "fixed")
 

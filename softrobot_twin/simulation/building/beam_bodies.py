@@ -111,6 +111,12 @@ class Pivot(NamedTuple):
     joint: BeamJoint
     other: int
 
+    @property
+    def place(self) -> np.ndarray:
+        """Where it turns, at rest [m], shape (3,)."""
+        through = self.joint.through
+        return self.beam.places[self.node] if through is None else np.array(through)
+
 
 class Carrier(NamedTuple):
     """What a node of a beam moves with.
@@ -681,6 +687,8 @@ class BeamNet:
                 base, node = self.pivots[which][:2] if is_hinge else self.representatives[which]
                 nodes[k] = first_frame_node + 4 * (which + is_hinge * len(self.is_fixed))
                 rotation = base.axes[node]
+                if is_hinge and self.pivots[which].joint.through is not None:
+                    places[k] = rotation.T @ (beam.places[k] - self.pivots[which].place)
             axes[k] = rotation.T @ beam.axes[k]
             if kind == "frame" and base is beam and node == k:
                 axes[k] = np.eye(3)
@@ -710,9 +718,10 @@ class BeamNet:
                 parents[h] = first_frame_node + 4 * k
                 free_parents[h] = free[k] if framed[k].is_free else -1
             beam, node = pivot.beam, pivot.node
-            points[h] = rotation.T @ (beam.places[node] - origin)
+            points[h] = rotation.T @ (pivot.place - origin)
             rotations[h] = rotation.T @ beam.axes[node]
-            radii[h] = beam.node_lengths[node] + beam.section.radius
+            arm = float(np.linalg.norm(beam.places[node] - pivot.place))
+            radii[h] = arm + beam.node_lengths[node] + beam.section.radius
             if pivot.joint.axis is not None:
                 axis = np.array(pivot.joint.axis) / np.linalg.norm(pivot.joint.axis)
                 axes[h] = beam.axes[node].T @ axis

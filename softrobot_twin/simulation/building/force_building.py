@@ -184,7 +184,7 @@ def _beam_terms(layout: Layout) -> Iterator[ForceTerm]:
 
 
 def _beam_elements(layout: Layout) -> tuple[BeamElements, BeamMasses]:
-    return all_elements(layout.beams, layout.nodes.rest_positions, layout.frames)
+    return all_elements(layout.beams, layout.drawn_positions, layout.frames)
 
 
 def _on_frames(term: ForceTerm, layout: Layout) -> ForceTerm:
@@ -221,7 +221,7 @@ def _sealed_gas(layout: Layout, notes: list[str]) -> SealedGas:
                               "are attached to a free rigid body: gas sealed there is not built")
     ambient = np.array([cavity.ambient_pressure for cavity in entries])
     return SealedGas(
-        tuple(surfaces), nodes.free_index, nodes.rest_positions,
+        tuple(surfaces), nodes.free_index, layout.drawn_positions,
         ambient + [cavity.pressure for cavity in entries], ambient,
     )  # fmt: skip
 
@@ -234,7 +234,7 @@ def _liquid_filling(layout: Layout) -> LiquidFilling:
         for key, cavity in scene.keyed("cavities") if cavity.liquid_density is not None
     ]  # fmt: skip
     return LiquidFilling(
-        tuple(surface for surface, _ in surfaces), nodes.free_index, nodes.rest_positions,
+        tuple(surface for surface, _ in surfaces), nodes.free_index, layout.drawn_positions,
         np.array([density for _, density in surfaces]), np.array(scene.gravity),
     )  # fmt: skip
 
@@ -415,7 +415,7 @@ def check_masses_held(layout: Layout) -> None:
     Raises:
         SceneError: A point mass floats.
     """
-    world = len(layout.nodes.rest_positions)
+    world = len(layout.drawn_positions)
     pairs = []
     for spring in layout.scene.springs:
         ends = (_point_mass(layout, end) for end in spring.ends)
@@ -439,7 +439,7 @@ def _point_mass(layout: Layout, end) -> int | None:
     if end.on not in layout.mass_nodes:
         return None
     own = layout.mass_nodes[end.on]
-    rest = layout.nodes.rest_positions[own]
+    rest = layout.drawn_positions[own]
     return int(own[np.argmin(np.linalg.norm(rest - end.point, axis=1))])
 
 
@@ -478,7 +478,7 @@ def spring_term(layout: Layout, notes: list[str]) -> Springs:
     parts = [_between(layout, s, key, notes) for key, s in scene.keyed("springs")]
     for key, tube in scene.keyed("tubes"):
         path = layout.carried(tube.on, tube.points, f"{key}.points", notes)
-        parts.append(_along(segments(path, nodes.rest_positions), tube.axial_stiffness))
+        parts.append(_along(segments(path, layout.drawn_positions), tube.axial_stiffness))
     for key, fibre in scene.keyed("fibres"):
         parts += _fibre_parts(layout, fibre, key, notes)
     parts += [_in_mass_spring_body(layout, entry) for entry in scene.mass_springs if entry.springs]
@@ -502,7 +502,7 @@ def _along(
 
 def _fibre_parts(layout: Layout, fibre: Fibre, key: str, notes: list[str]) -> list[_Part]:
     """Each thread of an entry, or all edges of a set in one part."""
-    rest = layout.nodes.rest_positions
+    rest = layout.drawn_positions
     if fibre.edges is not None:
         body = layout.body_named(fibre.on)
         ends = part_named(body, "edge_set", fibre.edges, f"{key}.edges", layout.scene)
@@ -554,7 +554,7 @@ def _end(layout: Layout, end, key: str, notes: list[str]) -> BarycentricMapping:
     if end.on not in layout.mass_nodes:
         return layout.carried(end.on, [end.point], key, notes)
     own = layout.mass_nodes[end.on]
-    points = layout.nodes.rest_positions[own]
+    points = layout.drawn_positions[own]
     distances = np.linalg.norm(points - end.point, axis=1)
     # A single point has no size: its coordinates are the scale.
     size = size_of_points(points) or np.linalg.norm(points)
@@ -566,7 +566,7 @@ def _end(layout: Layout, end, key: str, notes: list[str]) -> BarycentricMapping:
 
 
 def _in_mass_spring_body(layout: Layout, entry) -> _Part:
-    rest = layout.nodes.rest_positions
+    rest = layout.drawn_positions
     pairs = layout.mass_nodes[entry.name][np.array(entry.springs, np.int64)]
     first, second = map(single_nodes, pairs.T)
     lengths = np.linalg.norm(rest[pairs[:, 1]] - rest[pairs[:, 0]], axis=1)

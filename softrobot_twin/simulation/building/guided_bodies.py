@@ -40,7 +40,7 @@ class Guides:
         sliding = {slide.body for slide in layout.scene.slides}
         self._parts = {
             part.name: part for part in layout.rigid
-            if not part.is_free and part.name not in sliding
+            if part.is_guided and part.name not in sliding
         }  # fmt: skip
         self._size = layout.nodes.size
         by_default = SIZES_IN_A_SECOND * self._size
@@ -53,16 +53,26 @@ class Guides:
             for name, nodes in body.riding.items():
                 if name not in self._parts:  # moved by a slide, or free
                     continue
-                rest = layout.nodes.rest_positions[nodes + body.first_node]
+                rest = layout.drawn_positions[nodes + body.first_node]
                 self._attached.append((nodes + body.first_node, self._parts[name].carried(rest)))
         self._ways = []  # Of the bodies that the last step moves: index, pose before, pose after.
         # Compiled here, not at the first move.
         rotation_from_vector(np.zeros(3))
+        rest = {name: (part.origin, part.rotation) for name, part in self._parts.items()}
+        if layout.scene.mounting:
+            rest = self._poses(layout.nodes.rest_positions)
+        self._rest = rest
         self.reset()
+
+    def _poses(self, positions: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """Origin [m] and rotation of each guided body at a state."""
+        return {
+            name: self.frames.pose(positions, part.index) for name, part in self._parts.items()
+        }
 
     def reset(self) -> None:
         """Set the targets to the rest poses."""
-        self._targets = {name: (p.origin, p.rotation) for name, p in self._parts.items()}
+        self._targets = dict(self._rest)
 
     def stay(self, positions: np.ndarray) -> None:
         """Set the targets to the poses at a state: node positions [m], shape (node_count, 3).
@@ -70,9 +80,7 @@ class Guides:
         Args:
             positions: Node positions [m], shape (node_count, 3).
         """
-        self._targets = {
-            name: self.frames.pose(positions, part.index) for name, part in self._parts.items()
-        }
+        self._targets = self._poses(positions)
 
     def aim(self, name: str, position, quaternion=None) -> None:
         """Set the target pose of a guided body.
@@ -92,7 +100,7 @@ class Guides:
         position = np.asarray(position, float)
         if position.shape != (3,) or not np.isfinite(position).all():
             raise CommandError("pose", f"{name}: position {position} m is not a point")
-        rotation = part.rotation
+        rotation = self._rest[name][1]
         if quaternion is not None:
             try:
                 rotation = rotation_from_quaternion(np.asarray(quaternion, float))

@@ -96,7 +96,7 @@ def build_shape(entry, scene: Scene, notes: list[str], shift=(0.0, 0.0, 0.0)):
 
 @dataclass(frozen=True, kw_only=True)
 class RigidPart(FramePart):
-    """A rigid body of a scene: free, or guided and then without mass and attached nodes.
+    """A rigid body of a scene: free, or guided or fixed and then without mass and attached nodes.
 
     Attributes:
         entry: Its entry in the scene.
@@ -111,6 +111,11 @@ class RigidPart(FramePart):
     first_node: int
     centre_of_mass: np.ndarray
     shape: object
+
+    @property
+    def is_guided(self) -> bool:
+        """Whether it follows commanded poses."""
+        return self.entry.motion == "guided"
 
     def carried(self, points) -> BarycentricMapping:
         """Map points that move with it.
@@ -166,7 +171,7 @@ def build_rigid_parts(
     """
     held = {
         entry.name for entry in scene.rigid_bodies
-        if entry.motion == "guided" or any(
+        if entry.motion != "free" or any(
             body.is_held and holds_still(body.mesh.node_positions[body.riding[entry.name]])
             for body in bodies if entry.name in body.riding
         )
@@ -302,6 +307,8 @@ class Layout(NamedTuple):
         superelements: Those of each reduced body, by its name.
         beams: Its beams.
         beam_frames: Frames of their nodes; they come after those of vertebrae.
+        drawn: Positions of the nodes before mounting [m], shape (node_count, 3); None where the
+            scene mounts nothing.
         is_held: Whether all deformable bodies are fixed somewhere, and a chain of beams leads from
             each beam to a frame that does not move by itself, or to a rigid body that deformable
             ones hold; a hinge or a ball joint holds a beam as well.
@@ -317,6 +324,12 @@ class Layout(NamedTuple):
     beams: tuple[BeamBody, ...] = ()
     beam_frames: tuple[FramePart, ...] = ()
     is_held: bool = True
+    drawn: np.ndarray | None = None
+
+    @property
+    def drawn_positions(self) -> np.ndarray:
+        """Positions of the nodes as drawn, where nothing is strained [m], shape (node_count, 3)."""
+        return self.nodes.rest_positions if self.drawn is None else self.drawn
 
     @property
     def asked(self) -> dict[str, ReducedNodes] | None:
@@ -436,13 +449,16 @@ class Layout(NamedTuple):
         Args:
             body: A body of this layout.
         """
-        positions = self.nodes.rest_positions
+        positions = self.drawn_positions
         if len(positions) == body.mesh.node_count:
             return body.mesh
         return body.mesh.renumbered(positions, body.first_node)
 
 
-def lay_out(scene: Scene, notes: list[str], asked: dict[str, ReducedNodes] | None = None) -> Layout:
+def lay_out(
+    scene: Scene, notes: list[str], asked: dict[str, ReducedNodes] | None = None,
+    mounted: np.ndarray | None = None,
+) -> Layout:  # fmt: skip
     """Read all bodies of a scene and number their nodes.
 
     Args:
@@ -450,6 +466,8 @@ def lay_out(scene: Scene, notes: list[str], asked: dict[str, ReducedNodes] | Non
         notes: List to which repairs are appended.
         asked: The reduced bodies, by name, after their terms have asked for points; None before,
             when all nodes of their meshes are points.
+        mounted: Positions of all nodes of the mounted robot [m], shape (node_count, 3); None where
+            the scene mounts nothing.
 
     Returns:
         The layout.
@@ -461,7 +479,7 @@ def lay_out(scene: Scene, notes: list[str], asked: dict[str, ReducedNodes] | Non
     check_files(scene)
     check_walls_of_reduced(scene)
     net = BeamNet(scene) if scene.beams else None
-    guided = {entry.name for entry in scene.rigid_bodies if entry.motion == "guided"}
+    guided = {entry.name for entry in scene.rigid_bodies if entry.motion != "free"}
     held_bodies = set() if net is None else net.reached(guided)
     bodies: list[Body] = []
     first_node = 0
@@ -512,13 +530,27 @@ def lay_out(scene: Scene, notes: list[str], asked: dict[str, ReducedNodes] | Non
     nodes = _number(positions, fixed, sizes, framed, hinges, reduced)
     if nodes.free_node_count == 0 and (scene.deformables or scene.mass_springs or beams):
         raise _nothing_moves(scene)
+    drawn = nodes.rest_positions if scene.mounting else None
+    if scene.mounting:
+        nodes = _mounted(nodes, mounted, scene)
     superelements = {
         body.name: _superelements(body, nodes, scene) for body in bodies if body.vertebrae
     }
     return Layout(
         scene, tuple(bodies), rigid, mass_nodes, nodes, vertebrae, superelements, beams,
-        beam_frames, is_held,
+        beam_frames, is_held, drawn,
     )  # fmt: skip
+
+
+def _mounted(nodes: Nodes, mounted: np.ndarray | None, scene: Scene) -> Nodes:
+    """The nodes, at rest where they are mounted; angles of hinges count from there."""
+    if mounted is None:
+        raise scene.error("mounting", f"{len(scene.mounting)} stages",
+                          "this is built for robots that rest as they are drawn only")
+    mounted.setflags(write=False)
+    kinds = tuple(kind.resting_at(mounted) if isinstance(kind, HingedFrames) else kind
+                  for kind in nodes.kinds)  # fmt: skip
+    return replace(nodes, rest_positions=mounted, kinds=kinds)
 
 
 def check_files(scene: Scene) -> None:
