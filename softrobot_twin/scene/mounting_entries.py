@@ -16,7 +16,7 @@ MOUNTED_ACTUATORS = ("cables", "hinge_motors")
 class MountedBody(Entry):
     """Brings a fixed or guided rigid body to where it is mounted."""
 
-    told: ClassVar[tuple[str, ...]] = ("{body}", "by {translation:mm} mm", "turned by {turn:=} rad")
+    told: ClassVar[tuple[str, ...]] = ("{body}", "by {translation:mm} mm", "turned by {turn} rad")
     placed: ClassVar[dict[str, str]] = {"translation": "direction", "turn": "direction"}
 
     body: Name
@@ -42,6 +42,7 @@ class MountedActuator(Entry):
 class MountingStage(Entry):
     """Moves of a mounting that are made together."""
 
+    told: ClassVar[tuple[str, ...]] = ("{bodies}", "{actuators}")
     placed: ClassVar[dict[str, str]] = {}
 
     bodies: tuple[MountedBody, ...] = ()

@@ -356,7 +356,8 @@ class Robot:
             MeshError: A mesh cannot be used.
         """
         # Its kernels are compiled already, so its steps set up what they need: there is no warm-up.
-        simulation = Simulation(changed_scene(self.scene, values), with_warnings=False)
+        scene, mounted = changed_scene(self.scene, values), self.simulation.mounted
+        simulation = Simulation(scene, with_warnings=False, mounted=mounted)
         simulation.take_over(self.simulation)
         if self._view is not None:
             self._view.close()

@@ -7,7 +7,7 @@ the mounted one.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -16,9 +16,13 @@ from scipy.spatial.transform import Rotation
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.kinematics import Nodes
+from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.scene import Scene
+from softrobot_twin.scene.body_entries import SHAPES, SphereShape
 from softrobot_twin.scene.mounting_entries import MountingStage
+from softrobot_twin.simulation.build import build_terms
 from softrobot_twin.simulation.command import LONG, CommandSetpoints
+from softrobot_twin.simulation.step.step_part import Steppable
 
 # A mounted state is a rest shape: it is found to round-off, as far as this tolerance can tell [N].
 RESIDUAL_TOLERANCE, MOST_LINEARIZATIONS = 1.0e-9, 60
@@ -29,6 +33,10 @@ MOST_TAKEN, FEW_TAKEN, SHORTEST, WHOLE = 7, 5, 1.0 / 256.0, 1.0 - 1.0e-9
 UNLIMITED = 1.0e6
 # Angles and shortenings on the way stay within their limits by this margin [rad], [m].
 MARGIN = 0.1
+
+# A robot is disturbed so often, with a largest displacement by this share of its size, and should come
+# back within another share in a number of steps.
+DISTURBANCES, DISTURBED, BACK, STEPS_BACK = 4, 0.03, 0.01, 20
 
 
 class MountingError(SceneError):
@@ -198,3 +206,88 @@ class _Supports(NamedTuple):
             own.model.guides.aim(name, origin, rotation.as_quat())
         drives = np.array([self.displacements[name] for name in own.actuator_names])
         return CommandSetpoints(own.actuators.setpoints(drives), LONG)
+
+
+class Prestress(NamedTuple):
+    """What a mounted robot stores, and how it pulls at its mounts.
+
+    Attributes:
+        energy: Elastic energy [J].
+        forces: On each fixed or guided body that its mounting moves, by name [N], shape (3,) each.
+        torques: On each about its origin, by name [N m], shape (3,) each.
+    """
+
+    energy: float
+    forces: dict[str, np.ndarray]
+    torques: dict[str, np.ndarray]
+
+
+def prestress(simulation: Steppable) -> Prestress:
+    """What a robot at rest stores and how it pulls at its mounts.
+
+    Args:
+        simulation: A simulation of a scene with a mounting.
+    """
+    scene, mounted = simulation.model.scene, simulation.mounted
+    moved = {move.body for stage in scene.mounting for move in stage.bodies}
+
+    def loose(body):
+        free = dict.fromkeys(SHAPES) | dict(sphere=SphereShape(radius=1.0), speed=None, turn_rate=None)
+        return body.changed(motion="free", mass=1.0e-12, **free) if body.name in moved else body
+
+    # Were these bodies free, the forces on their unknowns would be what their mounts bear.
+    terms = build_terms(scene.changed(rigid_bodies=loose, integration="dynamic"), mounted.positions)
+    nodes = terms.layout.nodes
+    forces, still = np.zeros((2, nodes.free_node_count, 3))
+    rows = RowStack(terms.actuators.terms, nodes.carried)
+    for term in (*terms.forces, *terms.constraints):
+        term.bind(np.arange(nodes.free_node_count), _no_slots)
+    rows.tell_efforts(mounted.efforts)
+    rows.evaluate(mounted.positions)
+    rows.add_forces(rows.multipliers(mounted.efforts), forces)
+    for term in terms.forces:
+        if term.remembers_start:
+            term.begin_step(mounted.positions, still, np.inf)
+        term.add_forces(mounted.positions, forces)
+    energy = sum(term.energy(mounted.positions) for term in simulation.model.forces)
+    first = {
+        part.name: int(nodes.kinds[0].unknowns_of(np.array([part.first_node]))[0])
+        for part in terms.layout.rigid if part.name in moved
+    }  # fmt: skip
+    return Prestress(float(energy), {name: forces[place] for name, place in first.items()},
+                     {name: forces[place + 1] for name, place in first.items()})  # fmt: skip
+
+
+def branch_notes(simulation: Steppable) -> Iterator[str]:
+    """Tell of a mounted robot that a small disturbance brings into another shape.
+
+    Args:
+        simulation: The simulation; at rest afterwards.
+
+    Yields:
+        A sentence, where there is something to tell.
+    """
+    rest, nodes = simulation.state, simulation.model.nodes
+    command = CommandSetpoints(rest.setpoints, LONG)
+    simulation.step(command)
+    compliance, rng = simulation.static_factorization, np.random.default_rng(0)
+    for _ in range(DISTURBANCES if compliance is not None else 0):
+        move = compliance.solve(rng.normal(size=(nodes.free_node_count, 3))).copy()
+        disturbed = rest.positions.copy()
+        nodes.advance(disturbed, move, DISTURBED * nodes.size / nodes.longest(move))
+        simulation.restore(replace(rest, positions=disturbed))
+        for _ in range(STEPS_BACK):
+            result = simulation.step(command)
+            if result.status.is_success and simulation.is_balanced:
+                break
+        apart = float(np.linalg.norm(simulation.state.positions - rest.positions, axis=1).max())
+        if apart > BACK * nodes.size:
+            yield (f"mounting: a disturbance by {1000.0 * DISTURBED * nodes.size:.2g} mm brings the robot "
+                   f"into another shape, {1000.0 * apart:.3g} mm away")  # fmt: skip
+            break
+    simulation.reset()
+
+
+def _no_slots(rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Places of blocks for terms of which only forces and rows are asked."""
+    return np.zeros((2, *np.shape(rows)), np.int64)

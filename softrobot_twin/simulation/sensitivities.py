@@ -25,10 +25,12 @@ import numpy as np
 from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.errors import NamedError, SceneError
 from softrobot_twin.mechanics.touch_loads import TouchLoads
+from softrobot_twin.scene import Scene
 from softrobot_twin.scene.scene_parameters import JointParameter, Parameter
 from softrobot_twin.simulation.apparent_compliance import CondensedHold, HeldTangent, Saddle
 from softrobot_twin.simulation.build import Terms, build_terms, with_cables
 from softrobot_twin.simulation.building.scene_layout import Layout
+from softrobot_twin.simulation.mounting import mount
 from softrobot_twin.simulation.simulation import Simulation
 from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.step.apparent_stiffness import effector_rows
@@ -354,11 +356,12 @@ class Sensitivities(HeldTangent):
             scene = scene if parameter is None else parameter.set(scene, value)
             base = self._built.get((None, 0))
             is_cable = parameter is not None and parameter.sections == {"cables"}
-            if is_cable and not self._simulation.has_reduced_bodies:
+            is_drawn = self._simulation.mounted is None
+            if is_cable and is_drawn and not self._simulation.has_reduced_bodies:
                 terms = with_cables(base, scene)
                 kept = {id(term) for term in (*base.forces, *base.constraints)}
             else:
-                terms, kept = build_terms(scene), set()
+                terms, kept = build_terms(scene, self._mounted(scene, parameter)), set()
                 if base is not None and not _is_alike(base.layout, terms.layout):
                     raise SensitivityError(
                         parameter.key, "makes another mesh or holds other nodes: its structure must "
@@ -368,6 +371,13 @@ class Sensitivities(HeldTangent):
                     term.bind(np.arange(terms.layout.nodes.free_node_count), _no_slots)
             self._built[key] = terms
         return self._built[key]
+
+    def _mounted(self, scene: Scene, parameter: Parameter | JointParameter | None) -> np.ndarray | None:
+        """Where a scene with another number is mounted, in which case what counts from rest moves."""
+        mounted = self._simulation.mounted
+        if mounted is None or parameter is None:
+            return mounted and mounted.positions
+        return mount(scene, type(self._simulation), mounted).positions
 
     def _evaluated(self, terms: Terms) -> AtState:
         """What the terms of a scene tell at the present unknowns and efforts."""

@@ -28,7 +28,7 @@ from softrobot_twin.simulation.command import (
     may_move,
 )
 from softrobot_twin.simulation.effects.effects import step_parts
-from softrobot_twin.simulation.mounting import Mounted, mount
+from softrobot_twin.simulation.mounting import Mounted, branch_notes, mount
 from softrobot_twin.simulation.readouts import Readouts
 from softrobot_twin.simulation.result import Status, StepResult
 from softrobot_twin.simulation.scene_warnings import stability_notes
@@ -175,6 +175,7 @@ class Simulation(Readouts):
         self.reset()
         if with_warnings:
             self.model.notes.extend(stability_notes(self))
+            self.model.notes.extend(branch_notes(self) if scene.mounting else ())
         for part in self.parts:
             part.attach(self)
 

@@ -28,6 +28,7 @@ from softrobot_twin.simulation.building.deformable_body import AtRest, MaterialP
 from softrobot_twin.simulation.building.scene_layout import build_shape
 from softrobot_twin.simulation.effects.reduction_error import FullModelError
 from softrobot_twin.simulation.mesh_error import MeshError, MeshErrorEstimator, MeshErrorUnknown
+from softrobot_twin.simulation.mounting import prestress
 from softrobot_twin.simulation.scene_warnings import expected_sag
 from softrobot_twin.simulation.step.time_integration import DEFAULT_RADIUS
 from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT
@@ -241,6 +242,8 @@ def _effects(simulation: Simulation, names: list[str]) -> Iterator[Effect]:
     if scene.markers:
         yield Effect("markers", count(scene.markers, "marker"), "a mapping, evaluated after the step")
     yield from _contact_effects(simulation, names)
+    for key, stage in scene.keyed("mounting"):
+        yield Effect(key, stage.describe(), "the shape at rest")
     weight = scene.solver.energy_weight
     if simulation.actuators.count and scene.effectors:
         used = max(weight, LEAST_ENERGY_WEIGHT)
@@ -633,7 +636,28 @@ def _weights(simulation: Simulation) -> list[tuple[str, str]]:
         sag_text = "no equilibrium found"
     else:
         sag_text = "not fixed: the body falls"
+    if simulation.mounted is not None:
+        return [*lines, *_prestress_lines(simulation)]
     return [*lines, ("sag by gravity alone, without actuators", sag_text)]
+
+
+def _prestress_lines(simulation: Simulation) -> Iterator[tuple[str, str]]:
+    """What mounting left in a robot: its energy, and how it pulls at its mounts."""
+    found = prestress(simulation)
+    yield "elastic energy as mounted", f"{found.energy:.4g} J"
+    yield from _by_value("force of the robot on", [
+        (name, f"{np.linalg.norm(force):.3g} N, torque {np.linalg.norm(found.torques[name]):.3g} N m")
+        for name, force in found.forces.items()
+    ])  # fmt: skip
+    actuators = simulation.actuators
+    for kind in dict.fromkeys(actuators.kinds):
+        factor, unit = _shown(kind.effort)
+        yield from _by_value(f"{kind.effort.word} at rest of", [
+            (name, f"{factor * effort:.3g} {unit}")
+            for name, effort, own in zip(
+                actuators.names, simulation.mounted.efforts, actuators.kinds, strict=True)
+            if own is kind
+        ])  # fmt: skip
 
 
 def _own_mass(entry, simulation: Simulation) -> float:
