@@ -38,6 +38,8 @@ class DeviceFlaws:
             a cavity whose volume is commanded, the greatest speed of its syringe [m³/s].
         pressure_noise: Standard deviation of each measured pressure [Pa].
         angle_rate: Greatest rate of the motors of hinges [rad/s].
+        angle_noise: Standard deviation of each of their measured angles [rad].
+        backlash: Angle by which such a motor turns back before what it drives follows [rad].
 
     Raises:
         ParameterError: A value is negative or not finite, or a rate or the flow limit is zero.
@@ -51,6 +53,8 @@ class DeviceFlaws:
     flow_limit: float = number("m³/s", 2.0e-4, above_zero=True)
     pressure_noise: float = number("Pa", 0.0)
     angle_rate: float = number("rad/s", 6.0, above_zero=True)
+    angle_noise: float = number("rad", 0.0)
+    backlash: float = number("rad", 0.0)
 
     def __post_init__(self) -> None:
         check_numbers(self, "device_")
@@ -296,7 +300,9 @@ class SimulatedDevice:
         self._queue: deque[tuple[float, np.ndarray]] = deque(maxlen=_QUEUE_LENGTH)
         self._poses: deque[tuple[float, str, Pose]] = deque(maxlen=_QUEUE_LENGTH)
         self._servo = np.array(simulation.rest_setpoints)
-        self._commanded = self._servo.copy()
+        self._commanded, self._driven = self._servo.copy(), self._servo.copy()
+        is_angle = np.array([kind.setpoint.unit == "rad" for kind in simulation.actuators.kinds], bool)
+        self._angles, self._play = np.flatnonzero(is_angle), np.where(is_angle, 0.5 * flaws.backlash, 0.0)
         self._time: float | None = None
 
     def apply(self, setpoints: np.ndarray, now: float) -> None:
@@ -350,9 +356,11 @@ class SimulatedDevice:
             reach = self._valves.reach(self._servo, time_step)
             aims = self._valves.aims(self._commanded, self._servo, time_step)
             self._servo += np.clip(aims - self._servo, -reach, reach)
-            self.result = self._step(CommandSetpoints(self._servo.copy(), time_step), now)
+            driven = np.clip(self._driven, self._servo - self._play, self._servo + self._play)
+            self.result = self._step(CommandSetpoints(driven, time_step), now)
             # The encoder measures the actual position: limits of the body may stop a servo.
-            self._servo = np.array(self.result.setpoints)
+            self._driven = np.array(self.result.setpoints)
+            self._servo = self._driven + (self._servo - driven)
             self._valves.observe(self.result)
         elif not self.simulation.model.is_dynamic:
             # When no time has passed, a body without inertia still moves to its equilibrium; a body
@@ -363,6 +371,8 @@ class SimulatedDevice:
         setpoints, efforts = self._valves.measure(
             self._servo.copy(), np.array(self.simulation.state.efforts), self._noise
         )
+        if len(self._angles):
+            setpoints[self._angles] += self._noise.normal(0.0, self._flaws.angle_noise, len(self._angles))
         return DeviceReading(
             setpoints,
             efforts,

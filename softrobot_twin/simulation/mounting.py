@@ -26,6 +26,7 @@ from softrobot_twin.simulation.step.step_part import Steppable
 
 # A mounted state is a rest shape: it is found to round-off, as far as this tolerance can tell [N].
 RESIDUAL_TOLERANCE, MOST_LINEARIZATIONS = 1.0e-9, 60
+MOST_SETTLING, SETTLED = 5, 1.0e-13
 # A step that takes more linearizations is halved, down to a share of the scene's; one that takes few
 # lets the next one be twice as long.
 MOST_TAKEN, FEW_TAKEN, SHORTEST, WHOLE = 7, 5, 1.0 / 256.0, 1.0 - 1.0e-9
@@ -86,6 +87,7 @@ def mount(scene: Scene, simulate: Callable, before: Mounted | None = None) -> Mo
         own.reset()
         for index, stage in enumerate(scene.mounting):
             _make(own, stage, f"mounting[{index}]", scene)
+    _settle(own)
     names = [entry.name for entries in scene.actuator_entries.values() for entry in entries]
     found = dict(zip(own.actuator_names, own.state.efforts, strict=True))
     efforts = np.array([found.get(name, 0.0) for name in names])
@@ -152,6 +154,15 @@ def _make(own, stage: MountingStage, key: str, scene: Scene) -> None:
         if length <= SHORTEST * longest:
             raise MountingError(scene, key, stage, share, own)
         length *= 0.5
+
+
+def _settle(own) -> None:
+    """Steps until round-off alone is left: derivatives are differences of mounted robots."""
+    for _ in range(MOST_SETTLING):
+        before = own.state.positions
+        own.step(CommandSetpoints(own.state.setpoints, LONG))
+        if np.abs(own.state.positions - before).max() <= SETTLED * own.model.nodes.size:
+            break
 
 
 def _settles_from(own, before: Mounted, scene: Scene) -> bool:

@@ -231,7 +231,7 @@ class DrawList:
         simulation, parts = self._simulation, self._simulation.model.rigid
         skins = simulation.rigid_skins(facets)
         entities = [_solid("/rigid_bodies", RIGID_COLOUR, skin, "rigid body",
-                           f"{part.entry.motion} body")
+                           "free body" if part.is_free else "guided body")
                     for skin, part in zip(skins, parts, strict=True)]  # fmt: skip
         lengths = np.array([min(_FRAME_SHARE * self.size, _OWN_SHARE * np.ptp(skin.points, axis=0).max())
                             for skin in skins])  # fmt: skip

@@ -29,8 +29,12 @@ G = 9.81
 Y = [0, 1, 0]
 
 
-def hinge(at, to="world", axis=Y):
-    return {"at": at, "to": to, "by": "hinge", "axis": axis}
+def hinge(at, to="world", axis=Y, **through):
+    return {"at": at, "to": to, "by": "hinge", "axis": axis} | through
+
+
+# The hinge is at the end of the strip, or beside it.
+THROUGH = pytest.mark.parametrize("through", [(0.0, 0.0, 0.0), (0.022, 0.003, 0.01)])
 
 
 def strip(name="leg", points=((0, 0, 0), (0, 0, -LENGTH)), elements=8, stiffer=1.0, **changes):
@@ -74,28 +78,30 @@ def nodes(simulation, beam=0):
     return simulation.model.beams[beam].nodes_mapping().positions(simulation.state.positions)
 
 
-def test_a_motor_turns_a_beam_without_load_as_a_rigid_body(scene):
-    simulation = scene(strip(joined=[hinge("start")]), hinge_motors=[motor()])
-    rest = nodes(simulation)
+@THROUGH
+def test_a_motor_turns_a_beam_without_load_as_a_rigid_body(scene, through):
+    simulation = scene(strip(joined=[hinge("start", through=through)]), hinge_motors=[motor()])
+    rest = nodes(simulation) - through
     for angle in (0.3, 2.0, 2.9, 0.5, -1.5, -2.9):
         result = turn(simulation, angle)
         np.testing.assert_allclose(
-            nodes(simulation), rest @ rotation_from_vector([0.0, angle, 0.0]).T, atol=1e-9
+            nodes(simulation), rest @ rotation_from_vector([0.0, angle, 0.0]).T + through, atol=1e-9
         )
         assert result.setpoints[0] == angle
         assert abs(result.efforts[0]) < 1e-8
 
 
-def test_a_motor_bears_the_moment_of_the_weight_about_its_axis(scene):
+@THROUGH
+def test_a_motor_bears_the_moment_of_the_weight_about_its_axis(scene, through):
     simulation = scene(
-        strip(joined=[hinge("start")]), hinge_motors=[motor()], gravity=[0.0, 0.0, -G]
+        strip(joined=[hinge("start", through=through)]), hinge_motors=[motor()], gravity=[0.0, 0.0, -G]
     )
     terms = (term.on_points for term in simulation.model.forces)
     weight = next(term for term in terms if isinstance(term, BeamWeight))
     for angle in (0.3, 1.0, 2.0, -2.5):
         result = turn(simulation, angle)
         places = weight.ends(simulation.state.positions)[:, :, 0]
-        moment = -G * np.sum(weight.masses.borne * places)
+        moment = -G * (np.sum(weight.masses.borne * places) - MASS * through[0])
         assert result.efforts[0] == pytest.approx(moment, rel=1e-6)
         assert abs(moment) > 1e-3
 

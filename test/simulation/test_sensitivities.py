@@ -84,6 +84,8 @@ CASES = [
     ("finger_held", "cables.flexor.hold_radius"), ("stifface", "cables[0].points[0][0]"),
     ("bar_of_a_box", "body.mesh.box.size[2]"), ("bar_of_a_box", "body.mesh.box.size[0]"),
     ("springy_sealed", "sealed_cavities[0].pressure"), ("bar_of_a_box", "body.mesh.translation[2]"), ("bar_of_a_box", "cables[0].pull_point[2]"),
+    ("emio", "beams[0].material.young_modulus"), ("emio", "mounting[0].bodies[0].translation[0]"),
+    ("emio", "mounting[0].actuators[1].displacement"), ("emio", "beams[0].joined[1].through[2]"),
 ]  # fmt: skip
 
 

@@ -1,0 +1,214 @@
+"""Robots that rest as they are mounted: strips bent into place, turned by motors, pulled by cables."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from softrobot_twin.errors import SceneError
+from softrobot_twin.scene import load_scene, scene_from_mapping
+from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
+from softrobot_twin.simulation.mounting import MountingError, prestress
+from test.scene_changes import repeat_step
+
+SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
+LENGTH, EI = 0.2, 35.0e6 * 0.01 * 0.005**3 / 12.0
+
+STRIP = f"""
+name: strip
+gravity: [0.0, 0.0, 0.0]
+beams:
+  - name: strip
+    points: [[0.0, 0.0, 0.0], [{LENGTH}, 0.0, 0.0]]
+    elements: 12
+    section: {{rectangle: {{thickness: 0.005, width: 0.010}}}}
+    thickness_direction: [0.0, 0.0, 1.0]
+    material: {{young_modulus: 35.0e6, poisson_ratio: 0.45, density: 1220.0}}
+    fixed: [start]
+    joined: [{{at: end, to: clamp}}]
+rigid_bodies:
+  - {{name: clamp, motion: fixed, position: [{LENGTH}, 0.0, 0.0], box: {{size: [0.01, 0.01, 0.01]}}}}
+"""
+
+
+def strip(*stages, **changes):
+    return scene_from_mapping({**yaml.safe_load(STRIP), **changes, "mounting": list(stages)})
+
+
+def move(translation=(0.0, 0.0, 0.0), turn=(0.0, 0.0, 0.0), **stage):
+    return {"bodies": [{"body": "clamp", "translation": list(translation), "turn": list(turn)}], **stage}
+
+
+def on_an_arc(angle):
+    """Brings the end of the strip to that of a circular arc, which is bent upwards."""
+    radius = LENGTH / angle
+    way = (radius * np.sin(angle) - LENGTH, 0.0, radius * (1.0 - np.cos(angle)))
+    return move(way, (0.0, -angle, 0.0))
+
+
+def emio(**changes):
+    return load_scene(SCENES / "emio.yaml", changes)
+
+
+@pytest.fixture(scope="module")
+def mounted_emio():
+    return Simulation(emio())
+
+
+@pytest.mark.parametrize("angle", [0.5, 1.5, 3.0])
+def test_a_strip_bent_to_an_arc_pulls_by_its_bending_stiffness(angle):
+    simulation = Simulation(strip(on_an_arc(angle)))
+    found = prestress(simulation)
+    np.testing.assert_allclose(found.torques["clamp"], [0.0, EI * angle / LENGTH, 0.0], rtol=1e-5,
+                               atol=1e-9)
+    np.testing.assert_allclose(found.forces["clamp"], 0.0, atol=1e-5)
+    assert found.energy == pytest.approx(0.5 * EI * angle**2 / LENGTH, rel=1e-5)
+    (beam,) = simulation.model.beams
+    places = beam.nodes_mapping().positions(simulation.state.positions)
+    radius = LENGTH / angle
+    distances = np.hypot(places[:, 0], places[:, 2] - radius)
+    np.testing.assert_allclose(distances, radius, atol=1e-6)
+
+
+def test_emio_hangs_where_others_found_it():
+    """146 mm below the axes of its servos, and 147.6 mm with axes at a radius of 97.5 mm."""
+    for inward, depth in ((0.11244, 0.1459), (0.11494, 0.1476)):
+        scene = emio(**{f"mounting[0].bodies[{k}].translation": tuple(
+            -inward * np.array([np.cos(k * np.pi / 2), np.sin(k * np.pi / 2), 0.0])) for k in range(4)})
+        tip = Simulation(scene).effector_positions()[0]
+        np.testing.assert_allclose(tip[:2], 0.0, atol=1e-9)
+        assert tip[2] == pytest.approx(-depth, abs=5.0e-5)
+
+
+def test_the_number_of_steps_does_not_change_where_emio_hangs(mounted_emio):
+    for steps in (1, 2, 11):
+        other = Simulation(emio().changed(mounting={"steps": steps}), with_warnings=False)
+        np.testing.assert_allclose(other.state.positions, mounted_emio.state.positions, atol=1e-9)
+
+
+def test_what_is_at_rest_is_the_mounted_shape(mounted_emio):
+    rest = mounted_emio.state.positions.copy()
+    repeat_step(mounted_emio, CommandSetpoints(np.array([0.4, 0.0, -0.2, 0.1]), 1.0), 10)
+    assert np.abs(mounted_emio.state.positions - rest).max() > 0.01
+    mounted_emio.reset()
+    np.testing.assert_array_equal(mounted_emio.state.positions, rest)
+    result = mounted_emio.step(Hold(0.02))
+    assert result.status is Status.OK
+    np.testing.assert_allclose(mounted_emio.state.positions, rest, atol=1e-9)
+    np.testing.assert_allclose(result.efforts, mounted_emio.mounted.efforts, rtol=1e-6)
+    np.testing.assert_array_equal(mounted_emio.rest_setpoints, 0.0)
+
+
+def test_the_mounts_bear_the_weight_and_the_torques_of_the_motors(mounted_emio):
+    found, scene = prestress(mounted_emio), mounted_emio.scene
+    mass = scene.rigid_bodies[0].mass + sum(beam.mass for beam in mounted_emio.model.beams)
+    np.testing.assert_allclose(sum(found.forces.values()), mass * np.array(scene.gravity), atol=1e-8)
+    torques = [np.linalg.norm(torque) for torque in found.torques.values()]
+    np.testing.assert_allclose(torques, np.abs(mounted_emio.mounted.efforts), rtol=1e-6)
+
+
+def test_targets_are_reached_from_the_mounted_shape(mounted_emio):
+    mounted_emio.reset()
+    rest = mounted_emio.effector_positions()
+    for way in ([0.02, 0.0, 0.0], [0.0, -0.02, 0.01], [-0.01, 0.01, -0.02]):
+        result = repeat_step(mounted_emio, FollowTargets(rest + way, 0.02), 40)
+        assert result.status is Status.OK
+        np.testing.assert_allclose(mounted_emio.effector_positions(), rest + way, atol=1e-5)
+
+
+def test_another_number_mounts_from_the_last_mounted_shape(mounted_emio):
+    changed = emio().changed(beams={"material": {"young_modulus": 30.0e6}})
+    near = Simulation(changed, with_warnings=False, mounted=mounted_emio.mounted)
+    anew = Simulation(changed, with_warnings=False)
+    np.testing.assert_allclose(near.state.positions, anew.state.positions, atol=1e-9)
+    assert np.abs(near.state.positions - mounted_emio.mounted.positions).max() > 1e-4
+
+
+def test_stages_are_made_one_after_the_other():
+    first, second = move((0.0, 0.0, 0.02)), move((-0.01, 0.0, 0.0), (0.0, -0.5, 0.0))
+    both = Simulation(strip(first, second), with_warnings=False)
+    at_once = Simulation(strip(move((-0.01, 0.0, 0.02), (0.0, -0.5, 0.0))), with_warnings=False)
+    np.testing.assert_allclose(both.state.positions, at_once.state.positions, atol=1e-9)
+
+
+def test_a_cable_is_pretensioned_and_its_length_counts_from_there():
+    cable = {"name": "up", "body": "strip", "pull_point": [0.1, 0.0, 0.1], "points": [[0.1, 0.0, 0.0]],
+             "tension": [0.0, 50.0]}  # fmt: skip
+    stage = {"actuators": [{"actuator": "up", "displacement": 0.01}], "steps": 3}
+    simulation = Simulation(strip(stage, cables=[cable]))
+    assert simulation.rest_setpoints[0] == pytest.approx(0.1 - 0.01, abs=1e-9)
+    result = simulation.step(CommandSetpoints(simulation.rest_setpoints, 1.0))
+    assert simulation.mounted.efforts[0] > 0.1
+    assert result.efforts[0] == pytest.approx(simulation.mounted.efforts[0], rel=1e-6)
+    np.testing.assert_allclose(simulation.state.positions, simulation.mounted.positions, atol=1e-9)
+
+
+def test_a_strip_that_may_snap_to_the_other_side_is_told():
+    """Pressed together and pushed up a little, a strip is bent; the same shape downwards is as good."""
+    stages = move((0.0, 0.0, 0.0), (0.0, -0.3, 0.0)), move((-0.004, 0.0, 0.0), (0.0, 0.3, 0.0))
+    notes = Simulation(strip(*stages)).model.notes
+    assert not [note for note in notes if note.startswith("mounting")]
+    barely = move((-0.00045, 0.0, 0.0), (0.0, -0.05, 0.0)), move((0.0, 0.0, 0.0), (0.0, 0.05, 0.0))
+    notes = Simulation(strip(*barely)).model.notes
+    assert [note for note in notes if "another shape" in note]
+
+
+def test_a_strip_that_cannot_be_bent_so_is_refused_with_the_stage():
+    with pytest.raises(MountingError, match=r"mounting\[1\]\.steps = 1: no equilibrium") as caught:
+        Simulation(strip(move((0.0, 0.0, 0.01)), move((1.0e5, 0.0, 0.0), (1.0, 1.0, 1.0), steps=1)))
+    assert caught.value.simulation.state.positions.shape[1] == 3
+
+
+@pytest.mark.parametrize("stage, message", [
+    ({}, "moves nothing"),
+    ({"bodies": [{"body": "clmap", "translation": [0.0, 0.0, 0.0]}]}, "clmap.*clamp"),
+    ({"actuators": [{"actuator": "motor", "displacement": 1.0}]}, "motor.*does not have"),
+])
+def test_a_mounting_that_moves_what_is_not_there_is_refused_by_name(stage, message):
+    with pytest.raises(SceneError, match=message):
+        strip(stage)
+
+
+def test_a_scene_without_mounting_has_none():
+    simulation = Simulation(load_scene(SCENES / "strider.yaml"), with_warnings=False)
+    assert simulation.mounted is None and simulation.model.nodes.kinds[0].hinges is not None
+    layout_rest = simulation.model.nodes.rest_positions
+    np.testing.assert_array_equal(simulation.state.positions, layout_rest)
+
+
+@pytest.mark.exhaustive
+def test_twelve_elements_a_strip_are_within_a_tenth_of_a_millimetre():
+    seed = np.random.SeedSequence().entropy % 2**32
+    print("seed", seed)
+    rng, found = np.random.default_rng(seed), []
+    angles = rng.uniform(-0.8, 0.8, (10, 4))
+    for elements in (12, 64):
+        simulation = Simulation(emio().changed(beams={"elements": elements}), with_warnings=False)
+        places = [simulation.effector_positions()[0]]
+        for aim in angles:
+            simulation.reset()
+            for share in np.linspace(0.1, 1.0, 10):
+                repeat_step(simulation, CommandSetpoints(share * aim, 1.0), 3)
+            places.append(simulation.effector_positions()[0])
+        found.append(np.array(places))
+    apart = np.linalg.norm(found[0] - found[1], axis=1)
+    print(f"largest difference of 12 and 64 elements {1000.0 * apart.max():.3f} mm")
+    assert apart.max() < 1.0e-4
+
+
+def test_two_hundred_reachable_poses_are_reached():
+    seed = np.random.SeedSequence().entropy % 2**32
+    print("seed", seed)
+    rng, simulation = np.random.default_rng(seed), Simulation(emio(), with_warnings=False)
+    for _ in range(200):
+        simulation.reset()
+        aim = rng.uniform(-0.85, 0.85, 4)
+        for share in np.linspace(0.2, 1.0, 5):
+            simulation.step(CommandSetpoints(share * aim, 1.0))
+        repeat_step(simulation, CommandSetpoints(aim, 1.0), 5)
+        target = simulation.effector_positions().copy()
+        simulation.reset()
+        result = repeat_step(simulation, FollowTargets(target, 0.02), 40)
+        assert result.status is Status.OK
+        assert np.linalg.norm(simulation.effector_positions() - target) < 1.0e-5
