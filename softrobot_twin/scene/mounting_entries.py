@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar
 
 from pydantic import Field
 
-from softrobot_twin.scene.entry import Angles, Entry, Name, Vector, refusal
+from softrobot_twin.scene.entry import Angles, Entry, Name, Vector, refusal, unit
 from softrobot_twin.scene.references import check_known
 
 MOUNTED_ACTUATORS = ("cables", "hinge_motors")
@@ -35,7 +35,7 @@ class MountedActuator(Entry):
 
     actuator: Name
     """The cable or hinge motor."""
-    displacement: float
+    displacement: Annotated[float, unit("m or rad")]
     """Its displacement from the drawn shape: the angle of a motor [rad], the shortening of a cable [m]."""
 
 
