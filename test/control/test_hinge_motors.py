@@ -74,3 +74,25 @@ def test_negative_angles_that_a_device_measures_are_accepted_within_its_limits(s
     assert device.setpoints.tolist() == [-0.9, 0.9, -0.3, 0.0]
     assert take([-1.2, 0.0, 0.0, 0.0], 0.1) is Refusal.OUT_OF_RANGE
     assert (device.implausible.name, device.implausible.unit) == ("motor_1", "rad")
+
+
+def test_a_motor_with_backlash_turns_back_before_its_strip_follows(simulation):
+    play = 0.02
+    device = SimulatedDevice(simulation, DeviceFlaws(angle_rate=100.0, backlash=play))
+    device.read(0.0)
+    time, found = 0.0, []
+    for angle in (0.3, 0.3 - 0.5 * play, 0.3 - 1.5 * play):
+        device.apply(np.array([angle, 0.0, 0.0, 0.0]), time)
+        for _ in range(5):
+            time += 0.02
+            reading = device.read(time)
+        assert reading.setpoints[0] == pytest.approx(angle, abs=1e-12)
+        found.append(simulation.state.setpoints[0])
+    np.testing.assert_allclose(found, [0.3 - 0.5 * play, 0.3 - 0.5 * play, 0.3 - play], atol=1e-12)
+
+
+def test_measured_angles_have_their_noise(simulation):
+    device = SimulatedDevice(simulation, DeviceFlaws(angle_noise=0.002, seed=3))
+    angles = np.array([device.read(0.02 * k).setpoints for k in range(200)])
+    np.testing.assert_allclose(angles.std(axis=0), 0.002, rtol=0.2)
+    np.testing.assert_allclose(angles.mean(axis=0), 0.0, atol=6e-4)
