@@ -83,7 +83,7 @@ def test_a_motor_with_backlash_turns_back_before_its_strip_follows(simulation):
     time, found = 0.0, []
     for angle in (0.3, 0.3 - 0.5 * play, 0.3 - 1.5 * play):
         device.apply(np.array([angle, 0.0, 0.0, 0.0]), time)
-        for _ in range(5):
+        for _ in range(20):
             time += 0.02
             reading = device.read(time)
         assert reading.setpoints[0] == pytest.approx(angle, abs=1e-12)
