@@ -41,9 +41,9 @@ from test.scene_changes import change_scene
 REST = 0.1
 
 
-def description(**changes):
-    """The servos of the example's file, at a rate that a pseudo-terminal need not have."""
-    return read_servos(FOLDER / "servos.yaml")._replace(
+def description(file="servos.yaml", **changes):
+    """The servos of an example's file, at a rate that a pseudo-terminal need not have."""
+    return read_servos(FOLDER / file)._replace(
         **{"baud_rate": 115200, "answer_time": 1.0} | changes
     )
 
@@ -80,7 +80,8 @@ class Wired:
             self.now += 0.02
             device.apply(lengths, self.now)
             reading = device.read(self.now)
-            if np.abs(reading.setpoints - lengths).max() < 1e-4:
+            ticks = [abs(one.by_tick) for one in device.description.servos]
+            if (np.abs(reading.setpoints - lengths) < np.maximum(ticks, 1e-4)).all():
                 return reading
         raise AssertionError(f"not there: {reading.setpoints - lengths}, {device.trouble}")
 
@@ -98,8 +99,15 @@ def wired():
     wired.close()
 
 
+@pytest.fixture
+def wired_hinges():
+    wired = Wired(file="emio_servos.yaml")
+    yield wired
+    wired.close()
+
+
 def rest(device):
-    return np.array([one.zero_length for one in device.description.servos])
+    return np.array([one.zero for one in device.description.servos])
 
 
 def test_packets_are_those_of_the_public_description():
@@ -156,16 +164,25 @@ def test_a_damaged_answer_is_told_and_the_next_one_is_read():
 
 
 def test_a_turn_of_the_pulley_winds_its_circumference():
-    servo = Servo("north", 1, 0.01, 1, 2048, REST, 0.05, 0.2)
-    assert servo.length(2048) == REST
-    assert servo.length(2048 + TICKS_PER_TURN) == pytest.approx(REST - 2 * np.pi * 0.01)
+    servo = Servo("north", 1, 1, 2048, REST, 0.05, 0.2, 0.01)
+    assert servo.setpoint(2048) == REST
+    assert servo.setpoint(2048 + TICKS_PER_TURN) == pytest.approx(REST - 2 * np.pi * 0.01)
     for length in (0.05, 0.0873, 0.2):
-        assert abs(servo.length(servo.ticks(length)) - length) <= 0.5 * abs(servo.length_per_tick)
+        assert abs(servo.setpoint(servo.ticks(length)) - length) <= 0.5 * abs(servo.by_tick)
     other = servo._replace(direction=-1)
-    assert other.length(2048 + 100) == pytest.approx(REST + 100 * 2 * np.pi * 0.01 / 4096)
+    assert other.setpoint(2048 + 100) == pytest.approx(REST + 100 * 2 * np.pi * 0.01 / 4096)
     # 100 units are 0.269 A, with 1.8 N m/A at 10 mm: 48 N.
-    assert servo.tension(100, 1.8) == pytest.approx(100 * 2.69e-3 * 1.8 / 0.01)
-    assert servo.tension(-100, 1.8) == 0.0 and other.tension(-100, 1.8) > 0.0
+    assert servo.effort(100, 1.8) == pytest.approx(100 * 2.69e-3 * 1.8 / 0.01)
+    assert servo.effort(-100, 1.8) == 0.0 and other.effort(-100, 1.8) > 0.0
+
+
+def test_a_servo_of_a_hinge_turns_as_it_says_and_may_push_and_pull():
+    servo = Servo("hip", 1, -1, 1000, 0.1, -1.0, 1.0)
+    assert servo.setpoint(1000 - TICKS_PER_TURN // 4) == pytest.approx(0.1 + 0.5 * np.pi)
+    assert servo.ticks(servo.setpoint(777)) == 777
+    assert servo.effort(100, 1.8) == pytest.approx(-100 * 2.69e-3 * 1.8)
+    assert servo.strains(-0.5, 0.0, 0.2) and not servo.strains(-0.5, 0.2, 0.0)
+    assert servo.strains(0.5, 0.2, 0.0) and not servo.strains(0.5, 0.0, 0.2)
 
 
 @pytest.mark.parametrize(("change", "key"), [
@@ -380,23 +397,61 @@ def test_any_answers_end_a_measurement_as_an_error_of_the_bus(wired, drawn_rng):
     assert count[0] > 20
 
 
-def test_the_file_of_the_example_fits_the_diamond():
+@pytest.mark.parametrize(("change", "key"), [
+    ({"greatest_torque": None}, "greatest_torque"), ({"largest_turn": 20.0}, "largest_turn"),
+    ({"largest_jump": 0.02}, "largest_jump"), ({"servos.0.zero_length": 0.1}, "servos[0].zero_length"),
+    ({"servos.1.least_angle": 2.0}, "servos[1].least_angle"),
+    ({"servos.1.greatest_angle": 3.5}, "servos[1].least_angle"),
+    ({"servos.2.radius": 0.01}, "greatest_tension"),
+])  # fmt: skip
+def test_a_servo_of_a_hinge_that_cannot_be_is_refused_by_key(tmp_path, change, key):
+    given = yaml.safe_load((FOLDER / "emio_servos.yaml").read_text())
+    change_scene(given, change)
+    file = tmp_path / "servos.yaml"
+    file.write_text(yaml.safe_dump(given))
+    with pytest.raises(ServosError) as raised:
+        read_servos(file)
+    assert raised.value.key == key
+
+
+def test_servos_of_hinges_follow_and_stop_where_a_torque_is_too_large(wired_hinges):
+    device = wired_hinges.device()
+    assert all(servo.table[OPERATING_MODE] == 3 for servo in wired_hinges.servos.values())
+    device.read(0.0)
+    aims = np.array([0.4, -0.3, 0.0, 0.2])
+    wired_hinges.follow(device, aims)
+    assert wired_hinges.servos[1].position > 2048 > wired_hinges.servos[2].position
+    device.apply(aims - [0.6, 0.0, 0.0, 0.0], wired_hinges.now)
+    assert "servo_1 would jump from 0.40" in device.trouble and device.trouble.endswith("0.5 rad")
+    # 0.35 N m are 118 units of current at 1.1 N m/A.
+    wired_hinges.servos[2].current = -130
+    device.apply(aims + [0.0, -0.2, 0.0, 0.0], wired_hinges.now)
+    device.read(wired_hinges.now)
+    assert device.trouble.startswith("servo_2 turns by -0.385 N m, more than 0.35 N m")
+    wired_hinges.follow(device, aims + [0.0, 0.2, 0.0, 0.0])
+    assert device.trouble == ""
+
+
+@pytest.mark.parametrize(("file", "scene"), [("servos", "diamond"), ("emio_servos", "emio")])
+def test_the_file_of_the_example_fits_its_robot(file, scene):
     from softrobot_twin.simulation import Simulation
 
-    simulation = Simulation.from_scene_file(ROOT / "config/scenes/diamond.yaml")
-    servos = read_servos(FOLDER / "servos.yaml").servos
+    simulation = Simulation.from_scene_file(ROOT / "config/scenes" / f"{scene}.yaml")
+    servos = read_servos(FOLDER / f"{file}.yaml").servos
     assert tuple(servo.name for servo in servos) == simulation.actuator_names
-    lengths = [servo.zero_length for servo in servos]
+    lengths = [servo.zero for servo in servos]
     np.testing.assert_allclose(lengths, simulation.rest_setpoints, atol=1e-4)
     low, high = simulation.limits.setpoint_range(simulation.rest_setpoints)
-    assert all(servo.least_length <= least for servo, least in zip(servos, low, strict=True))
-    assert all(servo.greatest_length >= most for servo, most in zip(servos, high, strict=True))
+    assert all(servo.least <= least for servo, least in zip(servos, low, strict=True))
+    assert all(servo.greatest >= most for servo, most in zip(servos, high, strict=True))
 
 
 def test_the_page_names_every_key_of_the_file_and_every_parameter_of_the_tracker():
     page = (ROOT / "docs" / "hardware.md").read_text()
-    given = yaml.safe_load((FOLDER / "servos.yaml").read_text())
-    own = given.pop("servos")[0]
+    given, own = {}, {}
+    for file in ("servos.yaml", "emio_servos.yaml"):
+        given |= yaml.safe_load((FOLDER / file).read_text())
+        own |= given.pop("servos")[0]
     rows = [line.split("|")[1] for line in page.splitlines() if line.startswith("| `")]
     told = {word for row in rows for word in row.replace("`", "").replace(",", " ").split()}
     told = {word.removeprefix("servos[].") for word in told}
