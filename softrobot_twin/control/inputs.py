@@ -12,6 +12,7 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from softrobot_twin.control.arrival import (
     Arrival,
@@ -77,14 +78,16 @@ class TargetReading(NamedTuple):
 class TargetInput(Input):
     """Target points, poses and velocities of the effectors.
 
-    A point or a velocity moves the position alone: the orientation that a pose gave stays wanted.
+    A point or a velocity moves the position alone: the orientation that a pose gave stays wanted. The
+    angular part of a twist turns it, of an effector that asks for an orientation.
 
     Args:
         effector_count: Number of effectors of the simulation.
         velocity_effector: Index of the effector that velocities apply to.
         frame_id: The only frame in which targets are accepted.
         settings: Limits and timeouts.
-        oriented: Whether each effector asks for an orientation; by default none does.
+        lengths: Displacement that counts as much as one radian of each effector's orientation [m/rad];
+            0, as by default, where it asks for none.
 
     Attributes:
         slowed: How often a velocity was limited to `speed_limit`.
@@ -92,11 +95,11 @@ class TargetInput(Input):
 
     def __init__(
         self, effector_count: int, velocity_effector: int, frame_id: str, settings: LoopSettings,
-        oriented: Sequence[bool] = (),
+        lengths: Sequence[float] = (),
     ):  # fmt: skip
-        self._oriented = tuple(oriented) or (False,) * effector_count
+        self._lengths = tuple(lengths) or (0.0,) * effector_count
         self._orientations = None
-        if any(self._oriented):
+        if any(self._lengths):
             self._orientations = np.full((effector_count, 4), np.nan)
         self.slowed = 0
         self._velocity_effector = velocity_effector
@@ -112,7 +115,7 @@ class TargetInput(Input):
             stream.forget()
         if self._orientations is not None:
             self._orientations[:] = np.nan
-        self._velocity = np.zeros(3)
+        self._velocity, self._turn_rate = np.zeros((2, 3))
         self._velocity_time = -math.inf
         self._source = "none"
 
@@ -148,7 +151,7 @@ class TargetInput(Input):
         Returns:
             The reason to refuse it, or None.
         """
-        if not self._oriented[effector]:
+        if not self._lengths[effector]:
             return Refusal.WRONG_NAMES
         if refusal := refusal_of_pose(Pose(position, quaternion)):
             return refusal
@@ -169,22 +172,25 @@ class TargetInput(Input):
             self._velocity_time = -math.inf
 
     def accept_velocity(self, velocity, time: float) -> Refusal | None:
-        """Checks a velocity [m/s], shape (3,), that arrived at a time [s], and keeps it.
+        """Checks a velocity that arrived at a time [s], and keeps it.
 
         Args:
-            velocity: The velocity [m/s], shape (3,).
+            velocity: The velocity [m/s], and behind it the angular velocity [rad/s] if there is any,
+                shape (3,) or (6,).
             time: Time of arrival on the clock of `Arrival.time` [s].
 
         Returns:
             The reason to refuse it, or None.
         """
         velocity = np.asarray(velocity, dtype=float)
-        if (refusal := refusal_of_vector(velocity)) is not None:
+        turn_rate = velocity[3:] if velocity.shape == (6,) else np.zeros(3)
+        velocity = velocity[:3] if velocity.shape == (6,) else velocity
+        if (refusal := refusal_of_vector(velocity) or refusal_of_vector(turn_rate)) is not None:
             return self.refusals.add(refusal)
         # The square of a very large component is infinite, which is above the limit too.
         with np.errstate(over="ignore"):
             self.slowed += bool(np.linalg.norm(velocity) > self.settings.speed_limit)
-        self._velocity, self._velocity_time = velocity, time
+        self._velocity, self._turn_rate, self._velocity_time = velocity, turn_rate, time
         self._newest, self._source = time, "velocity"
         self._streams[self._velocity_effector].forget()
         return None
@@ -201,7 +207,10 @@ class TargetInput(Input):
         """
         return now - self._velocity_time <= self.settings.velocity_timeout
 
-    def read(self, now: float, time_step: float, effector_positions: np.ndarray) -> TargetReading:
+    def read(
+        self, now: float, time_step: float, effector_positions: np.ndarray,
+        effector_turns: np.ndarray | None = None,
+    ) -> TargetReading:  # fmt: skip
         """The targets now, after integrating a velocity that is still valid.
 
         Args:
@@ -209,9 +218,13 @@ class TargetInput(Input):
             time_step: Time since the last tick [s].
             effector_positions: Positions of the effectors [m], shape (effector_count, 3): a
                 velocity moves the target from there when no target was given before.
+            effector_turns: Turns of the effectors from rest (x, y, z, w), shape (effector_count, 4),
+                for the same; None where no effector asks for an orientation.
         """
         if self.is_moving(now):
             self._integrate_velocity(time_step, effector_positions[self._velocity_effector])
+            if self._turn_rate.any() and self._lengths[self._velocity_effector]:
+                self._turn(time_step, effector_turns[self._velocity_effector])
         age = self.age(now)
         timeout = self.settings.target_timeout
         timed_out = timeout > 0.0 and math.isfinite(age) and age > timeout
@@ -235,15 +248,19 @@ class TargetInput(Input):
                 lead[:] = self.settings.in_workspace(target + way) - target
         return leads
 
+    def _turn(self, time_step: float, start: np.ndarray) -> None:
+        """Turns the wanted orientation, as fast as the speed limit allows to turn."""
+        place = self._velocity_effector
+        turn_rate = _limited(self._turn_rate, self.settings.speed_limit / self._lengths[place])
+        wanted = self._orientations[place]
+        before = Rotation.from_quat(wanted if np.isfinite(wanted).all() else start)
+        wanted[:] = (Rotation.from_rotvec(time_step * turn_rate) * before).as_quat()
+
     def _integrate_velocity(self, time_step: float, start: np.ndarray) -> None:
         """Moves the target. A target outside the workspace may move inwards but not outwards."""
-        largest = float(np.abs(self._velocity).max())
-        if largest == 0.0:
+        if not self._velocity.any():
             return
-        # Scaled first: the square of a very large component would overflow.
-        direction = self._velocity / largest
-        speed = float(np.linalg.norm(direction))
-        velocity = direction / speed * min(self.settings.speed_limit, largest * speed)
+        velocity = _limited(self._velocity, self.settings.speed_limit)
         target = self._targets[self._velocity_effector]
         if not np.isfinite(target).all():
             target = start
@@ -252,6 +269,15 @@ class TargetInput(Input):
         moved = target + velocity * time_step
         self._targets[self._velocity_effector] = np.clip(moved, low, high)
         self.clamped += bool((self._targets[self._velocity_effector] != moved).any())
+
+
+def _limited(vector: np.ndarray, most: float) -> np.ndarray:
+    """A vector that is not zero, shortened to at most a length."""
+    # Scaled first: the square of a very large component would overflow.
+    largest = float(np.abs(vector).max())
+    direction = vector / largest
+    length = float(np.linalg.norm(direction))
+    return direction / length * min(most, largest * length)
 
 
 class StiffnessInput(Input):

@@ -297,7 +297,7 @@ def inputs_of(
     else:
         commands = made["selected"] = SelectedActuatorInput(known, settings)
         made["targets"] = TargetInput(len(simulation.effector_names), velocity_effector, frame_id,
-                                      settings, simulation.oriented_effectors)  # fmt: skip
+                                      settings, simulation.lengths_per_radian)  # fmt: skip
     if simulation.guided_names:
         made["poses"] = PoseInput(simulation.guided_names, frame_id, settings)
     if mode is Mode.INVERSE and any(simulation.stiff_effectors):
@@ -755,7 +755,8 @@ class TwinLoop:
         positions = self.simulation.effector_positions()
         reading = self._no_targets
         if self.targets is not None:
-            reading = self.targets.read(now, time_step, positions)
+            turns = self.simulation.effector_orientations()
+            reading = self.targets.read(now, time_step, positions, turns)
             if self.correction.law is Law.MISFIT:
                 self.lead.follow(self.targets.leads(now, self.lead.delay))
             else:

@@ -118,6 +118,12 @@ def _xyz_of(point: Point | Vector3) -> tuple[float, float, float]:
     return point.x, point.y, point.z
 
 
+def _twist_of(message: Twist) -> tuple[float, ...]:
+    """Its velocity, and behind it its angular velocity if there is any."""
+    turn_rate = _xyz_of(message.angular)
+    return _xyz_of(message.linear) + (turn_rate if any(turn_rate) else ())
+
+
 def cables_message(
     names: Sequence[str], lengths: np.ndarray, tensions: np.ndarray, header: Header
 ) -> JointState:
@@ -291,7 +297,7 @@ READERS: dict[type, Callable[..., tuple | Refusal]] = {
     PoseStamped: read_pose,
     Vector3Stamped: lambda message: (_xyz_of(message.vector),),
     WrenchStamped: lambda message: (_xyz_of(message.wrench.force),),
-    Twist: lambda message: (_xyz_of(message.linear),),
+    Twist: lambda message: (_twist_of(message),),
     FluidPressure: lambda message: (message.fluid_pressure,),
     JointState: lambda message: (message.name, message.position, message.effort),
     PointCloud2: read_markers,

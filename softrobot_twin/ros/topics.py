@@ -194,9 +194,10 @@ TWIN_TOPICS = _by_name(
           "place of its `target` until `~/reset` or `~/enable`; stale, out of order, infinite, in "
           "another frame, or not above 0 is refused and counted. One alone, without a target "
           "position, is followed too", "stiffness.accept"),
-    Topic("~/target_velocity", IN, Twist, NEWEST, "m/s",
+    Topic("~/target_velocity", IN, Twist, NEWEST, "m/s, rad/s",
           "integrated, limited in speed, stopped after `velocity_timeout`, limited to the "
-          "workspace", "targets.accept_velocity"),
+          "workspace; its angular part turns an effector with `orientation`, whose length for a "
+          "radian says how fast", "targets.accept_velocity"),
     Topic("~/touch_force/<touch>", IN, WrenchStamped, STREAM, "N",
           "force on the robot; torques are not used. Zero or NaN ends the touch. Refused: "
           "infinite, above `force_limit`, stale, out of order, in another frame",

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from softrobot_twin.control.arrival import Arrival, Refusal
 from softrobot_twin.control.inputs import TargetInput
@@ -204,6 +205,30 @@ def test_a_point_or_a_velocity_keeps_the_wanted_orientation(posed):
     reading = posed.read(0.2, STEP, REST)
     assert reading.targets[0, 0] > 0.001
     assert reading.orientations[0] == pytest.approx(HALF)
+
+
+def test_a_twist_turns_the_wanted_orientation_as_fast_as_the_speed_limit_allows():
+    length = 0.05
+    posed = TargetInput(2, 0, "base_link", SETTINGS, (length, 0.0))
+    turns = np.array([[0.0, 0.0, 0.0, 1.0], [np.nan] * 4])
+    posed.accept_velocity((0.0, 0.0, 0.0, 0.0, 0.0, 0.1), 0.0)
+    reading = posed.read(0.0, STEP, REST, turns)
+    assert np.isnan(reading.targets).all()
+    assert reading.orientations[0] == pytest.approx([0.0, 0.0, np.sin(0.05 * STEP), np.cos(0.05 * STEP)])
+    # Twists are in the world, and are limited: what is far from the axis keeps to the speed limit.
+    posed.accept_pose(0, (0.0, 0.0, 0.13), HALF, at(0.1))
+    posed.accept_velocity((0.0, 0.0, 0.0, 0.0, 0.0, 1e300), 0.1)
+    turned = Rotation.from_quat(posed.read(0.1, STEP, REST, turns).orientations[0])
+    way = (turned * Rotation.from_quat(HALF).inv()).as_rotvec()
+    assert way == pytest.approx([0.0, 0.0, SETTINGS.speed_limit / length * STEP])
+    assert posed.accept_velocity((0.0, 0.0, 0.0, math.nan, 0.0, 0.0), 0.2) is Refusal.NOT_FINITE
+
+
+def test_a_twist_of_an_effector_without_orientation_moves_its_position_alone(targets):
+    targets.accept_velocity((0.01, 0.0, 0.0, 1.0, 2.0, 3.0), 0.0)
+    reading = targets.read(0.0, STEP, REST)
+    assert reading.targets[0] == pytest.approx([0.01 * STEP, 0.0, 0.125])
+    assert reading.orientations is None
 
 
 @pytest.mark.parametrize(
