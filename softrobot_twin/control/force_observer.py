@@ -36,13 +36,18 @@ NEARER = 9.0
 """Another point is taken for the place when it explains the squares of so many deviations more."""
 CONE = 0.5
 """Cosine of the greatest angle of a force at an unknown place from the inward normal."""
+KEPT = 0.95
+"""After each measurement so much is left of the weight of those before, where a place is looked for."""
 NOTICEABLE = 0.25
 """The model bears a changed force when it is off by this share of its deviation."""
+DOUBT = 0.1
+"""A linearization may be wrong by this share of how far the markers are from the model."""
 UNSETTLED = 0.3
-"""What the last step left to move of the markers, as a share that forces may be wrong by."""
-LONG, CAREFUL = 0.02, 0.6
-"""A change of forces that moves a marker further than this share of the robot's size is made by a share
-at once, because a linearization does not tell so far."""
+"""What the last step left to move of the markers, as a share that forces may be wrong by; after a long
+move the next one waits until no more is left, as a share of how far the markers are."""
+REACH = 0.02
+"""A change of forces moves no marker further at once than this share of the robot's size, because a
+linearization does not tell so far."""
 GREATEST = 3.0
 """No force is larger than so many times the `greatest_force` of the scene."""
 
@@ -65,9 +70,8 @@ class ForceObserver:
     Attributes:
         names: Names of the forces.
         found: What the model is to bear.
-        explained: Displacements of the markers by what the model bears [m], shape
-            (marker_count, 3).
         lag: What the last step left to move of them [m], same shape.
+        stamp: Time of the last measurement [ns].
         is_settling: Whether forces have changed so much that they are not yet known.
         by_loads: Their motion by each number of the loads, shape (3 marker_count, load_count).
     """
@@ -88,14 +92,15 @@ class ForceObserver:
 
     def reset(self) -> None:
         """Forgets all forces."""
-        count = len(self._places)
-        self.found, self.is_settling = ObservedForces.none(count), False
         count = len(self._simulation.marker_ids)
-        self.explained, self.lag = np.zeros((2, count, 3))
+        self.found, self.is_settling = ObservedForces.none(len(self._places)), False
+        self.lag = np.zeros((count, 3))
         self.by_loads = np.zeros((3 * count, len(self._arms)))
         self._loads = np.zeros(len(self._arms))
         self._covariance = self._prior()
-        self._stamp = 0
+        self.stamp = 0
+        # Mean of what markers are beside the model, and how many measurements it is of.
+        self._mean, self._counts = np.zeros((count, 3)), np.zeros(count)
 
     def _prior(self) -> np.ndarray:
         """Covariance before anything is seen."""
@@ -105,10 +110,23 @@ class ForceObserver:
         """Finds what forces do to the markers where the last step ended. Called after each step."""
         self.by_loads, lag = self._compliance.at_state(self.found.points)
         self.lag = lag.reshape(-1, 3)
-        self.explained = (self.by_loads @ self._given).reshape(-1, 3)
+
+    def moment(self, markers: np.ndarray, effectors: np.ndarray) -> Moment:
+        """The model where the last step ended, as it will have settled.
+
+        Args:
+            markers: Its markers [m], shape (marker_count, 3).
+            effectors: Its effectors [m], shape (effector_count, 3).
+        """
+        return Moment(markers + self.lag, effectors, self.loads, self.by_loads)
 
     @property
-    def _given(self) -> np.ndarray:
+    def places(self) -> np.ndarray:
+        """Where the loads act at the present state [m], shape (place_count, 3)."""
+        return self._compliance.places_at(self.found.points)
+
+    @property
+    def loads(self) -> np.ndarray:
         """Numbers of the loads that the model bears, shape (load_count,)."""
         return numbers_of(self._places, self.found.wrenches)
 
@@ -118,15 +136,18 @@ class ForceObserver:
         Args:
             stamp: Its time [ns].
         """
-        return stamp != self._stamp
+        return stamp != self.stamp
 
     def under_loads(self, model: Moment) -> Moment:
         """The model of an earlier moment as it would have been under the loads that are known now.
 
+        What they move is taken from both ends of their change.
+
         Args:
             model: The model of that moment.
         """
-        shifts = (model.by_loads @ self._given).reshape(-1, 3) - model.explained
+        by_loads = 0.5 * (model.by_loads + self.by_loads)
+        shifts = (by_loads @ (self.loads - model.loads)).reshape(-1, 3)
         return model._replace(markers=model.markers + shifts)
 
     @property
@@ -134,55 +155,71 @@ class ForceObserver:
         """Numbers of all loads."""
         return len(self._arms)
 
-    def update(
-        self, displacements: np.ndarray, by_loads: np.ndarray, noise: float, stamp: int
-    ) -> bool:
+    def update(self, markers: np.ndarray, model: Moment, noise: float, stamp: int) -> bool:
         """Uses the markers of one measurement.
 
         Args:
-            displacements: By how much the markers are beside the model in balance, without the
-                loads that it bore then [m], NaN for hidden ones, shape (marker_count, 3).
-            by_loads: Their motion by the loads then.
+            markers: Measured markers [m], NaN for hidden ones, shape (marker_count, 3).
+            model: The model of the same moment.
             noise: Standard deviation of each coordinate, where the scene gives none [m].
             stamp: Time of the measurement [ns]; an old one is not used again.
 
         Returns:
             Whether a load acts at another place than before.
         """
-        since, self._stamp = (stamp - self._stamp) / NANOSECONDS, stamp
-        seen = np.isfinite(displacements).all(axis=1)
+        since, self.stamp = (stamp - self.stamp) / NANOSECONDS, stamp
+        beside = markers - self.under_loads(model).markers
+        seen = np.isfinite(beside).all(axis=1)
         if since == 0.0 or not seen.any():
             return False
-        R = (self._entry.marker_noise or noise) ** 2 + self._entry.systematic_error**2
-        y = np.where(seen[:, None], displacements, 0.0).ravel()
-        weights = seen.astype(float)
-        shown = by_loads @ self._loads
-        finds = [place for place, one in enumerate(self._places) if one.is_found]
-        has_moved = any([self._find(place, y, weights, R) for place in finds])
-        G = self.by_loads if has_moved else by_loads
+        beside = np.where(seen[:, None], beside, 0.0)
+        far = np.median(np.linalg.norm(beside[seen], axis=1))
+        R = ((self._entry.marker_noise or noise) ** 2,
+             self._entry.systematic_error**2 + (DOUBT * far) ** 2)
+        borne = self.by_loads @ self.loads
+        if self.is_settling and np.abs(self.lag).max() > UNSETTLED * far:
+            return False
         walked = np.diag((self._entry.walk * self._arms) ** 2) * min(abs(since), 1.0)
-        before, self._covariance = self._loads, self._covariance + walked
-        free, spread, _ = _estimate(np.zeros_like(before), self._prior(), y, G, R, weights)
+        self._covariance = self._covariance + walked
+        if self._notice(borne + beside.ravel(), sum(R), seen.astype(float)):
+            self._counts[:] = 0.0
+        self._counts = KEPT * self._counts + seen
+        self._mean += (seen / np.maximum(self._counts, 1.0))[:, None] * (beside - self._mean)
+        has_moved, before = False, (self._loads, self._covariance)
+        for share in (1.0, None):
+            if share is None:
+                # So far a linearization does not tell: go a part of the way.
+                share = REACH * self._size / moved
+            has_moved |= self._find(borne + share * self._mean.ravel(), *R)
+            if has_moved:
+                before = self._loads, self._covariance
+            y = borne + share * beside.ravel()
+            after, spread, weights = _estimate(*before, y, self.by_loads, sum(R), seen.astype(float))
+            moved = np.linalg.norm((self.by_loads @ after - borne).reshape(-1, 3), axis=1).max()
+            self.is_settling = bool(moved > REACH * self._size) or share < 1.0
+            if not self.is_settling:
+                break
+        if self.is_settling:
+            spread, self._counts[:] = self._prior(), 0.0
+        most = GREATEST * self._entry.greatest_force * self._arms
+        self._loads, self._covariance = np.clip(after, -most, most), spread
+        self._tell(self.by_loads, sum(R), weights)
+        self._mean -= (self.by_loads @ self.loads - borne).reshape(-1, 3)
+        return has_moved
+
+    def _notice(self, y: np.ndarray, R: float, seen: np.ndarray) -> bool:
+        """Begins anew with each force that changed at once; whether one did."""
+        count = len(self._loads)
+        free, spread, _ = _estimate(np.zeros(count), self._prior(), y, self.by_loads, R, seen)
+        has_changed = False
         for own in self._own:
-            off = free[own] - before[own]
+            off = free[own] - self._loads[own]
             both = (self._covariance + spread)[own, own]
             if off @ np.linalg.solve(both, off) > greatest_square(len(off)):
                 self._covariance[own, :] = self._covariance[:, own] = 0.0
                 self._covariance[own, own] = self._prior()[own, own]
-        after, spread, weights = _estimate(before, self._covariance, y, G, R, weights)
-        moved = np.linalg.norm((G @ after - shown).reshape(-1, 3), axis=1).max()
-        self.is_settling = bool(moved > LONG * self._size)
-        if self.is_settling:
-            # So far a linearization does not tell: go a part of the way, and expect the rest.
-            start = np.zeros_like(before) if has_moved else before
-            change = after - start
-            after = start + CAREFUL * change
-            spread = spread + (1.0 - CAREFUL) ** 2 * np.diag(change**2)
-        self._loads, self._covariance = after, spread
-        most = GREATEST * self._entry.greatest_force * self._arms
-        self._loads = np.clip(self._loads, -most, most)
-        self._tell(G, R, weights)
-        return has_moved
+                has_changed = True
+        return has_changed
 
     def _tell(self, G: np.ndarray, R: float, weights: np.ndarray) -> None:
         """Says what the model is to bear, and how sure it is."""
@@ -193,7 +230,7 @@ class ForceObserver:
         deviations = np.sqrt(covariance.diagonal())
         # What noise and the model's own error alone would make of no force.
         by_noise = (R + off) * gain @ gain.T
-        given, points = self._given, self.found.points
+        given, points = self.loads, self.found.points
         is_detected = np.zeros(len(self._places), bool)
         for place, own in enumerate(self._own):
             loads = self._loads[own]
@@ -209,18 +246,32 @@ class ForceObserver:
             count = self._places[place].dimension
             wrenches[place, :count], spreads[place, :count] = given[own], deviations[own]
         self.found = ObservedForces(wrenches, spreads, points, is_detected)
-        self.explained = (G @ given).reshape(-1, 3)
 
-    def _find(self, place: int, y: np.ndarray, weights: np.ndarray, R: float) -> bool:
-        """Looks for the point at which a force explains the displacements best; whether it is new."""
+    def _find(self, y: np.ndarray, noise: float, systematic: float) -> bool:
+        """Looks for the points of the surface at which forces explain the displacements best.
+
+        Args:
+            y: Mean displacements by all loads [m], shape (3 marker_count,).
+            noise: Variance of a coordinate in one measurement [m²].
+            systematic: What does not become less in a mean [m²].
+
+        Returns:
+            Whether any is new.
+        """
+        R = np.repeat(noise / np.maximum(self._counts, 1.0e-9) + systematic, 3)
+        finds = [index for index, one in enumerate(self._places) if one.is_found]
+        return any([self._find_one(index, y, R) for index in finds])
+
+    def _find_one(self, place: int, y: np.ndarray, R: np.ndarray) -> bool:
+        """The same for one place; R is of each coordinate."""
         own, points = self._own[place], self.found.points
         others = self._loads.copy()
         others[own] = 0.0
         y = y - self.by_loads @ others
-        w = np.repeat(weights, 3) / R
+        w = 1.0 / R
         here = self.by_loads[:, own]
         left = y - here @ np.linalg.lstsq(here * np.sqrt(w)[:, None], y * np.sqrt(w), rcond=None)[0]
-        if w @ (left * left) <= greatest_square(np.count_nonzero(w)):
+        if w @ (left * left) <= greatest_square(len(w)):
             return False
         field = self._compliance.by_candidates(place)
         for _ in range(2):
@@ -236,8 +287,9 @@ class ForceObserver:
             best = int(np.argmin(left))
             if not np.isfinite(left[best]):
                 return False
-            off = np.linalg.norm((y - field[best] @ forces[best]).reshape(-1, 3), axis=1)
-            w = np.repeat(weights * np.minimum(1.0, HUBER / np.maximum(off / np.sqrt(R), HUBER)), 3) / R
+            off = (y - field[best] @ forces[best]) / np.sqrt(R)
+            off = np.repeat(np.linalg.norm(off.reshape(-1, 3), axis=1), 3)
+            w = HUBER / np.maximum(off, HUBER) / R
         is_new = bool(left[points[place]] > left[best] + NEARER)
         if is_new:
             points = points.copy()

@@ -27,15 +27,14 @@ class Moment(NamedTuple):
     Attributes:
         markers: Positions of the markers [m], shape (marker_count, 3).
         effectors: Positions of the effectors [m], shape (effector_count, 3).
-        explained: Displacements of the markers by forces that an observer found [m], as the
-            markers; zero without one.
-        by_loads: Their motion by each number of these, shape (3 marker_count, load_count).
+        loads: Numbers of the loads that an observer found and the model bore, shape (load_count,).
+        by_loads: Motion of the markers by each of these, shape (3 marker_count, load_count).
         delay: How late the device was there [s]; NaN where this is not known.
     """
 
     markers: np.ndarray
     effectors: np.ndarray
-    explained: np.ndarray | float = 0.0
+    loads: np.ndarray = np.empty(0)
     by_loads: np.ndarray | None = None
     delay: float = math.nan
 
@@ -62,16 +61,15 @@ class ModelHistory:
         load_count: int = 0,
     ):  # fmt: skip
         self._scales, self._markers = APART * np.asarray(travels, float), marker_count
-        self._explained, has_observer = marker_count + effector_count, load_count > 0
+        self._loads = np.zeros((2 * capacity, load_count))
         self._by_loads = None
-        if has_observer:
+        if load_count:
             self._by_loads = np.zeros((2 * capacity, 3 * marker_count, load_count))
         self._capacity, self._count = capacity, 0
         # Twice the capacity: so the ticks are always in one piece, and are seldom moved.
         self._times = np.zeros(2 * capacity, np.int64)
         self._setpoints = np.zeros((2 * capacity, len(self._scales)))
-        self._values = np.zeros(
-            (2 * capacity, self._explained + has_observer * marker_count, 3))
+        self._values = np.zeros((2 * capacity, marker_count + effector_count, 3))
 
     def add(self, time: int, setpoints: np.ndarray, moment: Moment) -> None:
         """Adds a tick in place of the oldest.
@@ -85,16 +83,17 @@ class ModelHistory:
             self.forget()
         if self._count == len(self._times):
             self._count = self._capacity
-            for array in (self._times, self._setpoints, self._values, self._by_loads):
+            for array in (self._times, self._setpoints, self._values, self._loads,
+                          self._by_loads):
                 if array is None:
                     continue
                 array[: self._capacity] = array[self._capacity :]
         at, self._count = self._count, self._count + 1
         self._times[at], self._setpoints[at] = time, setpoints / self._scales
         values = self._values[at]
-        values[: self._markers], values[self._markers : self._explained] = moment[:2]
+        values[: self._markers], values[self._markers :] = moment[:2]
         if self._by_loads is not None:
-            values[self._explained :], self._by_loads[at] = moment.explained, moment.by_loads
+            self._loads[at], self._by_loads[at] = moment.loads, moment.by_loads
 
     @property
     def is_any(self) -> bool:
@@ -159,22 +158,27 @@ class ModelHistory:
 
     def _moment(self, tick: int, share: float) -> Moment:
         """The model at a share of the way from a tick to the next one."""
-        values = (1.0 - share) * self._values[tick]
-        if share:
-            values += share * self._values[tick + 1]
-        found = Moment(values[: self._markers], values[self._markers : self._explained])
+
+        def between(array: np.ndarray) -> np.ndarray:
+            here = (1.0 - share) * array[tick]
+            return here + share * array[tick + 1] if share else here
+
+        values = between(self._values)
+        found = Moment(values[: self._markers], values[self._markers :])
         if self._by_loads is None:
             return found
-        by_loads = self._by_loads[tick + (share > 0.5)]
-        return found._replace(explained=values[self._explained :], by_loads=by_loads)
+        return found._replace(loads=between(self._loads), by_loads=between(self._by_loads))
 
-    def load_elsewhere(self, by_loads: np.ndarray) -> None:
-        """Takes the motion by loads for that of all ticks, when a load acts at another place.
+    def load_elsewhere(self, loads: np.ndarray, by_loads: np.ndarray) -> None:
+        """Takes all ticks as if they had been under other loads.
 
         Args:
-            by_loads: See `Moment`.
+            loads: See `Moment`.
+            by_loads: Likewise.
         """
-        self._by_loads[:] = by_loads
+        moved = by_loads @ loads - np.einsum("tml,tl->tm", self._by_loads, self._loads)
+        self._values[:, : self._markers] += moved.reshape(len(moved), -1, 3)
+        self._loads[:], self._by_loads[:] = loads, by_loads
 
     def forget(self) -> None:
         """Starts a new history."""

@@ -907,9 +907,9 @@ class TwinLoop:
             return
         if self.observer.is_new(stamp):
             model = self._executed(stamp) or self._history.at(stamp)
-            beside = self._plausibility.without_left_out(seen) - (model.markers - model.explained)
-            if self.observer.update(beside, model.by_loads, self._plausibility.noise, stamp):
-                self._history.load_elsewhere(self.observer.by_loads)
+            accepted = self._plausibility.without_left_out(seen)
+            if self.observer.update(accepted, model, self._plausibility.noise, stamp):
+                self._history.load_elsewhere(self.observer.loads, self.observer.by_loads)
 
     def _executed(self, stamp: int) -> Moment | None:
         """The model at the command that the robot executed at a time [ns]; None where unknown."""
@@ -939,12 +939,12 @@ class TwinLoop:
         """Adds the model of this tick [ns] to its history, where markers can be compared with it."""
         if not len(markers):
             return
-        moment = Moment(markers, result.effector_positions)
-        if self.observer is not None:
+        if self.observer is None:
+            moment = Moment(markers, result.effector_positions)
+        else:
             if not result.report.is_resting:
                 self.observer.look()
-            moment = Moment(markers + self.observer.lag, moment.effectors, self.observer.explained,
-                            self.observer.by_loads)
+            moment = self.observer.moment(markers, result.effector_positions)
         self._history.add(ros_time, result.setpoints, moment)
 
     def _correct(

@@ -247,6 +247,9 @@ TWIN = COMMON + RUNTIME + _fixed(
           "lowest priority; nothing in scenes without them."),
     Entry("calibrate_fit", [""], "Keys of the numbers that ~/calibrate fits, as of the command calibrate; "
           "[''] for its choice."),
+    Entry("observer", False, "Find forces that nobody modelled from the markers, also of a scene "
+          "without observer: then one at each touch, without touches one at each effector, and without "
+          "these one at a place that is found."),
     Entry("velocity_effector", "",
           "Effector whose target target_velocity moves; empty for the first."),
     Entry("priority", Priority.REAL_TIME.value, "Priority requested for the ticks: real-time "

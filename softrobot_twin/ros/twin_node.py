@@ -68,6 +68,7 @@ from softrobot_twin.ros.transforms import TransformOutput
 from softrobot_twin.ros.view_feed import ViewFeed
 from softrobot_twin.ros.visualization import VisualizationOutput
 from softrobot_twin.scene.loading import load_scene
+from softrobot_twin.shared_files import ScenePath
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.apparent_compliance import EffectorCompliance
 from softrobot_twin.simulation.appearance import Pose
@@ -346,6 +347,8 @@ class TwinNode(TickingNode):
         settings = loop_settings(values)
         self.claim = TopicClaim(self, self.resolve_topic_name(TOPICS["~/cables"].full_name()))
         path = find_scene(values)
+        if values["observer"] and load_scene(path).observer is None:
+            path = ScenePath(path, (*path.changes, "observer={}"))
         if values["record"]:
             # Only a recorded run loads the room that writes it.
             from softrobot_twin.ros.run_recording import RunRecording

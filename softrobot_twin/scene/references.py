@@ -67,10 +67,14 @@ def check_references(scene) -> None:
         for key, entry in scene.keyed(section):
             name = f"marker {entry.id}" if section == "markers" else entry.name
             check_carrier(f"{key}.{word}", name, getattr(entry, word), deformable, others)
+    touches = [touch.name for touch in scene.touches]
     for index, force in enumerate(scene.observer.forces if scene.observer else ()):
-        key = f"observer.forces[{index}].body"
-        others = framed if force.points else rigid
-        check_carrier(key, f"force {force.name}", force.body, deformable, others)
+        key, what = f"observer.forces[{index}]", f"force {force.name}"
+        if force.touch is not None:
+            check_known(f"{key}.touch", f"{what} acts at", force.touch, touches)
+        else:
+            others = framed if force.points else rigid
+            check_carrier(f"{key}.body", what, force.body, deformable, others)
     if scene.observer is not None and len(scene.markers) < 3:
         raise refusal("markers", f"{len(scene.markers)} markers",
                       "an observer needs three markers or more, which tell it of forces")

@@ -256,8 +256,8 @@ class Touch(PointsOnBody):
 
 
 class ObservedForce(Entry):
-    """A force that nobody modelled and that is found from markers: at known points of a body, at an
-    unknown place of a soft body's surface, or with its torque on a rigid body."""
+    """A force that nobody modelled and that is found from markers: at known points of a body or at a
+    touch, at an unknown place of a soft body's surface, or with its torque on a rigid body."""
 
     placed: ClassVar[dict[str, str]] = {"points": "point"}
 
@@ -268,6 +268,13 @@ class ObservedForce(Entry):
     points: tuple[Vector, ...] = ()
     """Places at rest: it acts at their mean. Without any, its place on the surface of a soft body is
     found too; on a rigid body it is a force at the centre of mass and a torque."""
+    touch: Name | None = None
+    """A touch of the scene, at whose points it acts, in place of body and points."""
+
+    def check(self) -> None:
+        """Refuse two ways to say where it acts."""
+        if self.touch is not None and (self.points or self.body is not None):
+            raise refusal("touch", self.touch, "a touch has its own body and points: give none here")
 
 
 class Observer(Entry):
@@ -276,8 +283,9 @@ class Observer(Entry):
 
     told: ClassVar[tuple[str, ...]] = ("changes of {walk:=} N in a second",)
 
-    forces: Annotated[tuple[ObservedForce, ...], Field(min_length=1)]
-    """The forces that are looked for; three markers or more tell one."""
+    forces: tuple[ObservedForce, ...] = ()
+    """The forces that are looked for; three markers or more tell one. By default one at each touch,
+    without touches at each effector, and without these at a place that is found."""
     walk: Annotated[float, unit("N", gt=0.0)] = 0.3
     """Change of a force within a second, as standard deviation; a sudden one is noticed by itself."""
     greatest_force: Annotated[float, unit("N", gt=0.0)] = 5.0
@@ -402,6 +410,20 @@ class Scene(Entry):
     def actuator_entries(self) -> dict[str, tuple[ActuatorEntry, ...]]:
         """Entries of all actuators, by section."""
         return {section: getattr(self, section) for section in ACTUATOR_SECTIONS}
+
+    @property
+    def observed_forces(self) -> tuple[ObservedForce, ...]:
+        """The forces that its observer looks for, those at touches with their bodies and points."""
+        if self.observer is None:
+            return ()
+        usual = [ObservedForce(name=one.name, body=one.body, points=one.points)
+                 for one in self.touches or self.effectors]
+        touches = {touch.name: touch for touch in self.touches}
+        forces = self.observer.forces or usual or [ObservedForce(name="push")]
+        return tuple(
+            force if force.touch is None else force.changed(
+                body=touches[force.touch].body, points=touches[force.touch].points)
+            for force in forces)
 
     @property
     def deformables(self) -> tuple[Body, ...]:

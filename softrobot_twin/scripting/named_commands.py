@@ -462,6 +462,32 @@ class CommandReader:
                 touched.displace(index, numbers, before)
         return touched
 
+    def markers(self, markers: Any) -> np.ndarray:
+        """Measured places of all markers [m], NaN where hidden, shape (marker_count, 3).
+
+        Args:
+            markers: By marker id, or an array of this shape.
+
+        Raises:
+            CommandError: A marker is unknown, or a value does not fit it.
+        """
+        ids = [int(one) for one in self._simulation.marker_ids]
+        places = np.full((len(ids), 3), np.nan)
+        if not isinstance(markers, Mapping):
+            markers = np.asarray(markers, float)
+            if markers.shape != places.shape:
+                raise CommandError("markers", f"must be by id, or of shape {places.shape}, not "
+                                   f"{markers.shape}")
+            return markers
+        for marker, place in markers.items():
+            if marker not in ids:
+                raise unknown(str(marker), "markers:", [str(one) for one in ids])
+            place = np.asarray(place, float)
+            if place.shape != (3,):
+                raise CommandError(f"marker {marker}", f"must be 3 numbers, not {place.size}")
+            places[ids.index(marker)] = place
+        return places
+
 
 def unknown(name: str, known_as: str, known: Sequence[str]) -> CommandError:
     """The error about an unknown name, with the nearest known one.

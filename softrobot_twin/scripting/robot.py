@@ -10,10 +10,12 @@ import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, cast
 
 import numpy as np
 
+from softrobot_twin.control.force_observer import ForceObserver
+from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.errors import CommandError
 from softrobot_twin.scene import Scene, load_scene, scene_from_mapping
 from softrobot_twin.scene.scene_parameters import Parameter, changed_scene, parameters
@@ -147,6 +149,24 @@ def _rebuilt(scene: Scene, state: State, aims: Mapping[str, Aim]) -> Robot:
     return robot
 
 
+class ExternalForce(NamedTuple):
+    """A force on the robot that nobody modelled, as markers tell it.
+
+    Attributes:
+        force: The force [N], shape (3,).
+        torque: Torque about its place [N m], zero but on a rigid body, shape (3,).
+        deviations: Standard deviations of both, shape (6,).
+        place: Where it acts [m], shape (3,).
+        is_detected: Whether it is larger than noise makes it.
+    """
+
+    force: np.ndarray
+    torque: np.ndarray
+    deviations: np.ndarray
+    place: np.ndarray
+    is_detected: bool
+
+
 class Robot:
     """One scene that can be stepped by names and units.
 
@@ -184,6 +204,7 @@ class Robot:
         self._reader = CommandReader(simulation)
         self._columns = ColumnsOfSteps(simulation)
         self._compliance: EffectorCompliance | None = None
+        self._observer = None if simulation.scene.observer is None else ForceObserver(simulation)
         self._sensitivities: Sensitivities | None = None
         self._view: RobotView | None = None
         self._forget()
@@ -194,6 +215,8 @@ class Robot:
         self._targets: np.ndarray | None = None
         self._contacts: ContactForces | None = None
         self._aims: dict[str, Aim] = {}
+        if self._observer is not None:
+            self._observer.reset()
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _rebuilt, (self.scene, self.state, self._aims)
@@ -510,12 +533,45 @@ class Robot:
         self._warn_of_unlikely(asked)
         self._aim(aims)
         before = self.simulation.state.positions
-        outcome = self.simulation.step(asked, None, touched)
+        measured: list[Any] = [] if touched is None else [touched]
+        if self._observer is not None:
+            measured.append(self._observer.found)
+        outcome = self.simulation.step(asked, None, measured or None)
         self._remember(outcome, asked)
         return Result(
             outcome, self.simulation, self._columns.of(asked), asked,
             is_at_rest(self.simulation, outcome, before),
         )  # fmt: skip
+
+    def observe(self, markers: Any, noise: float = 1.0e-4) -> dict[str, ExternalForce]:
+        """Finds forces that nobody modelled from measured markers; the next steps bear them.
+
+        The robot must stand where the real one was when they were measured. A scene with an
+        ``observer`` says which forces are looked for; see `docs/observer.md`.
+
+        Args:
+            markers: Measured places [m]: by marker id, or one of each marker in the scene's order,
+                shape (marker_count, 3), NaN for hidden ones.
+            noise: Standard deviation of each coordinate [m], where the scene gives none.
+
+        Returns:
+            The forces by name.
+
+        Raises:
+            CommandError: The scene has no observer, or a marker is not known.
+        """
+        observer, simulation = self._observer, self.simulation
+        if observer is None:
+            raise CommandError("observe", "the scene has no observer: load it with {\"observer\": {}}")
+        seen = self._reader.markers(markers)
+        simulation.finish_result()
+        observer.look()
+        model = observer.moment(simulation.marker_positions(), simulation.effector_positions())
+        stamp = max(round(NANOSECONDS * self.time), observer.stamp + 1)
+        observer.update(seen, model, _positive("noise", noise, "m"), stamp)
+        return {name: ExternalForce(*row) for name, *row in zip(
+            observer.names, observer.found.wrenches[:, :3], observer.found.wrenches[:, 3:],
+            observer.found.deviations, observer.places, map(bool, observer.found.is_detected), strict=True)}
 
     def _remember(self, outcome: StepResult, command: Command) -> None:
         """Takes what pictures and read-outs need of a step, and shows it."""

@@ -64,6 +64,16 @@ class MarkerCompliance(HeldTangent):
             by_force, lag = self._moves(self._definite(positions), rows, holding, left, apart)
         return by_force[:markers, markers:] @ self.rows.basis(positions), lag[:markers]
 
+    def places_at(self, points: np.ndarray) -> np.ndarray:
+        """Where the loads act at the present state [m], shape (place_count, 3).
+
+        Args:
+            points: See `at_state`.
+        """
+        if self.rows.choose(points):
+            self._take_rows()
+        return self.rows.places_at(self._simulation.state.positions)
+
     def _moves(
         self, factorization: Factorization | None, rows, holding, left: np.ndarray,
         apart: np.ndarray,

@@ -80,8 +80,8 @@ def force_of(vector):
 def observe(twin, observer, setpoints, markers, frame):
     """One measurement, and the steps of the model until the next one."""
     observer.look()
-    beside = markers - (twin.marker_positions() + observer.lag - observer.explained)
-    observer.update(beside, observer.by_loads, NOISE, (frame + 1) * FRAME)
+    model = observer.moment(twin.marker_positions(), twin.effector_positions())
+    observer.update(markers, model, NOISE, (frame + 1) * FRAME)
     hold(twin, setpoints, 2, observer.found)
 
 
@@ -174,13 +174,15 @@ def test_deviations_of_a_hundred_pushes_hold(observed, pushed, rng):
 
 
 @pytest.mark.slow
-def test_a_push_that_grows_at_an_unknown_place_is_found(searching, small_scene_mapping, rng):
+@pytest.mark.parametrize(("frames", "count"), [(12, 15), (1, 31)])
+def test_a_push_at_an_unknown_place_is_found(searching, small_scene_mapping, rng, frames, count):
+    """One that grows, and one that is there at once."""
     real = built(exact(observing(small_scene_mapping, {"name": "push"})))
     place = observed_term(real.model).places[0]
     points = place.points.positions(real.model.nodes.rest_positions)
     may = np.flatnonzero((np.hypot(*points.T[:2]) > 0.03) | (points[:, 2] > 0.05))
     away, errors = [], []
-    for _ in range(15):
+    for _ in range(count):
         setpoints = pose(searching, rng)
         point = rng.choice(may)
         normal, side = place.normals[point], rng.normal(size=3)
@@ -192,9 +194,9 @@ def test_a_push_that_grows_at_an_unknown_place_is_found(searching, small_scene_m
         hold(real, setpoints, 20)
         hold(searching, setpoints, 40)
         observer = ForceObserver(searching)
-        for frame in range(25):
-            grown = min(1.0, (frame + 1) / 12)
-            hold(real, setpoints, 4, force_of(grown * force)._replace(points=np.array([point])))
+        for frame in range(40):
+            grown = min(1.0, (frame + 1) / frames)
+            hold(real, setpoints, 4 if frame else 20, force_of(grown * force)._replace(points=np.array([point])))
             markers = real.marker_positions() + rng.normal(0.0, NOISE, (8, 3))
             observe(searching, observer, setpoints, markers, frame)
         away.append(np.linalg.norm(points[observer.found.points[0]] - points[point]))
@@ -334,7 +336,8 @@ def test_forces_of_another_shape_are_refused(observed):
     ({"markers": []}, "three markers"),
     ({"observer": {"forces": [{"name": "a"}, {"name": "a"}]}}, "more than once"),
     ({"observer": {"forces": [{"name": "a", "body": "leg"}]}}, "leg"),
-    ({"observer": {"forces": []}}, "at least 1"),
+    ({"observer": {"forces": [{"name": "a", "touch": "hand"}]}}, "acts at hand, which the scene does not"),
+    ({"observer": {"forces": [{"name": "a", "touch": "hand", "points": [TIP]}]}}, "own body and points"),
     ({"observer": {"forces": [{"name": "a"}], "walk": -1.0}}, "walk"),
 ])  # fmt: skip
 def test_an_observer_that_cannot_be_is_refused_by_name(small_scene_mapping, change, message):
@@ -342,6 +345,29 @@ def test_an_observer_that_cannot_be_is_refused_by_name(small_scene_mapping, chan
     mapping["effectors"] = [{**mapping["effectors"][0], "measured_by": []}]
     with pytest.raises(SceneError, match=message):
         scene_from_mapping(mapping)
+
+
+@pytest.mark.parametrize(("section", "name"), [
+    ("touches", "hand"), ("effectors", "tip"), ("none", "push")])  # fmt: skip
+def test_without_forces_an_observer_looks_at_touches_or_effectors_or_everywhere(
+    small_scene_mapping, section, name
+):
+    mapping = {**copy.deepcopy(small_scene_mapping), "observer": {}}
+    hand = {"name": "hand", "points": [[0.0, 0.08, 0.07]]}
+    mapping |= {"touches": [hand]} if section == "touches" else {}
+    mapping |= {"effectors": []} if section == "none" else {}
+    scene = scene_from_mapping(mapping)
+    (force,) = scene.observed_forces
+    assert force.name == name
+    assert bool(force.points) == (section != "none")
+
+
+def test_a_force_at_a_touch_acts_at_its_points(small_scene_mapping):
+    mapping = observing(small_scene_mapping, {"name": "push", "touch": "hand"})
+    mapping["touches"] = [{"name": "hand", "points": [[0.0, 0.08, 0.07], [0.0, 0.07, 0.07]]}]
+    (place,) = observed_term(Simulation(scene_from_mapping(mapping)).model).places
+    assert place.name == "push"
+    assert place.points.point_count == 2
 
 
 def test_an_unknown_place_on_a_reduced_body_is_refused():

@@ -28,9 +28,9 @@ def run(tmp_path, monkeypatch):
     pyplot.close("all")
 
 
-def test_there_are_nine_scripts_and_a_notebook():
+def test_there_are_ten_scripts_and_a_notebook():
     assert [path.stem for path in SCRIPTS] == [
-        "calibration", "closed_loop", "design", "finger", "gradients_jax", "gradients_torch", "learning",
+        "calibration", "closed_loop", "design", "external_force", "finger", "gradients_jax", "gradients_torch", "learning",
         "pneumatic_gripper", "trunk_in_contact"]
     assert [path.name for path in EXAMPLES.glob("*.ipynb")] == ["finger.ipynb"]
 
@@ -58,6 +58,12 @@ def test_the_finger_reaches_its_three_places(run, tmp_path, capsys):
     printed = capsys.readouterr().out
     assert printed.count("; ok\n") == 3 and "flexor_shortening_m" in printed
     assert (tmp_path / "finger.png").stat().st_size > 10_000
+
+
+def test_the_push_on_the_diamond_is_found(run):
+    seen = run("external_force")
+    assert seen["forces"][-1] == pytest.approx(seen["PUSH"], abs=0.05)  # N
+    assert np.abs(seen["forces"][:5]).max() < 0.05
 
 
 def test_the_trunk_follows_its_path_while_the_cylinders_carry_it(run, tmp_path):

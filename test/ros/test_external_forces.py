@@ -7,6 +7,7 @@ from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import Header
 
+from softrobot_twin.errors import SceneError
 from softrobot_twin.ros.messages import markers_message
 from softrobot_twin.ros.twin_node import TwinNode
 
@@ -50,3 +51,19 @@ def test_a_displacement_of_the_markers_is_told_as_a_force(world, diagnostics, tw
     see(pushed)
     told = diagnostics("observer", lambda one: one.message == "found: push")
     assert float(told.values["push_force_n"].split()[0]) > 0.02
+
+
+def test_with_the_parameter_a_scene_without_observer_has_one(world, small_scene_file):
+    twin = world.add(TwinNode, scene_file=str(small_scene_file), observer=True, priority="normal")
+    assert twin.loop.observer.names == ("tip",)  # Its effector.
+    published = [name for name, _ in twin.get_topic_names_and_types()]
+    assert "/twin/external_forces/tip" in published
+
+
+def test_the_parameter_is_refused_where_nothing_can_be_observed(world, small_scene_file):
+    scene = yaml.safe_load(small_scene_file.read_text())
+    scene["markers"], scene["effectors"][0]["measured_by"] = scene["markers"][:2], []
+    file = small_scene_file.with_name("two_markers.yaml")
+    file.write_text(yaml.safe_dump(scene))
+    with pytest.raises(SceneError, match="an observer needs three markers or more"):
+        world.add(TwinNode, scene_file=str(file), observer=True, priority="normal")

@@ -327,3 +327,28 @@ def test_other_numbers_keep_the_state():
         robot.change({"body.material.young_modulus": -1.0})
     assert robot.scene.body.material.young_modulus == 3e5
     assert robot.simulation.model.bodies[0].mesh.node_count == mesh
+
+
+def test_a_push_is_found_from_markers():
+    scene = ROOT / "config/scenes/diamond.yaml"
+    mesh = {"body.mesh.file": str(ROOT / "meshes/diamond_200.vtk"), "body.element": "linear"}
+    touch = {"touches": [{"name": "hand", "points": [[0.0, 0.0, 0.125]]}]}
+    twin, real = st.load(scene, {"observer": {}, **mesh}), st.load(scene, {**touch, **mesh})
+    twin.settle()
+    real.settle(touches={"hand_force_N": [0.3, 0.0, 0.1]})
+    markers = real.simulation.marker_positions()
+    seen = {marker: place for marker, place in enumerate(markers) if marker != 2}  # One is hidden.
+    for _ in range(8):
+        found = twin.observe(seen)["tip"]
+        result = twin.step()
+    assert found.force == pytest.approx([0.3, 0.0, 0.1], abs=0.02)
+    assert found.is_detected and not found.torque.any()
+    assert result["tip_force_x_N"] == found.force[0]
+    assert found.place == pytest.approx(result.tip, abs=1e-3)
+    for markers, why in (({99: [0, 0, 0]}, "99"), (markers[:3], "shape"), ({0: [0.0]}, "3 numbers")):
+        with pytest.raises(CommandError, match=why):
+            twin.observe(markers)
+    twin.reset()
+    assert twin.step()["tip_force_x_N"] == 0.0
+    with pytest.raises(CommandError, match="observer"):
+        real.observe({})

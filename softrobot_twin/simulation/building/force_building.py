@@ -122,7 +122,7 @@ def _touch_loads(layout: Layout, notes: list[str]) -> TouchLoads:
 
 def _observed_places(layout: Layout, notes: list[str]) -> Iterator[ObservedPlace]:
     """Where an observer looks for forces."""
-    for index, force in enumerate(layout.scene.observer.forces):
+    for index, force in enumerate(layout.scene.observed_forces):
         key, body = f"observer.forces[{index}]", layout.body_named(force.body)
         if isinstance(body, Body) and body.vertebrae is not None and force.points:
             raise layout.scene.error(f"{key}.body", body.name, "is reduced to vertebrae: forces on "
