@@ -14,9 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.kinematics import Nodes
-from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.body_entries import SHAPES, SphereShape
 from softrobot_twin.scene.mounting_entries import MountingStage

@@ -16,14 +16,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from scipy.optimize import least_squares, lsq_linear
 from scipy.stats import qmc, t
 
-from softrobot_twin.errors import NamedError
 from softrobot_twin.control.rest_watch import RestPose
+from softrobot_twin.errors import NamedError
+from softrobot_twin.mechanics.kinematics import Nodes
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.actuator_entries import Cavity
 from softrobot_twin.scene.scene_parameters import (
@@ -204,15 +206,17 @@ class RestModel:
         """
         self._keys, self.poses = list(keys), list(poses)
         self._scene, self._at = scene, np.array([one.read(scene) for one in self._keys])
+        self.simulation: Simulation | None = None
         self._build()
         size = self.simulation.model.nodes.size
         self.size = float(size) if np.isfinite(size) else 1.0
-        self._states: dict[int, tuple[float, State]] = {}
+        self._states: dict[int, tuple[float, State, Nodes]] = {}
         self.lost: list[int] = []
         self.distances = np.full(len(self.poses), np.nan)
         self._layout = None
         if any(_PLACE.fullmatch(one.key) for one in self._keys):
-            self._layout = build_terms(self.simulation.scene).layout
+            mounted = self.simulation.mounted
+            self._layout = build_terms(self.simulation.scene, mounted and mounted.positions).layout
         parts = [_stacked(pose.markers, pose.effectors, pose.efforts) for pose in self.poses]
         kinds, usable = self._kinds()
         self._masks = [np.isfinite(values) & usable for values in parts]
@@ -222,7 +226,8 @@ class RestModel:
             np.repeat(np.arange(len(parts)), [mask.sum() for mask in self._masks]))
 
     def _build(self) -> None:
-        self.simulation = Simulation(scene_of_points(self._scene), with_warnings=False)
+        mounted = None if self.simulation is None else self.simulation.mounted
+        self.simulation = Simulation(scene_of_points(self._scene), with_warnings=False, mounted=mounted)
         self._sensitivities = Sensitivities(self.simulation)
 
     def _kinds(self) -> tuple[np.ndarray, np.ndarray]:
@@ -279,18 +284,20 @@ class RestModel:
         touched = None
         if len(pose.forces):
             touched = Touched(np.array(pose.forces), np.full(np.shape(pose.forces), np.nan))
-        misfit, known = self._states.get(index, (np.inf, None))
+        misfit, known, nodes = self._states.get(index, (np.inf, None, None))
         begins = [(known, 1)] if known is not None else []
         for begin, way in (*begins, (None, WAY)):
             if begin is None:
                 simulation.reset()
             else:
-                simulation.restore(begin)
+                # What holds the robot is elsewhere by other numbers.
+                own = simulation.model.nodes
+                simulation.restore(replace(begin, positions=own.placed_like(nodes, begin.positions)))
             if bring_to_rest(simulation, setpoints, way, None, touched).is_reached:
                 # Of several shapes at one pose that nearest to the measured one is followed.
                 self.distances[index] = now = self._misfit(index)
                 if now <= misfit:
-                    self._states[index] = now, simulation.state
+                    self._states[index] = now, simulation.state, simulation.model.nodes
                 return True
         return False
 
