@@ -340,6 +340,21 @@ def test_noise_of_a_standing_target_is_not_led(other_meshes):
     assert rms_now(led, standing) < 1.1 * rms_now(without, standing)
 
 
+def test_a_delay_is_that_of_one_device(drive, simulation):
+    """Who enables the twin anew may have changed the robot meanwhile."""
+    driver = drive(use_device=True, closed_loop=True)
+    driver.measure(simulation.rest_setpoints)
+    driver.loop.enable(driver.time)
+    driver.tick(2)
+    driver.loop.lead.delay = 0.05
+    driver.loop.disable()
+    driver.tick()
+    driver.measure(simulation.rest_setpoints)
+    driver.loop.enable(driver.time)
+    assert driver.tick(2).activity is Activity.HOLDING
+    assert driver.loop.lead.delay == 0.0
+
+
 @pytest.mark.parametrize("closed", [False, True])
 def test_orientation_is_corrected_where_markers_tell_it(drive_posed, closed):
     """The robot is the model, but stands askew by 2 degrees: its tip points beside where it shall."""
