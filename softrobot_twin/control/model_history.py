@@ -11,10 +11,10 @@ from softrobot_twin.control.loop_timing import NANOSECONDS
 
 LONGEST_DELAY = 1.0
 """A command is executed within this time [s]."""
-APART = 0.01
+APART = 0.03
 """Measured setpoints are those of a tick, or between two ticks, when no more than this share of the
-actuators' travels is between them."""
-PREFERENCE = 0.1
+actuators' travels is between them. Sensors of pressure may have a noise of 1 %."""
+PREFERENCE = 0.03
 """Of two ticks that are equally near, the newer one is meant: a second counts as this share of
 `APART`."""
 MOVES = 1.0

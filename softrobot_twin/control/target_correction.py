@@ -26,9 +26,10 @@ GREATEST_SHARE = 0.4
 rare. The markers show the effect of a command that was sent about one measurement earlier. With
 this delay an integrator oscillates when a measurement adds the whole error, and it settles fastest
 when a measurement adds a quarter of it."""
-MISFIT_SHARE = 0.35
-"""The correction follows at most this share of a change of the misfit per measurement. It is stable
-so, for delays of any length, where the robot moves up to twice as far as the model."""
+MISFIT_SHARE, SURE_SHARE = 0.35, 0.8
+"""The correction follows at most this share of a change of the misfit per measurement, the greater one
+where the change cannot be noise. It is stable so, for delays of any length, where the robot moves up
+to twice as far as the model."""
 CALM_FACTOR, CALM_LEAST = 0.9, 0.1
 """At a target that stands, each change that may be noise makes this share smaller by a factor, down to
 a least one, so that noise moves a resting robot little."""
@@ -299,7 +300,7 @@ class TargetCorrection:
 
     def tick(
         self, settings: LoopSettings, stamp: int, errors: np.ndarray | None,
-        misfit: EffectorMisfit | None, status: Status, noise: float = 0.0,
+        misfit: EffectorMisfit | None, status: Status, noise: float = 0.0, stands: bool = False,
     ) -> None:  # fmt: skip
         """Uses each new measurement in closed loop; in open loop the correction decays.
 
@@ -309,8 +310,8 @@ class TargetCorrection:
             errors: See `update`; None while the effectors do not follow targets.
             misfit: That of the moment that was measured; None where this moment is not known.
             status: Status of the last step.
-            noise: Standard deviation of each coordinate of a marker [m], where the targets stand
-                and are reached; else 0.
+            noise: Standard deviation of each coordinate of a marker [m]; 0 where it is not known.
+            stands: Whether the targets stand and are reached.
         """
         since, self._stamp = (stamp - self._stamp) / NANOSECONDS, stamp
         if not settings.closed_loop:
@@ -320,8 +321,8 @@ class TargetCorrection:
             return
         elif misfit is not None:
             self.law, self._aligned = Law.MISFIT, stamp
-            share = min(-math.expm1(-settings.misfit_rate * abs(since)), MISFIT_SHARE)
-            self.follow(misfit, share, settings.correction_limit, noise)
+            share = -math.expm1(-settings.misfit_rate * abs(since))
+            self.follow(misfit, share, settings.correction_limit, noise, stands)
         elif abs(stamp - self._aligned) > UNALIGNED_TIME * NANOSECONDS:
             self.law = Law.INTEGRATOR
             self.update(
@@ -329,20 +330,24 @@ class TargetCorrection:
             )
 
     def follow(
-        self, misfit: EffectorMisfit, share: float, limit: float, noise: float = 0.0
-    ) -> None:
+        self, misfit: EffectorMisfit, share: float, limit: float, noise: float = 0.0,
+        stands: bool = False,
+    ) -> None:  # fmt: skip
         """Follows the misfit of one measurement.
 
         Args:
             misfit: The misfit.
-            share: The share a of the change that is made.
+            share: The share a of the change that is made at most.
             limit: Greatest length of a correction [m].
             noise: See `tick`.
+            stands: See `tick`.
         """
         changes = np.linalg.norm(misfit.positions + self.offsets, axis=1)
         most = NOISE_FACTOR * noise * np.sqrt(3.0 / np.maximum(misfit.seen, 1))
-        is_calm = noise > 0.0 and bool((changes <= most)[misfit.seen > 0].all())
+        may_be_noise = bool((changes <= most)[misfit.seen > 0].all())
+        is_calm = stands and noise > 0.0 and may_be_noise
         self._calm = max(CALM_FACTOR * self._calm, CALM_LEAST) if is_calm else 1.0
+        share = min(share, MISFIT_SHARE if may_be_noise or noise == 0.0 else SURE_SHARE)
         pairs = [(self.offsets, misfit.positions)]
         if misfit.turns is not None:
             pairs.append((self.turns, misfit.turns))

@@ -971,8 +971,8 @@ class TwinLoop:
         targets, before = aims.reading.targets, self._aimed
         self._aimed = targets
         stands = result.status.is_success and np.array_equal(targets, before, equal_nan=True)
-        noise = self._plausibility.noise if stands else 0.0
-        self.correction.tick(self.settings, stamp, errors, misfit, result.status, noise)
+        self.correction.tick(self.settings, stamp, errors, misfit, result.status,
+                             self._plausibility.noise, stands)  # fmt: skip
 
 
 def _commands_same(result: StepResult, before: StepResult) -> bool:

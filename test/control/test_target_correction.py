@@ -11,6 +11,7 @@ from softrobot_twin.control.target_correction import (
     CALM_LEAST,
     GREATEST_SHARE,
     MISFIT_SHARE,
+    SURE_SHARE,
     UNALIGNED_TIME,
     EffectorMeasurement,
     EffectorMisfit,
@@ -221,6 +222,31 @@ def test_the_misfit_settles_with_any_delay_and_a_robot_that_moves_more_or_less(d
     assert factor > 1.0 or min(left) > -1e-9
 
 
+@pytest.mark.parametrize("delay", [0, 3, 12])
+@pytest.mark.parametrize("factor", [0.1, 1.0, 1.9, 2.0])
+def test_a_change_that_cannot_be_noise_is_followed_faster_and_settles_too(delay, factor):
+    correction, fault, noise = TargetCorrection(1), 0.002, 1e-6
+    past, left = [0.0] * (delay + 1), []
+    for _ in range(1500):
+        then = past[-1 - delay]
+        left.append(fault + factor * then)
+        correction.follow(misfit(left[-1] - then), 1.0, 1.0, noise)
+        past.append(correction.offsets[0, 0])
+    assert past[delay + 1] == pytest.approx(-SURE_SHARE * fault)
+    # At twice the motion and a delay of 12 measurements it takes a thousand of them to halve.
+    assert np.abs(left[-50:]).max() < (1e-3 if factor < 2.0 else 0.5) * fault
+
+
+def test_a_change_that_may_be_noise_is_followed_slowly():
+    correction, noise = TargetCorrection(1), 2e-4
+    correction.follow(misfit(noise), 1.0, LIMIT, noise)
+    assert correction.offsets[0, 0] == pytest.approx(-MISFIT_SHARE * noise)
+    correction.reset()
+    # How much noise there is may not be known.
+    correction.follow(misfit(0.002), 1.0, LIMIT, 0.0)
+    assert correction.offsets[0, 0] == pytest.approx(-MISFIT_SHARE * 0.002)
+
+
 def test_the_misfit_is_compensated_however_far_the_target_is():
     """Actuators that cannot follow let nothing wind up: the misfit does not depend on the target."""
     correction = TargetCorrection(1)
@@ -247,12 +273,12 @@ def test_noise_moves_a_resting_robot_less_and_a_load_is_followed_at_once():
     rng, past = np.random.default_rng(seed), []
     for _ in range(400):
         seen = misfit(0.0)._replace(positions=rng.normal(0.0, noise / 2.0, (1, 3)))
-        correction.follow(seen, MISFIT_SHARE, LIMIT, noise)
+        correction.follow(seen, MISFIT_SHARE, LIMIT, noise, stands=True)
         past.append(correction.offsets[0].copy())
     # A filter of the first order leaves √(a / (2 - a)) of the noise.
     usual = noise / 2.0 * np.sqrt(MISFIT_SHARE / (2.0 - MISFIT_SHARE))
     assert np.std(past[100:]) < 3.0 * np.sqrt(CALM_LEAST) * usual
-    correction.follow(misfit(0.003), MISFIT_SHARE, LIMIT, noise)
+    correction.follow(misfit(0.003), MISFIT_SHARE, LIMIT, noise, stands=True)
     assert correction.offsets[0, 0] < -0.3 * MISFIT_SHARE * 0.003 / 0.35
 
 
