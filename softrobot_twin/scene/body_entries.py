@@ -679,6 +679,10 @@ class RectangleSection(Entry):
     """Its extent along the `thickness_direction` of the beam."""
     width: Annotated[float, unit("m", gt=0.0)]
     """Its extent at right angles to that."""
+    torsion: Annotated[float | None, unit("m⁴", gt=0.0)] = None
+    """Torsion constant, as measured; by default that of a rectangle by Saint-Venant."""
+    shear_factor: Annotated[float | None, unit("", gt=0.0, le=1.0)] = None
+    """Area of shear by area, as measured; by default that of a rectangle by Cowper."""
 
 
 class CircleSection(Entry):
@@ -772,6 +776,9 @@ class BeamJoint(Entry):
     joint. A pattern such as ``hub_*``: of what matches that whose position, or node, is nearest."""
     by: Literal["rigid", "hinge", "ball"] = "rigid"
     """Rigidly, by a hinge that turns about `axis`, or by a ball joint."""
+    to_at: Literal["start", "end"] | Annotated[int, Field(ge=0)] | None = None
+    """Point of the other beam that it is joined to; what is between both is rigid. By default that in
+    the same place."""
     axis: Direction | None = None
     """Axis of a hinge, in the world at rest."""
     through: Vector | None = None

@@ -5,11 +5,13 @@ import pytest
 from scipy.optimize import brentq
 from scipy.special import ellipk
 
+from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.rotation import (
     quaternion_from_rotation,
     rotation_from_vector,
     vector_from_rotation,
 )
+from softrobot_twin.scene.body_entries import CrossSection
 from softrobot_twin.simulation import (
     CommandEfforts,
     CommandSetpoints,
@@ -17,6 +19,7 @@ from softrobot_twin.simulation import (
     Hold,
     Status,
 )
+from softrobot_twin.simulation.building.beam_bodies import build_section
 from test.scene_changes import repeat_step
 
 YOUNG, RADIUS = 1.0e6, 0.002
@@ -420,6 +423,45 @@ def test_a_hub_between_two_rods_moves_as_their_common_end(simulate):
         term.add_forces(simulation.state.positions, forces)
     assert np.abs(forces).max() < 1e-8
     assert names.count("beams") == 1
+
+
+def test_beams_joined_at_a_distance_move_as_if_a_light_rigid_body_were_between(simulate):
+    hub = {"name": "hub", "position": [0.4, 0, 0.05], "mass": 1e-13, "sphere": {"radius": 0.02}}
+    foot, top = ((0, 0, 0), (0.4, 0, 0)), ((0.4, 0.02, 0.1), (0.9, 0.1, 0.1))
+    to_hub = {"joined": [{"at": "end", "to": "hub"}]}
+    apart = simulate(beams=[
+        rod("foot", 4, foot, density=0.5),
+        rod("top", 4, top, density=0.5, fixed=[],
+            joined=[{"at": "start", "to": "foot", "to_at": "end"}]),
+    ])  # fmt: skip
+    between = simulate(rigid_bodies=[hub], beams=[
+        rod("foot", 4, foot, density=0.5, **to_hub),
+        rod("top", 4, top[::-1], density=0.5, fixed=[], **to_hub),
+    ])  # fmt: skip
+    for simulation in (apart, between):
+        assert simulation.step(Hold()).status is Status.OK
+    assert np.allclose(tip_of(apart, 1), nodes_of(between, 1)[0], atol=1e-7)
+    assert np.abs(tip_of(apart, 1) - (0.9, 0.1, 0.1)).max() > 0.01
+
+
+@pytest.mark.parametrize("joint, message", [
+    ({"to": "foot", "to_at": 2}, "has the points 0 to 1"), ({"to": "hub", "to_at": "end"}, "hub is none"),
+])
+def test_a_point_that_another_beam_does_not_have_is_refused(simulate, joint, message):
+    hub = {"name": "hub", "position": [1.0, 0, 0], "mass": 0.5, "sphere": {"radius": 0.02}}
+    top = rod("top", 4, ((1.0, 0, 0), (2.0, 0, 0)), fixed=[], joined=[{"at": "start"} | joint])
+    with pytest.raises(SceneError, match=message):
+        simulate(rigid_bodies=[hub], beams=[rod("foot", 4), top])
+
+
+def test_a_rectangle_takes_the_constants_that_were_measured():
+    plain, measured = (
+        build_section(CrossSection(rectangle={"thickness": 0.005, "width": 0.01} | given), 0.45)
+        for given in ({}, {"torsion": 2.0e-10, "shear_factor": 0.7})
+    )  # fmt: skip
+    assert (measured.torsion, measured.shear_area_y, measured.shear_area_z) == (2.0e-10, 3.5e-5, 3.5e-5)
+    assert (measured.area, measured.inertia_y) == (plain.area, plain.inertia_y)
+    assert plain.torsion == pytest.approx(0.2287 * 0.01 * 0.005**3, rel=1e-3)
 
 
 def test_the_mass_of_a_joined_end_is_that_of_the_beam(simulate):

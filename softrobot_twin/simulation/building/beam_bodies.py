@@ -367,7 +367,10 @@ def build_section(entry: CrossSection, poisson_ratio: float) -> BeamSection:
         poisson_ratio: ν of the material [-].
     """
     if entry.rectangle is not None:
-        return rectangle(entry.rectangle.thickness, entry.rectangle.width, poisson_ratio)
+        given, own = entry.rectangle, rectangle(
+            entry.rectangle.thickness, entry.rectangle.width, poisson_ratio)
+        shear = own.shear_area_y if given.shear_factor is None else given.shear_factor * own.area
+        return own._replace(torsion=given.torsion or own.torsion, shear_area_y=shear, shear_area_z=shear)
     if entry.circle is not None:
         return tube(entry.circle.radius, 0.0, poisson_ratio)
     if entry.tube is not None:
@@ -528,8 +531,13 @@ class BeamNet:
                 node, key = beam.node_at(joint.at), f"{beam.key}.joined[{index}]"
                 joint = self._with_nearest(joint, beam, beam.places[node])
                 place, other = self._number(beam, node), -1
-                if joint.to in named:
+                if joint.to in named and joint.to_at is not None:
+                    other = self._number(named[joint.to], self._node_named(named[joint.to], joint, key))
+                elif joint.to in named:
                     other = self._node_in_place(beam, node, named[joint.to], key)
+                elif joint.to_at is not None:
+                    raise self._scene.error(f"{key}.to_at", joint.to_at,
+                                            f"is a point of a beam, and {joint.to} is none")
                 if joint.by != "rigid":
                     if place in self._pivots:
                         raise self._two_carriers(self._pivots[place], key)
@@ -556,6 +564,14 @@ class BeamNet:
 
     def _number(self, beam: BeamBody, node: int) -> int:
         return int(self._firsts[beam.index]) + node
+
+    def _node_named(self, other: BeamBody, joint: BeamJoint, key: str) -> int:
+        """The node of another beam that a joint names."""
+        points = len(other.entry.points)
+        if isinstance(joint.to_at, int) and joint.to_at >= points:
+            raise self._scene.error(f"{key}.to_at", joint.to_at,
+                                    f"{other.name} has the points 0 to {points - 1}")
+        return other.node_at(joint.to_at)
 
     def _node_in_place(self, beam: BeamBody, node: int, other: BeamBody, key: str) -> int:
         place = beam.places[node]
@@ -650,9 +666,11 @@ class BeamNet:
         radius = np.zeros(len(self.is_fixed))
         for beam in self.beams:
             reaches = beam.node_lengths + beam.section.radius
-            for (kind, which), reach in zip(self._carriers_of(beam), reaches, strict=True):
+            for k, ((kind, which), reach) in enumerate(zip(self._carriers_of(beam), reaches, strict=True)):
                 if kind == "frame":
-                    radius[which] = max(radius[which], reach)
+                    base, node = self.representatives[which]
+                    arm = np.linalg.norm(_apart(beam, k, base.places[node]))
+                    radius[which] = max(radius[which], arm + reach)
         return tuple(
             FramePart(
                 f"{beam.name}.{node}", not self.is_fixed[f], beam.places[node], beam.axes[node],
@@ -687,8 +705,8 @@ class BeamNet:
                 base, node = self.pivots[which][:2] if is_hinge else self.representatives[which]
                 nodes[k] = first_frame_node + 4 * (which + is_hinge * len(self.is_fixed))
                 rotation = base.axes[node]
-                if is_hinge and self.pivots[which].joint.through is not None:
-                    places[k] = rotation.T @ (beam.places[k] - self.pivots[which].place)
+                centre = self.pivots[which].place if is_hinge else base.places[node]
+                places[k] = rotation.T @ _apart(beam, k, centre)
             axes[k] = rotation.T @ beam.axes[k]
             if kind == "frame" and base is beam and node == k:
                 axes[k] = np.eye(3)
@@ -776,6 +794,12 @@ class BeamNet:
         """
         own = self._carriers_of(beam)
         return {*own, *(self._parents[which] for kind, which in own if kind == "hinge")}
+
+
+def _apart(beam: BeamBody, node: int, centre: np.ndarray) -> np.ndarray:
+    """From the origin of its frame to a node [m]; zero where both are one place but for rounding."""
+    apart = beam.places[node] - centre
+    return apart if np.linalg.norm(apart) > SAME_PLACE * beam.lengths.sum() else np.zeros(3)
 
 
 def _noun(pivot: Pivot) -> str:
