@@ -51,8 +51,8 @@ class MountingError(SceneError):
         self.simulation = simulation
         super().__init__(
             scene.path, f"{key}.steps", stage.steps, "",
-            f"no equilibrium was found after {100.0 * share:.3g} % of the way: let other parts move "
-            "first, or turn or shorten less",
+            f"no equilibrium was found after {100.0 * share:.3g} % of the way, where explain --picture "
+            "FILE.png draws it: let other parts move first, or turn or shorten less",
         )  # fmt: skip
 
 

@@ -28,7 +28,7 @@ from softrobot_twin.simulation.building.deformable_body import AtRest, MaterialP
 from softrobot_twin.simulation.building.scene_layout import build_shape
 from softrobot_twin.simulation.effects.reduction_error import FullModelError
 from softrobot_twin.simulation.mesh_error import MeshError, MeshErrorEstimator, MeshErrorUnknown
-from softrobot_twin.simulation.mounting import prestress
+from softrobot_twin.simulation.mounting import MountingError, prestress
 from softrobot_twin.simulation.scene_warnings import expected_sag
 from softrobot_twin.simulation.step.time_integration import DEFAULT_RADIUS
 from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT
@@ -694,6 +694,12 @@ def _term(names: list[str], word: str) -> str:
     return f"term {found[0]}" if found else "no term"
 
 
+def _draw(simulation: Simulation, picture: Path, where: str, view: tuple[float, float] | None) -> None:
+    """Draw a robot as it stands, with the names of all things."""
+    shot = take_snapshot(simulation, None, simulation.scene.name)
+    draw_snapshots([shot], picture, f"{simulation.scene.name} {where}", view, labelled=True)
+
+
 def explain(scene: Path, mesh_error: bool = True, picture: Path | None = None,
             view: tuple[float, float] | None = None) -> int:
     """Prints what a scene contains, its effects, terms, stages, the error of its mesh and notes.
@@ -712,8 +718,14 @@ def explain(scene: Path, mesh_error: bool = True, picture: Path | None = None,
     """
     if picture is not None:
         check_picture(picture)
-    simulation = Simulation.from_scene_file(scene)
     output = console()
+    try:
+        simulation = Simulation.from_scene_file(scene)
+    except MountingError as error:
+        if picture is not None:
+            _draw(error.simulation, picture, "before the step that failed", view)
+            output.print(f"picture of where its mounting stands: {picture}")
+        raise
     output.print(f"{simulation.scene.name}: {scene}\n")
     asked = [(effect.entry, f"{effect.content} → {effect.result}")
              for effect in grouped(effects(simulation))]
@@ -727,8 +739,7 @@ def explain(scene: Path, mesh_error: bool = True, picture: Path | None = None,
         if rows:
             print_apart(listing(title, rows))
     if picture is not None:
-        shot = take_snapshot(simulation, None, simulation.scene.name)
-        draw_snapshots([shot], picture, f"{simulation.scene.name} at rest", view, labelled=True)
+        _draw(simulation, picture, "at rest", view)
         output.print(f"picture: {picture}\n")
     if mesh_error:
         print_mesh_error(simulation.scene, with_table=True)

@@ -10,6 +10,7 @@ from softrobot_twin.errors import SceneError
 from softrobot_twin.scene import load_scene, scene_from_mapping
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
 from softrobot_twin.simulation.mounting import MountingError, prestress
+from softrobot_twin.study.explain import explain
 from test.scene_changes import repeat_step
 
 SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
@@ -158,6 +159,16 @@ def test_a_strip_that_cannot_be_bent_so_is_refused_with_the_stage():
     with pytest.raises(MountingError, match=r"mounting\[1\]\.steps = 1: no equilibrium") as caught:
         Simulation(strip(move((0.0, 0.0, 0.01)), move((1.0e5, 0.0, 0.0), (1.0, 1.0, 1.0), steps=1)))
     assert caught.value.simulation.state.positions.shape[1] == 3
+
+
+def test_explain_draws_how_far_a_mounting_came_that_fails(tmp_path):
+    pytest.importorskip("matplotlib")
+    mapping = yaml.safe_load(STRIP) | {"mounting": [move((1.0e5, 0.0, 0.0), (1.0, 1.0, 1.0), steps=1)]}
+    scene, picture = tmp_path / "strip.yaml", tmp_path / "strip.png"
+    scene.write_text(yaml.safe_dump(mapping))
+    with pytest.raises(MountingError, match="explain --picture"):
+        explain(scene, picture=picture)
+    assert picture.stat().st_size > 5_000
 
 
 @pytest.mark.parametrize("stage, message", [
