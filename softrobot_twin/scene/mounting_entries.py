@@ -67,11 +67,14 @@ def check_mounting(scene) -> None:
     Raises:
         PydanticCustomError: A name is not that of a fixed or guided body, or of such an actuator.
     """
-    held = [body.name for body in scene.rigid_bodies if body.motion != "free"]
+    motions = {body.name: body.motion for body in scene.rigid_bodies}
     known = [entry.name for section in MOUNTED_ACTUATORS for entry in getattr(scene, section)]
     for key, stage in scene.keyed("mounting"):
         for index, move in enumerate(stage.bodies):
-            check_known(f"{key}.bodies[{index}].body", "mounting moves", move.body, held)
+            check_known(f"{key}.bodies[{index}].body", "mounting moves", move.body, list(motions))
+            if motions[move.body] == "free":
+                raise refusal(f"{key}.bodies[{index}].body", move.body,
+                              "moves by forces alone: only fixed and guided bodies are moved")
         for index, move in enumerate(stage.actuators):
             check_known(f"{key}.actuators[{index}].actuator", "mounting sets", move.actuator, known)
     if scene.mounting and scene.slides:

@@ -175,10 +175,13 @@ def test_explain_draws_how_far_a_mounting_came_that_fails(tmp_path):
     ({}, "moves nothing"),
     ({"bodies": [{"body": "clmap", "translation": [0.0, 0.0, 0.0]}]}, "clmap.*clamp"),
     ({"actuators": [{"actuator": "motor", "displacement": 1.0}]}, "motor.*does not have"),
+    ({"bodies": [{"body": "ball", "translation": [0.0, 0.0, 0.0]}]}, "ball.*moves by forces alone"),
 ])
-def test_a_mounting_that_moves_what_is_not_there_is_refused_by_name(stage, message):
+def test_a_mounting_that_moves_what_it_cannot_is_refused_by_name(stage, message):
+    ball = {"name": "ball", "mass": 0.01, "sphere": {"radius": 0.01}}
+    bodies = [*yaml.safe_load(STRIP)["rigid_bodies"], ball]
     with pytest.raises(SceneError, match=message):
-        strip(stage)
+        strip(stage, rigid_bodies=bodies)
 
 
 def test_a_scene_without_mounting_has_none():
