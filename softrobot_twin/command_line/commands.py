@@ -455,9 +455,9 @@ def calibrate(
         scene (SCENE): Scene file (YAML).
         data (FILE): Recorded runs (.mcap), or tables (.csv) with setpoints, markers (marker_4_x_m) and
             efforts; without the column time_s each row is a pose at rest.
-        fit (KEY): Numbers to fit, perhaps with *; all numbers of a section or a list (default: moduli,
-            regulators, zeros of motors and winches and where cables are tied, as far as the data tell
-            them).
+        fit (KEY): Numbers to fit, perhaps with *; all numbers of a section or a list; keys joined by +
+            change together (default: moduli, regulators, zeros of motors and winches and places of
+            cables, as far as the data tell them).
         known (KEY=DEVIATION): What is known of them before: a standard deviation in their unit, or as a
             share of moduli, stiffnesses and densities (default: 30 % of moduli and densities, 2 % of
             the robot's size for lengths).

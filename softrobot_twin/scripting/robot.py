@@ -478,8 +478,9 @@ class Robot:
         Args:
             data: A recorded run (.mcap), a table (.csv, a `pandas.DataFrame` or a dict) with setpoints,
                 markers such as ``marker_4_x_m``, and efforts, or a list of these or of `RestPose`.
-            fit: Keys of the numbers, see `parameters`; none for moduli, regulators, zeros of motors and
-                winches and where cables are tied, as far as the data tell them.
+            fit: Keys of the numbers, see `parameters`; those joined by ``+`` change together. None for
+                moduli, regulators, zeros of motors and winches and places of cables, as far as the data
+                tell them.
             known: Standard deviations of what is known before by keys, in their units; as shares of
                 moduli, stiffnesses and densities.
             check: Data that judge the result, in place of every fourth pose.

@@ -16,16 +16,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from copy import copy
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from scipy.linalg import qr
 from scipy.optimize import least_squares, lsq_linear
 from scipy.stats import qmc, t
 
+from softrobot_twin.errors import NamedError, SceneError
 from softrobot_twin.control.rest_watch import RestPose
-from softrobot_twin.errors import NamedError
-from softrobot_twin.mechanics.kinematics import Nodes
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.actuator_entries import Cavity
 from softrobot_twin.scene.scene_parameters import (
@@ -37,9 +37,8 @@ from softrobot_twin.scene.scene_parameters import (
 from softrobot_twin.scene.schema import MarkerFrame
 from softrobot_twin.simulation import Simulation, Touched
 from softrobot_twin.simulation.build import build_terms
-from softrobot_twin.simulation.sensitivities import Loads, Sensitivities
-from softrobot_twin.simulation.state import State
-from softrobot_twin.study.equilibrium import WAY, bring_to_rest
+from softrobot_twin.simulation.sensitivities import Loads
+from softrobot_twin.study.equilibrium import WAY, FollowedPoses, bring_to_rest
 
 RELATIVE = {"Pa": 0.3, "kg/m³": 0.3, "N": 0.7, "N/m": 0.7}
 """What is known before of what is above zero, by its unit: a standard deviation as a share."""
@@ -204,19 +203,21 @@ class RestModel:
         Raises:
             SceneError: The robot has no statics.
         """
-        self._keys, self.poses = list(keys), list(poses)
-        self._scene, self._at = scene, np.array([one.read(scene) for one in self._keys])
-        self.simulation: Simulation | None = None
-        self._build()
+        self._keys, self._scene = list(keys), scene
+        self._followed = FollowedPoses(scene, self._keys, scene_of_points)
         size = self.simulation.model.nodes.size
         self.size = float(size) if np.isfinite(size) else 1.0
-        self._states: dict[int, tuple[float, State, Nodes]] = {}
-        self.lost: list[int] = []
-        self.distances = np.full(len(self.poses), np.nan)
+        self._misfits: dict[int, float] = {}
         self._layout = None
         if any(_PLACE.fullmatch(one.key) for one in self._keys):
             mounted = self.simulation.mounted
             self._layout = build_terms(self.simulation.scene, mounted and mounted.positions).layout
+        self._take_poses(poses)
+
+    def _take_poses(self, poses: Sequence[RestPose]) -> None:
+        self.poses = list(poses)
+        self.lost: list[int] = []
+        self.distances = np.full(len(self.poses), np.nan)
         parts = [_stacked(pose.markers, pose.effectors, pose.efforts) for pose in self.poses]
         kinds, usable = self._kinds()
         self._masks = [np.isfinite(values) & usable for values in parts]
@@ -225,10 +226,25 @@ class RestModel:
             np.concatenate([kinds[:0], *(kinds[mask] for mask in self._masks)]),
             np.repeat(np.arange(len(parts)), [mask.sum() for mask in self._masks]))
 
-    def _build(self) -> None:
-        mounted = None if self.simulation is None else self.simulation.mounted
-        self.simulation = Simulation(scene_of_points(self._scene), with_warnings=False, mounted=mounted)
-        self._sensitivities = Sensitivities(self.simulation)
+    def of(self, poses: Sequence[RestPose]) -> RestModel:
+        """The model at other poses, which knows where this one rested at those that both have.
+
+        Args:
+            poses: The poses.
+        """
+        found = copy(self)
+        found._take_poses(poses)
+        return found
+
+    @property
+    def at(self) -> np.ndarray:
+        """The present numbers, shape (number_count,)."""
+        return self._followed.values
+
+    @property
+    def simulation(self) -> Simulation:
+        """That of the scene with the present numbers; an effector stands for each marker."""
+        return self._followed.simulation
 
     def _kinds(self) -> tuple[np.ndarray, np.ndarray]:
         """What each number of a pose is, and whether it follows: given efforts are none that do."""
@@ -238,20 +254,22 @@ class RestModel:
         return (np.array([*points, *(kind.effort.word for kind in actuators.kinds)]),
                 np.concatenate([np.ones(len(points), bool), follows]))
 
-    @staticmethod
-    def _stacked(markers: np.ndarray, effectors: np.ndarray, efforts: np.ndarray) -> np.ndarray:
-        return np.concatenate([np.ravel(markers), np.ravel(effectors), efforts])
-
     def predict(self, numbers: np.ndarray, with_jacobian: bool) -> Prediction:
-        """What is measured at the poses, NaN at those where the model does not come to rest.
+        """What is measured at the poses, NaN at those where the model does not come to rest, and at all where
+        the scene does not take the numbers, such as a cable that would be tied beside its body.
 
         Args:
             numbers: Values of the numbers, each in its unit, shape (number_count,).
             with_jacobian: Whether derivatives are asked for.
         """
-        self._take(np.asarray(numbers, float))
         self.lost, values, parts = [], [], []
         self.distances = np.full(len(self.poses), np.nan)
+        try:
+            self._followed.take(np.asarray(numbers, float))
+        except SceneError:
+            count, self.lost = len(self.measured.values), list(range(len(self.poses)))
+            return Prediction(np.full(count, np.nan), np.zeros((count, len(self._keys))))
+        self._scene = self._followed.scene
         for index, pose in enumerate(self.poses):
             mask = self._masks[index]
             if not self._rests(index, pose):
@@ -261,45 +279,29 @@ class RestModel:
                 continue
             values.append(self._outputs()[mask])
             if with_jacobian:
-                parts.append(self._jacobian(pose)[mask])
+                parts.append(self._jacobian(index, pose)[mask])
         empty = np.empty((0, len(self._keys)))
         jacobian = np.concatenate([empty, *parts]) if with_jacobian else None
         return Prediction(np.concatenate([np.empty(0), *values]), jacobian)
 
-    def _take(self, numbers: np.ndarray) -> None:
-        """Builds the simulation with these numbers, unless it has them."""
-        if np.array_equal(numbers, self._at):
-            return
-        self._at = numbers
-        own = dict[str, float]()
-        for one, value in zip(self._keys, numbers, strict=True):
-            own |= one.changes(float(value))
-        self._scene = changed_scene(self._scene, own)
-        if not all(_FRAME.fullmatch(key) for key in own):
-            self._build()
-
     def _rests(self, index: int, pose: RestPose) -> bool:
         """Brings the simulation to rest at a pose: from where it rested there before, or from rest."""
-        simulation, setpoints = self.simulation, self._setpoints(pose)
-        touched = None
+        followed, setpoints, touched, name = self._followed, self._setpoints(pose), None, id(pose)
         if len(pose.forces):
             touched = Touched(np.array(pose.forces), np.full(np.shape(pose.forces), np.nan))
-        misfit, known, nodes = self._states.get(index, (np.inf, None, None))
-        begins = [(known, 1)] if known is not None else []
-        for begin, way in (*begins, (None, WAY)):
-            if begin is None:
-                simulation.reset()
-            else:
-                # What holds the robot is elsewhere by other numbers.
-                own = simulation.model.nodes
-                simulation.restore(replace(begin, positions=own.placed_like(nodes, begin.positions)))
-            if bring_to_rest(simulation, setpoints, way, None, touched).is_reached:
-                # Of several shapes at one pose that nearest to the measured one is followed.
-                self.distances[index] = now = self._misfit(index)
-                if now <= misfit:
-                    self._states[index] = now, simulation.state, simulation.model.nodes
-                return True
-        return False
+        is_known = followed.knows(name)
+        rest = followed.settle(name, setpoints, None, touched)
+        if not rest.is_reached and is_known:
+            self.simulation.reset()
+            rest = bring_to_rest(self.simulation, setpoints, WAY, None, touched)
+        if not rest.is_reached:
+            return False
+        # Of several shapes at one pose that nearest to the measured one is followed.
+        self.distances[index] = now = self._misfit(index)
+        if now <= self._misfits.get(name, np.inf):
+            self._misfits[name] = now
+            followed.keep(name, self.simulation.state)
+        return True
 
     def _misfit(self, index: int) -> float:
         """Root mean square distance of the points from the measured ones [m]; 0 without any."""
@@ -327,12 +329,14 @@ class RestModel:
         markers = self._scene.marker_frame.of_cameras(points[:count])
         return _stacked(markers, points[count:], self.simulation.state.efforts)
 
-    def _jacobian(self, pose: RestPose) -> np.ndarray:
+    def _jacobian(self, index: int, pose: RestPose) -> np.ndarray:
         """Derivatives of all numbers of a pose, where the simulation rests."""
-        own = self._sensitivities
+        own = self._followed.tangent
         place_of = [_PLACE.fullmatch(one.key) for one in self._keys]
         loads = [self._loads(one, pose) for one in self._keys]
         found = own.of_loads(self._keys, loads)
+        if self.distances[index] == self._misfits[id(pose)]:
+            self._followed.keep(id(pose), self.simulation.state, found)
         points, count = found.effectors, len(self._scene.markers)
         if any(place_of):
             gradients = self._gradients()
@@ -372,7 +376,7 @@ class RestModel:
             model.rows.evaluate(simulation.state.positions)
             model.rows.add_forces(model.rows.multipliers(effort), none.forces)
             return none
-        return self._sensitivities.loads(one)
+        return self._followed.tangent.loads(one)
 
     def _gradients(self) -> np.ndarray:
         """∂x/∂X of the bodies at the markers, shape (marker_count, 3, 3)."""
@@ -666,13 +670,18 @@ def not_told(jacobian: np.ndarray, least: float = TOLD) -> list[tuple[int, ...]]
     return groups
 
 
-def _beside(jacobian: np.ndarray) -> list[int]:
-    """Numbers that the data cannot tell beside those before."""
-    kept: list[int] = []
-    for place in range(jacobian.shape[1]):
-        if not not_told(jacobian[:, [*kept, place]]):
-            kept.append(place)
-    return [place for place in range(jacobian.shape[1]) if place not in kept]
+def told_beside_others(jacobian: np.ndarray) -> list[int]:
+    """Numbers that the data tell beside those that they tell better.
+
+    Args:
+        jacobian: See `Estimate`.
+
+    Returns:
+        Their indices, rising.
+    """
+    _, R, order = qr(jacobian, mode="economic", pivoting=True)
+    told = np.abs(np.diag(R)) >= TOLD
+    return sorted(order[: len(told)][told].tolist())
 
 
 def deviations_with(jacobian: np.ndarray, *others: np.ndarray) -> np.ndarray:
@@ -756,23 +765,27 @@ class Calibration(NamedTuple):
         return are_apart and bool(self.estimate.unknowns) and self.validation.is_better
 
 
-def usual_keys(scene: Scene) -> list[str]:
-    """Keys of what differs most often between a robot and its scene, the first first.
+def usual_keys(scene: Scene) -> list[list[str]]:
+    """Keys of what differs most often between a robot and its scene, the first first, in groups.
 
-    Moduli, gains and zeros of regulators, zeros of motors, where a cable is tied that has one point, and
-    zeros of winches.
+    Moduli, gains and zeros of regulators, zeros of motors, where cables run, and zeros of winches.
 
     Args:
         scene: The scene.
     """
     known = [one.key for one in parameters(scene)]
-    tied = [re.escape(f"cables[{index}].points") for index, cable in enumerate(scene.cables)
-            if len(cable.points) == 1]  # fmt: skip
-    regulated = [rf"cavities\[{index}\]\.pressure_(gain|offset)" for index, cavity in
-                 enumerate(scene.cavities) if cavity.control == "pressure"]  # fmt: skip
-    kinds = (r".*\.young_modulus", *regulated, r"hinge_motors.*\.offset", *(f"{one}.*" for one in tied),
-             r"cables.*\.offset")  # fmt: skip
-    return [key for kind in kinds for key in known if re.fullmatch(kind, key)]
+    kinds = [r".*\.young_modulus"]
+    kinds += [rf"cavities\[{index}\]\.pressure_(gain|offset)" for index, cavity in
+              enumerate(scene.cavities) if cavity.control == "pressure"]  # fmt: skip
+    found = [[key for key in known if re.fullmatch(kind, key)] for kind in (*kinds, r"hinge_motors.*\.offset")]
+    for index, cable in enumerate(scene.cables):
+        # A cable through several points runs beside its place as a whole.
+        places = [f"cables[{index}].points.*"]
+        if len(cable.points) > 1 and cable.pull_point is not None:
+            places.append(f"cables[{index}].pull_point")
+        found += [["+".join(f"{place}[{axis}]" for place in places)] for axis in range(3)]
+    found.append([key for key in known if re.fullmatch(r"cables.*\.offset", key)])
+    return [keys for keys in found if keys]
 
 
 def unknowns_of(
@@ -784,7 +797,8 @@ def unknowns_of(
 
     Args:
         scene: The scene.
-        keys: See `softrobot_twin.scene.scene_parameters.parameters`; none for `usual_keys`.
+        keys: See `softrobot_twin.scene.scene_parameters.parameters`; none for `usual_keys`. What several
+            keys name that are joined by ``+`` changes together, by the same amount.
         known: Standard deviations by keys, in their units; as shares of numbers above zero by nature.
 
     Raises:
@@ -798,15 +812,20 @@ def unknowns_of(
              for one in parameters(scene, key)}  # fmt: skip
     efforts = simulation.actuators.effort_scale[simulation.actuators.of_section("cavities")]
     found = dict[str, Parameter | JointParameter]()
-    for own in [[key] for key in keys] or [usual_keys(scene)]:
-        found |= {one.key: one for one in _together(scene, parameters(scene, *own))}
+    for own in [[key] for key in keys] or usual_keys(scene):
+        found |= {one.key: one for one in _together(scene, own)}
     return tuple(_unknown(scene, one, size, efforts, given) for one in found.values())
 
 
-def _together(scene: Scene, found: Sequence[Parameter]) -> Iterator[Parameter | JointParameter]:
-    """Numbers, of which equal moduli are one."""
+def _together(scene: Scene, keys: Sequence[str]) -> Iterator[Parameter | JointParameter]:
+    """Numbers, of which equal moduli are one, and those that are joined by ``+``."""
+    if "+" in keys[0]:
+        joined = parameters(scene, *keys[0].split("+"))
+        first = tuple(one.read(scene) for one in joined)
+        yield JointParameter(keys[0], joined[0].unit, joined, first, (1.0,) * len(joined))
+        return
     alike: dict[object, list[Parameter]] = {}
-    for one in found:
+    for one in parameters(scene, *keys):
         is_modulus = one.key.endswith("young_modulus")
         alike.setdefault(one.read(scene) if is_modulus else one.key, []).append(one)
     for own in alike.values():
@@ -848,7 +867,7 @@ def calibrate(
         scene: The scene.
         poses: The poses.
         keys: Keys of the numbers, see `unknowns_of`. Without any, those that the data do not tell beside
-            those before stay as they were.
+            the others stay as they were.
         known: See `unknowns_of`.
         check: Poses that judge, in place of every fourth one.
 
@@ -858,36 +877,42 @@ def calibrate(
     """
     unknowns = unknowns_of(scene, keys, known)
     handles = [one.parameter for one in unknowns]
-    (used, aside), (judges, more) = _usable(scene, poses), _usable(scene, check)
+    model = RestModel(scene, handles, poses)
+    (used, aside), (judges, more) = _usable(model), _usable(model.of(check))
     aside, total = aside + more, len(used) + len(judges)
     if total < LEAST_POSES or (check and not judges) or not used:
         raise CalibrationError("data", f"{total} poses at rest can be used, {LEAST_POSES} are "
                                f"needed: {'; '.join(aside) or 'no more were recorded'}")
     held = judges or used[EACH_HELD_BACK - 1 :: EACH_HELD_BACK] or used[-1:]
     own = [pose for pose in used if not any(pose is one for one in held)]
-    found = estimate(model := RestModel(scene, handles, own), model.measured, unknowns)
-    groups = not_told(found.jacobian) if keys else [(i,) for i in _beside(found.jacobian)]
+    found = estimate(at := model.of(own), at.measured, unknowns)
+    groups, left = not_told(found.jacobian), list[str]()
+    if not keys:
+        chosen = told_beside_others(found.jacobian)
+        left = [one.parameter.key for i, one in enumerate(unknowns) if i not in chosen]
+        unknowns = tuple(unknowns[i] for i in chosen)
+        handles = [one.parameter for one in unknowns]
+        model = RestModel(scene, handles, used)
+        found, groups = estimate(at := model.of(own), at.measured, unknowns), []
     kept = found.without([group[0] for group in groups if len(group) == 1])
     numbers = dict[str, float]()
     for one, value in zip(kept.unknowns, kept.values, strict=True):
         numbers |= one.parameter.changes(float(value))
     fitted = changed_scene(scene, numbers)
     keys_of = tuple(tuple(handles[i].key for i in group) for group in groups)
-    return Calibration(fitted, kept, validated(scene, fitted, found, held), keys_of, len(own),
+    keys_of += tuple((key,) for key in left)
+    return Calibration(fitted, kept, validated(model.of(held), found, fitted), keys_of, len(own),
                        tuple(aside), scene, tuple(own), found)  # fmt: skip
 
 
-def _usable(scene: Scene, poses: Sequence[RestPose]) -> tuple[list[RestPose], list[str]]:
+def _usable(model: RestModel) -> tuple[list[RestPose], list[str]]:
     """Poses at which the model rests in the measured shape, and why others are set aside."""
-    if not poses:
-        return [], []
-    model = RestModel(scene, [], poses)
-    model.predict(np.empty(0), False)
+    model.predict(model.at, False)
     apart = model.distances
     typical = np.nanmedian(apart) if np.isfinite(apart).any() else np.nan
     far = apart > max(OTHER_SHAPE * typical, OTHER_SHAPE_SIZE * model.size)
     used, aside = [], []
-    for pose, distance, is_far in zip(poses, apart, far, strict=True):
+    for pose, distance, is_far in zip(model.poses, apart, far, strict=True):
         if np.isnan(distance):
             aside.append(f"{pose.origin}: the model does not come to rest there")
         elif is_far:
@@ -931,28 +956,27 @@ def forecast(model: RestModel, joint: Estimate, scene: Scene) -> Forecast:
                     model.distances)
 
 
-def validated(
-    before: Scene, after: Scene, joint: Estimate, poses: Sequence[RestPose]
-) -> Validation:
-    """Compares two scenes by what was measured at poses.
+def validated(model: RestModel, joint: Estimate, after: Scene) -> Validation:
+    """Compares a scene with another one by what was measured at poses.
 
     Where a pose has several shapes the second scene is in that of the first.
 
     Args:
-        before: One scene.
-        after: The other one, with other numbers.
+        model: Of the poses, the first scene and the numbers of the estimate.
         joint: See `forecast`.
-        poses: The poses.
+        after: The second scene.
     """
-    model = RestModel(before, [one.parameter for one in joint.unknowns], poses)
-    told = [forecast(model, joint, scene) for scene in (before, after)]
+    start = np.array([one.start for one in joint.unknowns])
+    off = [model.predict(start, False).values - model.measured.values]
+    distances = [model.distances]
+    told = forecast(model, joint, after)
     kinds = {kind: model.measured.kinds == kind for kind in dict.fromkeys(model.measured.kinds.tolist())}
-    errors = [{kind: float(np.sqrt(np.mean(one.off[own] ** 2) * (3 if kind in POINTS else 1)))
-               for kind, own in kinds.items()} for one in told]  # fmt: skip
-    inside = {kind: float(np.mean(np.abs(told[1].off[own]) <= told[1].reach[own]))
+    errors = [{kind: float(np.sqrt(np.mean(one[own] ** 2) * (3 if kind in POINTS else 1)))
+               for kind, own in kinds.items()} for one in (*off, told.off)]  # fmt: skip
+    inside = {kind: float(np.mean(np.abs(told.off[own]) <= told.reach[own]))
               for kind, own in kinds.items() if kind in joint.noise}  # fmt: skip
-    return Validation(*errors, inside, np.array([one.distances for one in told]),
-                      tuple(pose.origin for pose in poses))  # fmt: skip
+    return Validation(*errors, inside, np.array([*distances, told.distances]),
+                      tuple(pose.origin for pose in model.poses))  # fmt: skip
 
 
 # --- what would tell more ------------------------------------------------------------------------

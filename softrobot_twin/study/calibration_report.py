@@ -91,11 +91,15 @@ def calibrate_scene(
     for key in found.estimate.at_bounds():
         warn(f"{key} went as far as it may; --known {key}=DEVIATION lets it go further")
     advice: tuple[Suggestion, ...] = ()
-    if suggest or found.not_told:
+    if suggest or (fit and found.not_told):
         with terminal_status("looking for what would tell more"):
             advice = suggestions(found)
-    for group in found.not_told:
-        warn(refusal(group, found, advice))
+    if fit:
+        for group in found.not_told:
+            warn(refusal(group, found, advice))
+    elif found.not_told:
+        warn(f"as they were, because the data do not tell them beside the others: "
+             f"{', '.join(key for (key,) in found.not_told)}")
     if suggest:
         print_advice(found, advice, simulation.actuator_names)
     if picture is not None:
@@ -272,7 +276,7 @@ def write_scene(found: Calibration, path: Path, written: Path, data: str) -> Non
 
 
 def _name(key: str) -> str:
-    return key.rpartition(".")[2]
+    return "moved together by" if "+" in key else key.rpartition(".")[2]
 
 
 def draw(found: Calibration, path: Path) -> None:

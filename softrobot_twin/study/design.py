@@ -21,11 +21,11 @@ import numpy as np
 
 from softrobot_twin.errors import NamedError, SoftRobotTwinError
 from softrobot_twin.scene import Scene
-from softrobot_twin.scene.scene_parameters import JointParameter, Parameter, changed_scene
+from softrobot_twin.scene.scene_parameters import JointParameter, Parameter
 from softrobot_twin.simulation import Simulation, State
 from softrobot_twin.simulation.building.limits import DISPLACEMENT_MARGIN, HOLDING_MARGIN
 from softrobot_twin.simulation.sensitivities import Sensitivities
-from softrobot_twin.study.equilibrium import WAY, bring_to_rest
+from softrobot_twin.study.equilibrium import FollowedPoses
 
 # A search ends where variables move by less than this share of their bounds, or the objective changes
 # by less than this share.
@@ -109,7 +109,7 @@ class DesignModel:
     def __init__(
         self, scene: Scene, variables: Sequence[Parameter | JointParameter], poses: Sequence[Pose]
     ):
-        """Take the scene; nothing is built.
+        """Build the scene.
 
         Args:
             scene: The scene, in statics.
@@ -125,10 +125,9 @@ class DesignModel:
             raise DesignError("integration", f"{scene.integration} has no equilibria to design: use "
                               "a scene of statics, quasi_static")
         self.scene, self.variables, self.poses = scene, tuple(variables), tuple(poses)
-        self.start = np.array([one.read(scene) for one in variables])
+        self._followed = FollowedPoses(scene, self.variables)
+        self.start = self._followed.values
         self._last: Solved | None = None
-        self._near: Solved | None = None
-        self._tangents: Sensitivities | None = None
 
     def scene_at(self, values: np.ndarray) -> Scene:
         """The scene with other values of the variables.
@@ -139,10 +138,7 @@ class DesignModel:
         Raises:
             SceneError: The scene does not take a value.
         """
-        changes = dict[str, float]()
-        for one, value in zip(self.variables, values, strict=True):
-            changes |= one.changes(float(value))
-        return changed_scene(self.scene, changes)
+        return self._followed.scene_at(values)
 
     def solve(self, values: np.ndarray) -> Solved:
         """The poses at values of the variables.
@@ -157,16 +153,18 @@ class DesignModel:
         values = np.array(values, float)
         if self._last is not None and np.array_equal(self._last.values, values):
             return self._last
-        simulation = Simulation(self.scene_at(values), with_warnings=False)
+        self._followed.take(values)
+        simulation, is_first = self._followed.simulation, self._last is None
         states, places, efforts, slack = [], [], [], []
         for index in range(len(self.poses)):
-            slack.append(self._settle(simulation, index))
+            slack.append(self._settle(index))
             states.append(simulation.state)
+            if is_first:
+                self._followed.keep(index, simulation.state)
             places.append(simulation.effector_positions())
             efforts.append(simulation.state.efforts)
         found = Equilibria(np.array(places), np.array(efforts))
         self._last = Solved(values, simulation, tuple(states), found, tuple(slack))
-        self._tangents = None
         return self._last
 
     def derivatives(self, values: np.ndarray) -> Equilibria:
@@ -178,8 +176,11 @@ class DesignModel:
         Raises:
             SensitivityError: A derivative does not exist.
         """
-        found = [self._tangent(values, index).of_parameters(self.variables, pose.holds_setpoints)
-                 for index, pose in enumerate(self.poses)]
+        found = []
+        for index, pose in enumerate(self.poses):
+            tangent = self._tangent(values, index)
+            found.append(tangent.of_parameters(self.variables, pose.holds_setpoints))
+            self._followed.keep(index, self._last.states[index], found[-1])
         return Equilibria(np.array([one.effectors for one in found]),
                           np.array([one.efforts for one in found]))
 
@@ -205,24 +206,20 @@ class DesignModel:
 
     def _tangent(self, values: np.ndarray, index: int) -> Sensitivities:
         """The tangent at a pose; the trial is where the next ones begin."""
-        solved = self._near = self.solve(values)
-        if self._tangents is None:
-            self._tangents = Sensitivities(solved.simulation)
-        efforts = self.poses[index].efforts
-        self._tangents.by_effort = None if efforts is None else np.isfinite(efforts)
-        solved.simulation.restore(solved.states[index])
-        return self._tangents
+        solved, efforts = self.solve(values), self.poses[index].efforts
+        self._followed.take(values)
+        tangent = self._followed.tangent
+        tangent.by_effort = None if efforts is None else np.isfinite(efforts)
+        self._followed.simulation.restore(solved.states[index])
+        self._followed.keep(index, solved.states[index])
+        return tangent
 
-    def _settle(self, simulation: Simulation, index: int) -> tuple[str, ...]:
-        """Brings a simulation to a pose; gives the names of actuators that hold nothing."""
-        pose, near = self.poses[index], self._near or self._last
+    def _settle(self, index: int) -> tuple[str, ...]:
+        """Brings the simulation to a pose; gives the names of actuators that hold nothing."""
+        pose, simulation = self.poses[index], self._followed.simulation
         setpoints = np.where(pose.holds_setpoints, pose.setpoints,
                              simulation.actuators.setpoints(pose.drives))
-        if near is None:
-            simulation.reset()
-        else:
-            simulation.take_over(near.simulation, near.states[index])
-        rest = bring_to_rest(simulation, setpoints, WAY if near is None else 1, pose.efforts)
+        rest = self._followed.settle(index, setpoints, pose.efforts)
         if not rest.is_reached:
             at = ", ".join(rest.result.report.active_limits)
             raise DesignError(f"pose {index}", f"does not come to rest: {rest.status}{at and f' ({at})'}")

@@ -1,19 +1,28 @@
-"""Brings a simulation to rest at given setpoints, in steps from where it stands."""
+"""Brings a simulation to rest at given setpoints, in steps from where it stands.
+
+`FollowedPoses` does so for several poses while numbers of the scene change.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
+from softrobot_twin.scene import Scene
+from softrobot_twin.scene.scene_parameters import JointParameter, Parameter, changed_scene
 from softrobot_twin.simulation import (
     CommandEfforts,
     CommandSetpoints,
     Simulation,
+    State,
     Status,
     StepResult,
     Touched,
 )
+from softrobot_twin.simulation.sensitivities import Sensitivities, Sensitivity
 
 # Steps of the way to the setpoints, and most steps after it.
 WAY, MOST_STEPS = 10, 200
@@ -96,3 +105,133 @@ def is_at_rest(simulation: Simulation, result: StepResult, before: np.ndarray) -
     size = simulation.model.nodes.size
     still = STILL * (size if np.isfinite(size) else 1.0)
     return bool(np.abs(simulation.state.positions - before).max(initial=0.0) <= still)
+
+
+class _Near(NamedTuple):
+    """Where a pose rested.
+
+    Attributes:
+        simulation: In which it did.
+        values: Of the numbers, shape (number_count,).
+        state: Where.
+        by_numbers: Derivatives there or at an earlier rest; None for unknown ones.
+    """
+
+    simulation: Simulation
+    values: np.ndarray
+    state: State
+    by_numbers: Sensitivity | None
+
+
+class FollowedPoses:
+    """Brings poses to rest while numbers of their scene change.
+
+    A pose begins where it rested with the numbers before, moved by its derivatives where these are known.
+
+    Attributes:
+        scene: With the present values.
+        simulation: Of what is simulated in its place.
+        tangent: Its sensitivities.
+        values: Of the numbers, each in its unit, shape (number_count,).
+    """
+
+    def __init__(
+        self, scene: Scene, numbers: Sequence[Parameter | JointParameter],
+        simulated: Callable[[Scene], Scene] = lambda scene: scene,
+    ):  # fmt: skip
+        """Build the simulation.
+
+        Args:
+            scene: The scene.
+            numbers: What changes.
+            simulated: Gives the scene that is simulated in place of one with the numbers.
+        """
+        self._begin, self._numbers, self._simulated = scene, tuple(numbers), simulated
+        self.values = np.array([one.read(scene) for one in numbers])
+        self._near: dict[Hashable, _Near] = {}
+        self.simulation: Simulation | None = None
+        self._build(scene)
+
+    def _build(self, scene: Scene) -> None:
+        self.scene = scene
+        mounted = None if self.simulation is None else self.simulation.mounted
+        self.simulation = Simulation(self._simulated(scene), with_warnings=False, mounted=mounted)
+        self.tangent = Sensitivities(self.simulation)
+
+    def scene_at(self, values: np.ndarray) -> Scene:
+        """The scene with other values of the numbers.
+
+        Args:
+            values: Each in its unit, shape (number_count,).
+
+        Raises:
+            SceneError: The scene does not take a value.
+        """
+        changes = dict[str, float]()
+        for one, value in zip(self._numbers, values, strict=True):
+            changes |= one.changes(float(value))
+        return changed_scene(self._begin, changes)
+
+    def take(self, values: np.ndarray) -> None:
+        """Builds the simulation with these values, unless it has them.
+
+        Args:
+            values: See `scene_at`.
+
+        Raises:
+            SceneError: The scene does not take a value.
+        """
+        if not np.array_equal(values, self.values):
+            self._build(self.scene_at(values))
+            self.values = np.array(values, float)
+
+    def knows(self, pose: Hashable) -> bool:
+        """Whether it is known where a pose rested.
+
+        Args:
+            pose: Any name of it.
+        """
+        return pose in self._near
+
+    def settle(
+        self, pose: Hashable, setpoints: np.ndarray, efforts: np.ndarray | None = None,
+        touched: Touched | None = None,
+    ) -> Rest:  # fmt: skip
+        """Brings the simulation to rest at a pose, from where it rested before, else from rest.
+
+        Args:
+            pose: Any name of it.
+            setpoints: See `bring_to_rest`.
+            efforts: See there.
+            touched: See there.
+        """
+        near, simulation = self._near.get(pose), self.simulation
+        if near is None:
+            simulation.reset()
+            return bring_to_rest(simulation, setpoints, WAY, efforts, touched)
+        if near.by_numbers is not None:
+            simulation.take_over(near.simulation, self._moved(near))
+            if (rest := bring_to_rest(simulation, setpoints, 1, efforts, touched)).is_reached:
+                return rest
+        simulation.take_over(near.simulation, near.state)
+        return bring_to_rest(simulation, setpoints, 1, efforts, touched)
+
+    def _moved(self, near: _Near) -> State:
+        """A state, moved by its derivatives to the present values."""
+        found, change = near.by_numbers, self.values - near.values
+        positions = near.state.positions.copy()
+        near.simulation.model.nodes.advance(positions, found.moves @ change, 1.0)
+        return replace(near.state, positions=positions, efforts=near.state.efforts + found.efforts @ change)
+
+    def keep(self, pose: Hashable, state: State, by_numbers: Sensitivity | None = None) -> None:
+        """Lets a pose begin from a state of the simulation next time.
+
+        Args:
+            pose: Any name of it.
+            state: The state.
+            by_numbers: Its derivatives; None where these are unknown: those before are near.
+        """
+        before = self._near.get(pose)
+        if by_numbers is None and before is not None:
+            by_numbers = before.by_numbers
+        self._near[pose] = _Near(self.simulation, self.values, state, by_numbers)
