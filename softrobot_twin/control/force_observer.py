@@ -16,6 +16,8 @@ the model itself is off does not vanish by averaging: it is carried to the devia
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from scipy.special import gammaincinv
 
@@ -43,8 +45,8 @@ NOTICEABLE = 0.25
 DOUBT = 0.1
 """A linearization may be wrong by this share of how far the markers are from the model."""
 UNSETTLED = 0.3
-"""What the last step left to move of the markers, as a share that forces may be wrong by; after a long
-move the next one waits until no more is left, as a share of how far the markers are."""
+"""What the last step left to move of the markers, as a share that forces may be wrong by; where a
+place is looked for, a long move waits for the one before, until no more of how far markers are is left."""
 REACH = 0.02
 """A change of forces moves no marker further at once than this share of the robot's size, because a
 linearization does not tell so far."""
@@ -52,6 +54,7 @@ GREATEST = 3.0
 """No force is larger than so many times the `greatest_force` of the scene."""
 
 
+@cache
 def greatest_square(dimension: int) -> float:
     """Square of normal numbers of deviation 1 that is exceeded with a probability of 1 - `SURE`.
 
@@ -80,6 +83,7 @@ class ForceObserver:
         self._simulation, self._entry = simulation, simulation.scene.observer
         self._compliance = MarkerCompliance(simulation)
         self._places = self._compliance.rows.places
+        self._unknown = [index for index, one in enumerate(self._places) if one.is_found]
         self.names = tuple(place.name for place in self._places)
         sizes = [place.dimension for place in self._places]
         ends = np.cumsum(sizes)
@@ -88,6 +92,10 @@ class ForceObserver:
         size = simulation.model.nodes.size if np.isfinite(simulation.model.nodes.size) else 1.0
         arms = np.concatenate([np.repeat([1.0, size], 3)[:count] for count in sizes])
         self._arms, self._size = arms, size
+        # Covariance before anything is seen, and what a second adds to it.
+        self._prior = np.diag((self._entry.greatest_force * arms) ** 2)
+        self._known = np.linalg.inv(self._prior)
+        self._walk = np.diag((self._entry.walk * arms) ** 2)
         self.reset()
 
     def reset(self) -> None:
@@ -97,14 +105,10 @@ class ForceObserver:
         self.lag = np.zeros((count, 3))
         self.by_loads = np.zeros((3 * count, len(self._arms)))
         self._loads = np.zeros(len(self._arms))
-        self._covariance = self._prior()
+        self._covariance = self._prior
         self.stamp = 0
         # Mean of what markers are beside the model, and how many measurements it is of.
         self._mean, self._counts = np.zeros((count, 3)), np.zeros(count)
-
-    def _prior(self) -> np.ndarray:
-        """Covariance before anything is seen."""
-        return np.diag((self._entry.greatest_force * self._arms) ** 2)
 
     def look(self) -> None:
         """Finds what forces do to the markers where the last step ended. Called after each step."""
@@ -173,14 +177,15 @@ class ForceObserver:
         if since == 0.0 or not seen.any():
             return False
         beside = np.where(seen[:, None], beside, 0.0)
-        far = np.median(np.linalg.norm(beside[seen], axis=1))
+        moved = np.linalg.norm((markers - model.markers)[seen], axis=1)
+        far = np.sort(moved)[len(moved) // 2]
         R = ((self._entry.marker_noise or noise) ** 2,
              self._entry.systematic_error**2 + (DOUBT * far) ** 2)
-        borne = self.by_loads @ self.loads
-        if self.is_settling and np.abs(self.lag).max() > UNSETTLED * far:
+        given = self.loads
+        borne = self.by_loads @ given
+        if self._unknown and self.is_settling and np.abs(self.lag).max() > UNSETTLED * far:
             return False
-        walked = np.diag((self._entry.walk * self._arms) ** 2) * min(abs(since), 1.0)
-        self._covariance = self._covariance + walked
+        self._covariance = self._covariance + min(abs(since), 1.0) * self._walk
         if self._notice(borne + beside.ravel(), sum(R), seen.astype(float)):
             self._counts[:] = 0.0
         self._counts = KEPT * self._counts + seen
@@ -200,7 +205,7 @@ class ForceObserver:
             if not self.is_settling:
                 break
         if self.is_settling:
-            spread, self._counts[:] = self._prior(), 0.0
+            spread, self._counts[:] = self._prior, 0.0
         most = GREATEST * self._entry.greatest_force * self._arms
         self._loads, self._covariance = np.clip(after, -most, most), spread
         self._tell(self.by_loads, sum(R), weights)
@@ -210,21 +215,21 @@ class ForceObserver:
     def _notice(self, y: np.ndarray, R: float, seen: np.ndarray) -> bool:
         """Begins anew with each force that changed at once; whether one did."""
         count = len(self._loads)
-        free, spread, _ = _estimate(np.zeros(count), self._prior(), y, self.by_loads, R, seen)
+        free, spread, _ = _estimate(np.zeros(count), self._prior, y, self.by_loads, R, seen)
         has_changed = False
         for own in self._own:
             off = free[own] - self._loads[own]
             both = (self._covariance + spread)[own, own]
             if off @ np.linalg.solve(both, off) > greatest_square(len(off)):
                 self._covariance[own, :] = self._covariance[:, own] = 0.0
-                self._covariance[own, own] = self._prior()[own, own]
+                self._covariance[own, own] = self._prior[own, own]
                 has_changed = True
         return has_changed
 
     def _tell(self, G: np.ndarray, R: float, weights: np.ndarray) -> None:
         """Says what the model is to bear, and how sure it is."""
         w = np.repeat(weights, 3) / R
-        gain = np.linalg.solve(np.linalg.inv(self._prior()) + (G.T * w) @ G, G.T * w)
+        gain = np.linalg.solve(self._known + (G.T * w) @ G, G.T * w)
         off = self._entry.systematic_error**2 + UNSETTLED**2 * float(np.mean(self.lag**2))
         covariance = self._covariance + off * gain @ gain.T
         deviations = np.sqrt(covariance.diagonal())
@@ -258,9 +263,10 @@ class ForceObserver:
         Returns:
             Whether any is new.
         """
+        if not self._unknown:
+            return False
         R = np.repeat(noise / np.maximum(self._counts, 1.0e-9) + systematic, 3)
-        finds = [index for index, one in enumerate(self._places) if one.is_found]
-        return any([self._find_one(index, y, R) for index in finds])
+        return any([self._find_one(place, y, R) for place in self._unknown])
 
     def _find_one(self, place: int, y: np.ndarray, R: np.ndarray) -> bool:
         """The same for one place; R is of each coordinate."""

@@ -1,9 +1,11 @@
 """Forces that nobody modelled: found from markers, told with their deviations, borne by the model."""
 
 import copy
+import time
 
 import numpy as np
 import pytest
+import yaml
 
 from softrobot_twin.control.force_observer import ForceObserver
 from softrobot_twin.errors import CommandError, SceneError
@@ -13,7 +15,7 @@ from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulatio
 from softrobot_twin.simulation.effects.observed_forces import ObservedForces, observed_term
 from softrobot_twin.simulation.marker_compliance import MarkerCompliance
 
-from .conftest import Driver, coarse, warmed_up
+from .conftest import ROOT, Driver, coarse, warmed_up
 
 TIP = [0.0, 0.0, 0.125]
 NOISE = 1.0e-4
@@ -240,6 +242,45 @@ def test_without_a_marker_nothing_is_learnt(observed):
     assert not observer.found.is_any
 
 
+def test_a_finger_that_closes_on_an_object_that_nobody_modelled_tells_it(rng):
+    """A PneuNet finger; the real one meets a ball, whose contact grows with the pressure."""
+    gripper = yaml.safe_load((ROOT / "config/scenes/pneunet.yaml").read_text())
+    own = {key: gripper["bodies"][0][key] for key in ("element", "material", "materials")}
+    mesh = {"file": str(ROOT / "meshes/pneunet_finger_620.msh")}
+    root = {"minimum": [-0.0201, -0.001, -0.011], "maximum": [0.001, 0.031, 0.011]}
+    places = [[-0.115, 0.0, -0.009], [-0.115, 0.0, 0.009], [-0.115, 0.012, 0.0],
+              [-0.08, 0.0, -0.009], [-0.08, 0.0, 0.009], [-0.05, 0.0, 0.0]]  # fmt: skip
+    finger = {
+        "name": "finger", "gravity": [0.0, 0.0, 0.0], "solver": {"newton_iterations": 4},
+        "body": {"name": "finger", "mesh": mesh, "fixed": [{"box": root}], **own},
+        "cavities": [{"name": "grip", "walls": [{"body": "finger", "part": "cavity"}],
+                      "pressure": [0.0, 50e3], "rate": 100e3}],
+        "markers": [{"id": marker, "point": place} for marker, place in enumerate(places)],
+    }  # fmt: skip
+    twin = built(observing(finger, {"name": "grip", "points": [[-0.112, 0.0, 0.0]]}))
+    real = built({
+        **finger, "obstacles": [{"name": "ball", "position": [-0.112, -0.022, 0.0],
+                                 "sphere": {"radius": 0.01}}],
+        "contact": {"alarm_distance": 0.004, "between": [{"pair": ["finger", "ball"]}]}})  # fmt: skip
+    observer, detected, contact = ForceObserver(twin), [], []
+    for frame in range(65):
+        pressure = np.array([1.0e3 * np.clip(frame - 10, 0, 48)])
+        result = real.step(CommandSetpoints(pressure, 0.1))
+        contact.append(np.linalg.norm(result.contacts.forces.sum(axis=0)))
+        twin.step(CommandSetpoints(pressure, 0.1), None, observer.found)
+        observer.look()
+        model = observer.moment(twin.marker_positions(), twin.effector_positions())
+        markers = real.marker_positions() + rng.normal(0.0, NOISE, (len(places), 3))
+        observer.update(markers, model, NOISE, (frame + 1) * FRAME)
+        detected.append(observer.found.is_detected[0])
+    firm = np.flatnonzero(np.array(contact) >= 0.2)[0]
+    print("0.2 N in frame", firm, "told from", np.flatnonzero(detected)[0], "on")
+    assert sum(detected[:10]) <= 1
+    assert any(detected[: firm + 4])
+    assert all(detected[firm + 3 :])
+    assert np.linalg.norm(observer.found.wrenches[0, :3]) == pytest.approx(contact[-1], rel=0.25)
+
+
 PLATE = {
     "name": "plate", "gravity": [0.0, 0.0, 0.0],
     "body": {"name": "bar", "mesh": {"box": {"size": [0.1, 0.02, 0.02], "cells": [5, 1, 1]}},
@@ -270,6 +311,31 @@ def test_a_wrench_on_a_rigid_body_is_found(rng):
     assert np.abs(off[1:3]).max() < 0.005  # Of the 0.05 N and 0.002 N m that are drawn.
     assert np.abs(off[3:]).max() < 0.0002
     assert (np.abs(off) < 4.0 * observer.found.deviations[0]).all()
+
+
+@pytest.mark.slow
+def test_what_an_observer_costs_is_told_beside_a_step(small_scene_mapping, rng):
+    """Eight markers, one known place, a target on a circle; processor time, in the same run."""
+    mapping = coarse("diamond", "diamond_1600")
+    twin = built(observing(mapping, {"name": "tip", "points": [TIP]}))
+    observer, spent = ForceObserver(twin), []
+    for frame in range(220):
+        angle = 0.1 * frame
+        target = np.array([[0.008 * np.cos(angle), 0.008 * np.sin(angle), 0.136]])
+        times = [time.thread_time()]
+        twin.step(FollowTargets(target, 0.025), None, observer.found)
+        times.append(time.thread_time())
+        observer.look()
+        model = observer.moment(twin.marker_positions(), twin.effector_positions())
+        times.append(time.thread_time())
+        markers = model.markers + rng.normal(0.0, NOISE, (8, 3))
+        started = time.thread_time()
+        observer.update(markers, model, NOISE, (frame + 1) * FRAME)
+        spent.append([times[1] - times[0], times[2] - times[1] + time.thread_time() - started])
+    step, own = 1e3 * np.array(spent[20:]).T
+    print(f"step {np.median(step):.2f} ms, observer {np.median(own):.2f} ms (99 %: "
+          f"{np.quantile(own, 0.99):.2f}), ratio {np.median(own / step):.2f}")
+    assert not observer.is_settling and own.shape == (200,)
 
 
 # --- in the loop -----------------------------------------------------------------------------------

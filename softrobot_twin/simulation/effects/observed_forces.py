@@ -83,6 +83,8 @@ class ObservedRows:
         markers = model.markers if with_markers else None
         self.marker_count = 0 if markers is None else markers.point_count
         self._own = [] if markers is None else [_point(markers, i) for i in range(self.marker_count)]
+        self._has_wrench = any(place.is_wrench for place in places)
+        self._identity = np.eye(3 * len(places))
         self._chosen: tuple[int, ...] | None = None
         self.choose(np.zeros(len(places), np.int64))
 
@@ -120,6 +122,8 @@ class ObservedRows:
         Returns:
             Shape (row_count of places, number of loads).
         """
+        if not self._has_wrench:
+            return self._identity
         points = self._term.positions(positions)[self.marker_count :]
         blocks, first = [], 0
         for place in self.places:
