@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -89,6 +89,35 @@ class Terms(NamedTuple):
         """The constraint terms, in the order of their rows."""
         others = [term for term in (self.effectors, self.contacts) if term is not None]
         return [*self.actuators.terms, *others]
+
+    def bind_alone(self, besides: Collection[int] = ()) -> None:
+        """Bind terms of which forces and rows are asked, and no stiffness.
+
+        Args:
+            besides: Identities of terms that are bound already.
+        """
+        ranks = np.arange(self.layout.nodes.free_node_count)
+        for term in (*self.forces, *self.constraints):
+            if id(term) not in besides:
+                term.bind(ranks, _no_slots)
+
+    def passive_forces(self, positions: np.ndarray) -> np.ndarray:
+        """Forces of the force terms in statics, shape (free_node_count, 3).
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
+        forces, still = np.zeros((2, self.layout.nodes.free_node_count, 3))
+        for term in self.forces:
+            if term.remembers_start:
+                term.begin_step(positions, still, np.inf)
+            term.add_forces(positions, forces)
+        return forces
+
+
+def _no_slots(rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Places of blocks in no matrix."""
+    return np.zeros((2, *np.shape(rows)), np.int64)
 
 
 def build_terms(scene: Scene, mounted: np.ndarray | None = None) -> Terms:

@@ -249,17 +249,12 @@ def prestress(simulation: Steppable) -> Prestress:
     # Were these bodies free, the forces on their unknowns would be what their mounts bear.
     terms = build_terms(scene.changed(rigid_bodies=loose, integration="dynamic"), mounted.positions)
     nodes = terms.layout.nodes
-    forces, still = np.zeros((2, nodes.free_node_count, 3))
+    terms.bind_alone()
+    forces = terms.passive_forces(mounted.positions)
     rows = RowStack(terms.actuators.terms, nodes.carried)
-    for term in (*terms.forces, *terms.constraints):
-        term.bind(np.arange(nodes.free_node_count), _no_slots)
     rows.tell_efforts(mounted.efforts)
     rows.evaluate(mounted.positions)
     rows.add_forces(rows.multipliers(mounted.efforts), forces)
-    for term in terms.forces:
-        if term.remembers_start:
-            term.begin_step(mounted.positions, still, np.inf)
-        term.add_forces(mounted.positions, forces)
     energy = sum(term.energy(mounted.positions) for term in simulation.model.forces)
     first = {
         part.name: int(nodes.kinds[0].unknowns_of(np.array([part.first_node]))[0])
@@ -297,8 +292,3 @@ def branch_notes(simulation: Steppable) -> Iterator[str]:
                    f"into another shape, {1000.0 * apart:.3g} mm away")  # fmt: skip
             break
     simulation.reset()
-
-
-def _no_slots(rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Places of blocks for terms of which only forces and rows are asked."""
-    return np.zeros((2, *np.shape(rows)), np.int64)

@@ -366,9 +366,7 @@ class Sensitivities(HeldTangent):
                     raise SensitivityError(
                         parameter.key, "makes another mesh or holds other nodes: its structure must "
                         "stay, as that of a box with given numbers of cells")
-            for term in (*terms.forces, *terms.constraints):
-                if id(term) not in kept:
-                    term.bind(np.arange(terms.layout.nodes.free_node_count), _no_slots)
+            terms.bind_alone(kept)
             self._built[key] = terms
         return self._built[key]
 
@@ -391,7 +389,7 @@ class Sensitivities(HeldTangent):
         # Terms of the scene itself tell the same as before.
         is_own = nodes is self._built[None, 0].layout.nodes and not actuators.held_forces
         known = self._middle if is_own else None
-        passive = self._passive(terms, positions) if known is None else known.passive
+        passive = terms.passive_forces(positions) if known is None else known.passive
         forces = passive.copy()
         rows = RowStack(actuators.terms, nodes.carried)
         rows.tell_efforts(state.efforts)
@@ -404,15 +402,6 @@ class Sensitivities(HeldTangent):
             effectors.evaluate(positions)
         places = effectors.values.reshape(-1, 3) if known is None else known.effectors
         return AtState(forces, rows.actuator_paths(state.efforts[a]), drives, places, passive, terms.layout)
-
-    def _passive(self, terms: Terms, positions: np.ndarray) -> np.ndarray:
-        """Forces of the force terms at positions of all nodes, shape (free_node_count, 3)."""
-        forces, still = np.zeros((2, terms.layout.nodes.free_node_count, 3))
-        for term in terms.forces:
-            if term.remembers_start:
-                term.begin_step(positions, still, np.inf)
-            term.add_forces(positions, forces)
-        return forces
 
     def _check(self, key: str, other: AtState) -> None:
         """Refuses a parameter by which the terms cannot be compared."""
@@ -436,11 +425,6 @@ def _touches(forces: Iterable) -> list[TouchLoads]:
     """The terms of touches among force terms."""
     points = (term.on_points for term in forces)
     return [term for term in points if isinstance(term, TouchLoads)]
-
-
-def _no_slots(rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Places of blocks for terms of which only forces and rows are asked."""
-    return np.zeros((2, *np.shape(rows)), np.int64)
 
 
 def _derivative(
