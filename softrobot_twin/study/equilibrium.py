@@ -22,6 +22,7 @@ from softrobot_twin.simulation import (
     StepResult,
     Touched,
 )
+from softrobot_twin.simulation.mounting import Mounted
 from softrobot_twin.simulation.sensitivities import Sensitivities, Sensitivity
 
 # Steps of the way to the setpoints, and most steps after it.
@@ -149,12 +150,10 @@ class FollowedPoses:
         self._begin, self._numbers, self._simulated = scene, tuple(numbers), simulated
         self.values = np.array([one.read(scene) for one in numbers])
         self._near: dict[Hashable, _Near] = {}
-        self.simulation: Simulation | None = None
-        self._build(scene)
+        self._build(scene, None)
 
-    def _build(self, scene: Scene) -> None:
+    def _build(self, scene: Scene, mounted: Mounted | None) -> None:
         self.scene = scene
-        mounted = None if self.simulation is None else self.simulation.mounted
         self.simulation = Simulation(self._simulated(scene), with_warnings=False, mounted=mounted)
         self.tangent = Sensitivities(self.simulation)
 
@@ -182,7 +181,7 @@ class FollowedPoses:
             SceneError: The scene does not take a value.
         """
         if not np.array_equal(values, self.values):
-            self._build(self.scene_at(values))
+            self._build(self.scene_at(values), self.simulation.mounted)
             self.values = np.array(values, float)
 
     def knows(self, pose: Hashable) -> bool:
@@ -210,15 +209,15 @@ class FollowedPoses:
             simulation.reset()
             return bring_to_rest(simulation, setpoints, WAY, efforts, touched)
         if near.by_numbers is not None:
-            simulation.take_over(near.simulation, self._moved(near))
+            simulation.take_over(near.simulation, self._moved(near, near.by_numbers))
             if (rest := bring_to_rest(simulation, setpoints, 1, efforts, touched)).is_reached:
                 return rest
         simulation.take_over(near.simulation, near.state)
         return bring_to_rest(simulation, setpoints, 1, efforts, touched)
 
-    def _moved(self, near: _Near) -> State:
+    def _moved(self, near: _Near, found: Sensitivity) -> State:
         """A state, moved by its derivatives to the present values."""
-        found, change = near.by_numbers, self.values - near.values
+        change = self.values - near.values
         positions = near.state.positions.copy()
         near.simulation.model.nodes.advance(positions, found.moves @ change, 1.0)
         return replace(near.state, positions=positions, efforts=near.state.efforts + found.efforts @ change)
