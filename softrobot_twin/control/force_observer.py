@@ -89,7 +89,7 @@ class ForceObserver:
         ends = np.cumsum(sizes)
         self._own = [slice(end - size, end) for end, size in zip(ends, sizes, strict=True)]
         # A torque counts as a force at the arm of the robot's size.
-        size = simulation.model.nodes.size if np.isfinite(simulation.model.nodes.size) else 1.0
+        size = simulation.model.nodes.finite_size
         arms = np.concatenate([np.repeat([1.0, size], 3)[:count] for count in sizes])
         self._arms, self._size = arms, size
         # Covariance before anything is seen, and what a second adds to it.

@@ -29,9 +29,7 @@ class Guidance:
     def __init__(self, simulation: Simulation, poses: PoseInput | None):
         self._simulation, self._poses = simulation, poses
         self._names = simulation.guided_names
-        size = simulation.model.nodes.size
-        # A robot without nodes has no finite size.
-        self._near = _NEAR * (size if np.isfinite(size) else 1.0)
+        self._near = _NEAR * simulation.model.nodes.finite_size
         self._home = self.poses()
         self.sent = dict(self._home)
         self._stays = False

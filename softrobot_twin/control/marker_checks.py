@@ -62,8 +62,7 @@ class MarkerPlausibility:
     def __init__(self, simulation: Simulation):
         self._ids = simulation.marker_ids
         places = simulation.marker_positions()
-        size = simulation.model.nodes.size
-        self._size = size if np.isfinite(size) else 1.0
+        self._size = simulation.model.nodes.finite_size
         self._around = _around(places, simulation.effector_markers)
         self._bend = STRAIN * _typical_distances(places, self._around)
         self.forget()

@@ -101,10 +101,10 @@ class RestWatch:
             source: Where the samples are from, for `RestPose.origin`.
         """
         self._simulation = simulation
-        actuators, size = simulation.actuators, simulation.model.nodes.size
+        actuators = simulation.actuators
         scale = np.where(actuators.is_effort_driven, actuators.effort_scale,
                          actuators.displacement_scale)  # fmt: skip
-        self._same, self._size = SAME * scale, float(size) if np.isfinite(size) else 1.0
+        self._same, self._size = SAME * scale, simulation.model.nodes.finite_size
         self._source = source
         self.found: deque[RestPose] = deque(maxlen=MOST_POSES)
         self.dropped: Counter[str] = Counter()

@@ -371,7 +371,7 @@ class SimulatedDevice:
         setpoints, efforts = self._valves.measure(
             self._servo.copy(), np.array(self.simulation.state.efforts), self._noise
         )
-        if len(self._angles):
+        if self._flaws.angle_noise:
             setpoints[self._angles] += self._noise.normal(0.0, self._flaws.angle_noise, len(self._angles))
         return DeviceReading(
             setpoints,

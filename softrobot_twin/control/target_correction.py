@@ -139,8 +139,7 @@ class EffectorMeasurement:
     def __init__(self, simulation: Simulation):
         self._markers = simulation.effector_markers
         self._oriented = simulation.oriented_effectors
-        size = simulation.model.nodes.size
-        self._least_spread = LEAST_SPREAD * (size if np.isfinite(size) else 1.0)
+        self._least_spread = LEAST_SPREAD * simulation.model.nodes.finite_size
         self._controlled = np.array(
             [axis in effector.directions for effector in simulation.scene.effectors for axis in "xyz"],
             bool,

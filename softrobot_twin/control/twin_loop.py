@@ -753,10 +753,9 @@ class TwinLoop:
     def _aims(self, now: float, time_step: float) -> Aims:
         """The targets of this tick and the aims that follow from them."""
         positions = self.simulation.effector_positions()
-        reading = self._no_targets
+        orientations, reading = self.simulation.effector_orientations(), self._no_targets
         if self.targets is not None:
-            turns = self.simulation.effector_orientations()
-            reading = self.targets.read(now, time_step, positions, turns)
+            reading = self.targets.read(now, time_step, positions, orientations)
             if self.correction.law is Law.MISFIT:
                 self.lead.follow(self.targets.leads(now, self.lead.delay))
             else:
@@ -769,7 +768,7 @@ class TwinLoop:
             near = wanted if reach == math.inf else approach(positions, wanted, reach)
             return Aims(reading, wanted, near)
         aims, turns = approach_poses(
-            positions, wanted, self.simulation.effector_orientations(),
+            positions, wanted, orientations,
             self.correction.turned(reading.orientations), self.simulation.lengths_per_radian, reach,
         )  # fmt: skip
         return Aims(reading, wanted, aims, turns)

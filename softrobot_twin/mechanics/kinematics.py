@@ -209,6 +209,11 @@ class Nodes:
     size: float
     kinds: tuple[UnknownKind, ...] = field(default=())
 
+    @property
+    def finite_size(self) -> float:
+        """The same size, 1 m for a single point, which has none [m]."""
+        return float(self.size) if np.isfinite(self.size) else 1.0
+
     @cached_property
     def carried(self) -> CarriedPoints | None:
         """The points that have no unknowns of their own but move; None without any."""

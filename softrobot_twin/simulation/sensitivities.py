@@ -314,8 +314,7 @@ class Sensitivities(HeldTangent):
 
     def _round_off(self) -> np.ndarray:
         """Differences of forces [N], displacements and places [m] that are taken for round-off."""
-        size, load = self._model.nodes.size, self._load()
-        length = size if np.isfinite(size) else 1.0
+        length, load = self._model.nodes.finite_size, self._load()
         return ROUND_OFF * np.array([load or 1.0, length, length])
 
     def _scale(self, parameter: Parameter | JointParameter) -> float:

@@ -205,8 +205,7 @@ class RestModel:
         """
         self._keys, self._scene = list(keys), scene
         self._followed = FollowedPoses(scene, self._keys, scene_of_points)
-        size = self.simulation.model.nodes.size
-        self.size = float(size) if np.isfinite(size) else 1.0
+        self.size = self.simulation.model.nodes.finite_size
         self._misfits: dict[int, float] = {}
         self._layout = None
         if any(_PLACE.fullmatch(one.key) for one in self._keys):
@@ -806,8 +805,7 @@ def unknowns_of(
         CalibrationError: A number cannot be fitted.
     """
     simulation = Simulation(scene, with_warnings=False)
-    size = simulation.model.nodes.size
-    size = float(size) if np.isfinite(size) else 1.0
+    size = simulation.model.nodes.finite_size
     given = {one.key: value for key, value in (known or {}).items()
              for one in parameters(scene, key)}  # fmt: skip
     efforts = simulation.actuators.effort_scale[simulation.actuators.of_section("cavities")]

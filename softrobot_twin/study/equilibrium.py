@@ -103,8 +103,7 @@ def is_at_rest(simulation: Simulation, result: StepResult, before: np.ndarray) -
         return False
     if result.report.residual > simulation.scene.solver.residual_tolerance:
         return False
-    size = simulation.model.nodes.size
-    still = STILL * (size if np.isfinite(size) else 1.0)
+    still = STILL * simulation.model.nodes.finite_size
     return bool(np.abs(simulation.state.positions - before).max(initial=0.0) <= still)
 
 

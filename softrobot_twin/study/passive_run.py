@@ -45,8 +45,7 @@ class BodyReadouts:
         self._rest = simulation.model.nodes.rest_positions
         self._weights = sum(term.weights for term in simulation.model.forces
                             if term.name == "gravity")
-        terms = (term.on_points for term in simulation.model.forces)
-        self._beam_weight = next((term for term in terms if isinstance(term, BeamWeight)), None)
+        self._beam_weight = simulation.model.force_term(BeamWeight)
         self._bodies = simulation.model.bodies
         self._points = [body.shown_nodes(np.arange(body.mesh.node_count))
                         for body in self._bodies]

@@ -445,8 +445,7 @@ class StateFinder:
             if own.name == body:
                 self._nodes = slice(own.first_node, own.first_node + own.mesh.node_count)
                 self._platform = _platform_of(own, model.rigid)
-        terms = (term.on_points for term in model.forces)
-        self._weight = next((term for term in terms if isinstance(term, Gravity)), None)
+        self._weight = model.force_term(Gravity)
         self._gravity = np.array(scene.gravity, float)
         if self._weight is not None:
             self._unit_weights = _unit_weights(self.simulation, self._weight.weights)

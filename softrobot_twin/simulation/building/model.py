@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -76,6 +77,15 @@ class Model:
     def terms(self) -> tuple:
         """All terms that a step sums, in the order they are evaluated."""
         return (*self.forces, *self.rows.terms)
+
+    def force_term(self, kind: type) -> Any:
+        """The force term of a kind; None without any.
+
+        Args:
+            kind: Its class.
+        """
+        points = (term.on_points for term in self.forces)
+        return next((term for term in points if isinstance(term, kind)), None)
 
     @property
     def slides(self):

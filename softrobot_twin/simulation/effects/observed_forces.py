@@ -59,7 +59,7 @@ def observed_term(model: Model) -> ObservedLoads | None:
     Args:
         model: The model of a simulation.
     """
-    return next((term for term in model.forces if isinstance(term, ObservedLoads)), None)
+    return model.force_term(ObservedLoads)
 
 
 class ObservedRows:

@@ -72,8 +72,7 @@ def touch_term(model: Model) -> TouchLoads | None:
     Args:
         model: The model of a simulation.
     """
-    terms = (term.on_points for term in model.forces)
-    return next((term for term in terms if isinstance(term, TouchLoads)), None)
+    return model.force_term(TouchLoads)
 
 
 def touches_of(model: Model) -> Iterator[StepPart]:
