@@ -21,6 +21,7 @@ from functools import cache
 import numpy as np
 from scipy.special import gammaincinv
 
+from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.control.model_history import Moment
 from softrobot_twin.simulation import Simulation
@@ -228,13 +229,12 @@ class ForceObserver:
 
     def _tell(self, G: np.ndarray, R: float, weights: np.ndarray) -> None:
         """Says what the model is to bear, and how sure it is."""
-        w = np.repeat(weights, 3) / R
-        gain = np.linalg.solve(self._known + (G.T * w) @ G, G.T * w)
-        off = self._entry.systematic_error**2 + UNSETTLED**2 * float(np.mean(self.lag**2))
-        covariance = self._covariance + off * gain @ gain.T
-        deviations = np.sqrt(covariance.diagonal())
+        weighted, lag = G.T * (weights.repeat(3) / R), self.lag.ravel()
+        gain = np.linalg.solve(self._known + weighted @ G, weighted)
+        off, square = self._entry.systematic_error**2 + UNSETTLED**2 * (lag @ lag) / lag.size, gain @ gain.T
+        deviations = np.sqrt((self._covariance + off * square).diagonal())
         # What noise and the model's own error alone would make of no force.
-        by_noise = (R + off) * gain @ gain.T
+        by_noise = (R + off) * square
         given, points = self.loads, self.found.points
         is_detected = np.zeros(len(self._places), bool)
         for place, own in enumerate(self._own):
@@ -308,10 +308,8 @@ class ForceObserver:
         return is_new
 
 
-def _estimate(
-    before: np.ndarray, covariance: np.ndarray, y: np.ndarray, G: np.ndarray, R: float,
-    seen: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+@njit(**KERNEL)
+def _estimate(before, covariance, y, G, R, seen):
     """Forces after a measurement.
 
     Args:
@@ -325,14 +323,25 @@ def _estimate(
     Returns:
         The forces, their covariance, and the weights of the markers.
     """
-    weights, known = seen, np.linalg.inv(covariance)
+    n, weights, known = len(before), seen.copy(), np.linalg.inv(covariance)
+    off = y - G @ before
     for _ in range(ROUNDS):
-        tried = weights
-        w = np.repeat(weights, 3) / R
-        after = np.linalg.inv(known + (G.T * w) @ G)
-        loads = before + after @ (G.T @ (w * (y - G @ before)))
-        off = np.linalg.norm((y - G @ loads).reshape(-1, 3), axis=1) / np.sqrt(R)
-        weights = seen * (HUBER / np.maximum(off, HUBER)) ** 2
-        if np.abs(weights - tried).max() < ALIKE:
+        sums, right = known.copy(), np.zeros(n)
+        for k in range(len(y)):
+            w = weights[k // 3] / R
+            for i in range(n):
+                right[i] += w * G[k, i] * off[k]
+                for j in range(n):
+                    sums[i, j] += w * G[k, i] * G[k, j]
+        after = np.linalg.inv(sums)
+        change = after @ right
+        left, largest = off - G @ change, 0.0
+        for marker in range(len(seen)):
+            x, y_, z = left[3 * marker], left[3 * marker + 1], left[3 * marker + 2]
+            deviations = np.sqrt((x * x + y_ * y_ + z * z) / R)
+            weight = seen[marker] * (HUBER / max(deviations, HUBER)) ** 2
+            largest = max(largest, abs(weight - weights[marker]))
+            weights[marker] = weight
+        if largest < ALIKE:
             break
-    return loads, after, weights
+    return before + change, after, weights

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.simulation.apparent_compliance import CondensedHold, HeldTangent
 from softrobot_twin.simulation.effects.observed_forces import ObservedRows, observed_term
 from softrobot_twin.simulation.simulation import Simulation
-from softrobot_twin.simulation.step.apparent_stiffness import sharing
+from softrobot_twin.simulation.step.apparent_stiffness import SHARING
 from softrobot_twin.solvers.factorization import Factorization
+from softrobot_twin.solvers.multifrontal import Multifrontal
 
 # Where a step left markers further from balance than this share of the robot's size, what they yield is
 # found by the stiffness there, and not by that where the step began.
@@ -31,6 +33,7 @@ class MarkerCompliance(HeldTangent):
         super().__init__(simulation)
         self.rows = ObservedRows(simulation.model, observed_term(simulation.model).places, True)
         self._take_rows()
+        self._of_step = self._beside_step = None
 
     def _take_rows(self) -> None:
         self.own_rows = self.rows.stack
@@ -95,10 +98,7 @@ class MarkerCompliance(HeldTangent):
             moves = E @ saddle.solve(np.column_stack([E.T, left.ravel()]), below)[0]
         else:
             W, free = factorization.condense(rows.H, left)
-            M = W[np.ix_(h, h)] + holding.own_of_places
-            M[np.diag_indices_from(M)] += sharing(M.diagonal())
-            held = np.linalg.solve(M, np.column_stack([-W[h, count:], apart - free[h]]))
-            moves = np.column_stack([W[count:, count:], free[count:]]) + W[count:, h] @ held
+            moves = _released(W, free, h, holding.own_of_places, apart, count)
         return moves[:, :-1], moves[:, -1]
 
     def _left(self, holding) -> tuple[np.ndarray, np.ndarray]:
@@ -116,7 +116,11 @@ class MarkerCompliance(HeldTangent):
     def _factorization(self, positions: np.ndarray, holding) -> Factorization | None:
         """A⁻¹ of statics while what holds holds; None where it is not definite."""
         found = self._simulation.newton.held_factorization(holding.held)
-        return self._definite(positions) if found is None else found
+        if found is None:
+            return self._definite(positions)
+        if isinstance(found, Multifrontal) and found is not self._of_step:
+            self._of_step, self._beside_step = found, found.with_other_rows()
+        return self._beside_step if found is self._of_step else found
 
     def by_candidates(self, place: int) -> np.ndarray:
         """Motion of the markers by a force at each of the points among which a place is.
@@ -141,3 +145,31 @@ class MarkerCompliance(HeldTangent):
         free = nodes.free_index[points.nodes]
         weights = np.where(free >= 0, points.barycentric_weights, 0.0)
         return np.einsum("pa,paik->pki", weights, by_node[np.maximum(free, 0)])
+
+
+@njit(**KERNEL)
+def _released(W, free, held, own, apart, first):
+    """Motion of the rows from `first` on by forces on them, and in the last column by themselves.
+
+    Args:
+        W: Compliance of all rows, shape (row_count, row_count).
+        free: Their motion when nothing holds, shape (row_count,).
+        held: Those that hold, shape (held_count,).
+        own: Compliance of what holds, shape (held_count, held_count).
+        apart: Displacements that it is apart, shape (held_count,).
+        first: The first row that moves.
+    """
+    n, count = len(held), len(W) - first
+    M, right, moves = own.copy(), np.empty((n, count + 1)), np.empty((count, count + 1))
+    for i in range(n):
+        row = held[i]
+        for j in range(n):
+            M[i, j] += W[row, held[j]]
+        M[i, i] += SHARING * M[i, i] if M[i, i] > 0.0 else 1.0  # See `sharing`.
+        right[i, :count], right[i, count] = -W[row, first:], apart[i] - free[row]
+    by_held = np.linalg.solve(M, right)
+    moves[:, :count], moves[:, count] = W[first:, first:], free[first:]
+    for k in range(count):
+        for i in range(n):
+            moves[k] += W[first + k, held[i]] * by_held[i]
+    return moves

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from copy import copy
+
 import numpy as np
 
 from softrobot_twin.solvers.factorization import (
@@ -76,17 +78,29 @@ class Multifrontal:
         self._panels = aligned(self.layout.panels_size)
         self._updates = aligned(self.layout.updates_size)
         self._triangles = aligned(self.layout.triangles_size)
-        self._y = aligned(3 * node_count)
-        self._x = aligned(3 * node_count)
-        self._dx = np.zeros((node_count, 3))
         self._tallest = STRIP * int(self.layout.fronts["strips"].max(initial=1))
         self._nowhere = np.full(node_count, NONE)
+        self._take_no_rows(True)
+
+    def _take_no_rows(self, are_traced: bool) -> None:
+        """Allocate memory for vectors and for rows."""
+        self._y, self._x = aligned(3 * self._node_count), aligned(3 * self._node_count)
+        self._dx = np.zeros((self._node_count, 3))
         self._row_count = 0
         self._columns = ConstraintColumns(self.elimination)
         self.Y, self.gram, self.work = aligned(0), aligned(0), aligned(0)
         self._W, self._free, self._ranks = np.empty((0, 0)), np.empty(0), np.empty(0, np.int64)
-        self.stages, self.memory_count = TracedStages(True, self._condense, self._is_placed), 0
+        self.stages, self.memory_count = TracedStages(are_traced, self._condense, self._is_placed), 0
         self.prepare_rows(np.zeros(0, dtype=np.int64))
+
+    def with_other_rows(self) -> Multifrontal:
+        """The same factor, always that of the last `factor`, for rows that come between a step's.
+
+        What a step knows of its own rows stays as it is.
+        """
+        other = copy(self)
+        other._take_no_rows(False)
+        return other
 
     def slots(self, rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """See `Factorization.slots`."""
