@@ -662,15 +662,15 @@ class HingeBlocks(OwnBlocks):
 
     name = "hinges"
 
-    def __init__(self, frames: HingedFrames, stiffness):
+    def __init__(self, unknowns, is_ball, stiffness):
         """Take the joints.
 
         Args:
-            frames: The hinged frames.
-            stiffness: A typical stiffness of what each joint carries [N m], shape (hinge_count,),
-                positive.
+            unknowns: The unknown of each joint's turn, shape (hinge_count,).
+            is_ball: Whether it may turn about all axes, so that all three numbers are used, same shape.
+            stiffness: A typical stiffness of what each joint carries [N m], same shape, positive.
         """
-        self._stencils, self._is_ball = frames.own[:, None], frames.is_ball
+        self._stencils, self._is_ball = np.asarray(unknowns)[:, None], np.asarray(is_ball)
         self._stiffness = np.array(stiffness, float)
 
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:

@@ -377,6 +377,17 @@ class Springs(ForceTerm):
         )  # fmt: skip
 
 
+class Joints(Springs):
+    """Bearings between rigid bodies: springs without length, one at a ball joint, two on a hinge's axis.
+
+    Their energy ½ k ‖r‖² has constant derivatives by the nodes, so their stiffness is exact in all
+    states, and bodies may be joined to chains and to closed loops.
+    """
+
+    name = "joints"
+    is_traceable = True
+
+
 def segments(
     path: BarycentricMapping, rest_positions: np.ndarray
 ) -> tuple[BarycentricMapping, BarycentricMapping, np.ndarray]:

@@ -969,6 +969,30 @@ class Obstacle(Shaped):
     """Its name, in pairs of contact."""
 
 
+class RigidJoint(Entry):
+    """Joins a free rigid body to another rigid body or to the world."""
+
+    told: ClassVar[tuple[str, ...]] = ("{to:=}", "by a {by:=} at {through}", "about {axis}")
+    placed: ClassVar[dict[str, str]] = {"through": "point", "axis": "direction"}
+
+    to: Name
+    """The other rigid body, or ``world``."""
+    by: Literal["hinge", "ball"]
+    """By a hinge that turns about `axis`, or by a ball joint."""
+    through: Vector
+    """Where the hinge or the ball joint is, as drawn. It may lie beside the bodies."""
+    axis: Annotated[Direction | None, not_zero("must not be zero")] = None
+    """Axis of a hinge, in the world as drawn."""
+    stiffness: Annotated[float, unit("N/m", gt=0.0)] = 1.0e6
+    """Of the bearing: the force that moves one body against the other by a length. That of a hinge is
+    shared by two places of the axis, one radius of the body to each side."""
+
+    def check(self) -> None:
+        """Refuse a hinge without an axis, and a ball joint with one."""
+        if (self.by == "hinge") != (self.axis is not None):
+            raise ValueError("a hinge has an axis, and a ball joint has none")
+
+
 class RigidBody(Shaped):
     """A rigid body: free, guided by commanded poses, or fixed."""
 
@@ -976,8 +1000,10 @@ class RigidBody(Shaped):
         "{motion:=}", "{shape}", "{mass} kg", "{density} kg/m³", "at most {speed:mm} mm/s",
         "at most {turn_rate} rad/s",
     )  # fmt: skip
-    placed: ClassVar[dict[str, str]] = {**Shaped.placed, "velocity": "direction",
-                                         "angular_velocity": "direction"}  # fmt: skip
+    placed: ClassVar[dict[str, str]] = {
+        **Shaped.placed, "velocity": "direction", "angular_velocity": "direction",
+        "joined": "inside",
+    }  # fmt: skip
 
     name: Name
     """Its name, in topics, columns and pairs of contact."""
@@ -998,6 +1024,8 @@ class RigidBody(Shaped):
     """Greatest speed of a guided body; by default the robot's size per second."""
     turn_rate: Annotated[float | None, unit("rad/s", gt=0.0)] = None
     """Greatest angular speed of a guided body; by default one radian per second."""
+    joined: tuple[RigidJoint, ...] = ()
+    """Hinges and ball joints of a free body."""
 
     def check(self) -> None:
         """Refuse what a body of its motion does not have, and a free one without mass."""
@@ -1012,6 +1040,8 @@ class RigidBody(Shaped):
             raise ValueError("speed and turn_rate are limits of guided bodies")
         if self.motion != "free" and any(self.velocity + self.angular_velocity):
             raise ValueError(f"a {self.motion} rigid body has no initial velocity")
+        if self.motion != "free" and self.joined:
+            raise ValueError(f"a {self.motion} rigid body takes no part in forces: join the free body")
         if self.plane is not None:
             raise ValueError("a plane is infinite: it can only be an obstacle")
 

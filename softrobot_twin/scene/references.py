@@ -84,6 +84,10 @@ def check_references(scene) -> None:
             others += ["world"] if joint.by != "rigid" and not is_pattern(joint.to) else []
             what = f"beam {beam.name} is joined to"
             check_pattern(f"{key}.joined[{index}].to", what, joint.to, others)
+    for key, body in scene.keyed("rigid_bodies"):
+        for index, joint in enumerate(body.joined):
+            check_known(f"{key}.joined[{index}].to", f"rigid body {body.name} is joined to", joint.to,
+                        ["world", *(name for name in rigid if name != body.name)])
     for key, body in scene.keyed("deformables"):
         for index, attachment in enumerate(body.attached):
             what = f"body {body.name} is attached to"

@@ -140,7 +140,7 @@ def spring_places(model: Model, node_positions: np.ndarray) -> dict[str, np.ndar
     first = sum(body.scene_node_count for body in model.bodies)
     masses = node_positions[first : first + sum(len(entry.points) for entry in scene.mass_springs)]
     ends = np.concatenate([np.empty((0, 2, 3)), *(term.ends(node_positions) for term in model.terms
-                                                  if isinstance(term, Springs))])  # fmt: skip
+                                                  if type(term) is Springs)])  # fmt: skip
     # Those of the scene's springs come first, those of its masses last; threads between.
     first, last = len(scene.springs), len(ends) - sum(len(one.springs) for one in scene.mass_springs)
     springs = np.concatenate([ends[:first], ends[last:]])

@@ -57,6 +57,8 @@ UNLIKELY_SHARE = 10.0
 # All cables are wound in by these shares of what they may be, one after the other, and the body comes
 # near rest at each: before that its stiffness is another.
 SHARES, STEPS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6), 3
+FOR_JOINTS = 5
+"""Linearizations of a step that joints of rigid bodies take."""
 # The check takes the time of some steps: of larger scenes nobody waits for it.
 MOST_FREE_NODES = 2000
 
@@ -75,6 +77,7 @@ def scene_warnings(scene: Scene, size: float) -> Iterator[str]:
     yield from _untouched_obstacles(scene)
     yield from _angles_in_degrees(scene)
     yield from _long_lengths(scene, size)
+    yield from _loose_joints(scene)
 
 
 def _idle_damping(scene: Scene) -> Iterator[str]:
@@ -122,6 +125,14 @@ def _long_lengths(scene: Scene, size: float) -> Iterator[str]:
         if length > most:
             yield (f"{key} = {length:g} m is very large: the largest body is {size:.4g} m large; "
                    "is it in metres?")  # fmt: skip
+
+
+def _loose_joints(scene: Scene) -> Iterator[str]:
+    """Joints of rigid bodies that one linearization leaves open."""
+    count = scene.solver.newton_iterations
+    if count < FOR_JOINTS and any(body.joined for body in scene.rigid_bodies):
+        yield (f"solver.newton_iterations = {count}: where joined rigid bodies turn, each linearization "
+               f"leaves a gap in their stiff bearings; {FOR_JOINTS} or more close it")  # fmt: skip
 
 
 def unlikely_commands(

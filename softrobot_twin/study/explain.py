@@ -442,6 +442,9 @@ def _rigid_effects(simulation: Simulation, names: list[str]) -> Iterator[Effect]
         made = {"free": f"6 unknowns, {_term(names, 'rigid')}", "fixed": "no unknowns",
                 "guided": "no unknowns, moves as commanded"}  # fmt: skip
         yield Effect(f"rigid_bodies: {part.name}", part.entry.describe(), made[part.entry.motion])
+        for joint in part.entry.joined:
+            bearing = f"{joint.describe()}, {number(joint.stiffness)} N/m"
+            yield Effect(f"rigid_bodies: {part.name}.joined", bearing, _term(names, "joints"))
     for entry in simulation.scene.obstacles:
         yield Effect(f"obstacles: {entry.name}", entry.describe(), "fixed")
 

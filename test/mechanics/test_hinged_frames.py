@@ -257,7 +257,7 @@ def test_elements_and_whole_frames_have_the_forces_and_the_stiffness_of_their_en
 
 
 def test_unused_numbers_keep_the_matrix_definite_and_the_angles_all_but_free(joined):
-    term = HingeBlocks(joined.frames, np.arange(1.0, 6.0))
+    term = HingeBlocks(joined.frames.own, joined.frames.is_ball, np.arange(1.0, 6.0))
     matrix = bound([term])
     term.add(joined.state, np.zeros((UNKNOWNS, 3)), matrix.storage, False)
     diagonal = matrix.matrix().toarray().diagonal().reshape(-1, 3)[OWN]

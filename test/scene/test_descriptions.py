@@ -13,6 +13,7 @@ from softrobot_twin.scene.body_entries import (
     Obstacle,
     RegionMaterial,
     RigidBody,
+    RigidJoint,
     Spring,
     Tube,
 )
@@ -46,6 +47,8 @@ ENDS = [[0, 0, 0], [0, 0, 0.05]]
      "free, box of [10, 20, 30] mm, 0.1 kg"),
     (RigidBody(name="palm", motion="guided", speed=0.1, turn_rate=1.0, sphere={"radius": 0.01}),
      "guided, sphere of radius 10 mm, at most 100 mm/s, at most 1 rad/s"),
+    (RigidJoint(to="thigh", by="hinge", through=[0, 0, 0.1], axis=[0, 1, 0]),
+     "thigh, by a hinge at [0, 0, 0.1], about [0, 1, 0]"),
     (Spring(name="s", ends=[{"point": [0, 0, 0]}, {"on": "cube", "point": [0, 0, 1]}],
             stiffness=20.0, damping=0.5), "world to cube, 20 N/m, 0.5 N s/m"),
     (Tube(name="t", points=ENDS, axial_stiffness=30.0), "2 points, EA 30 N"),

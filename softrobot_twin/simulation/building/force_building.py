@@ -8,6 +8,7 @@ from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
+from scipy.constants import g as STANDARD_GRAVITY
 
 from softrobot_twin.geometry.cell_mesh import CellMesh
 from softrobot_twin.geometry.connected_pieces import connected_pieces
@@ -38,7 +39,7 @@ from softrobot_twin.mechanics.reduced_elements import ReducedElements, point_gra
 from softrobot_twin.mechanics.remembering_elements import RememberingElements
 from softrobot_twin.mechanics.rigid_bodies import RigidDamping, RigidInertia
 from softrobot_twin.mechanics.sealed_gas import SealedGas
-from softrobot_twin.mechanics.springs import Springs, segments
+from softrobot_twin.mechanics.springs import Joints, Springs, segments
 from softrobot_twin.mechanics.strain_rate_damping import StrainRateDamping
 from softrobot_twin.mechanics.strain_watch import StrainWatch
 from softrobot_twin.mechanics.observed_loads import ObservedLoads, ObservedPlace
@@ -60,6 +61,10 @@ AT_POINT = 1.0e-5
 # A point that a touch holds is held by this multiple of E L, the stiffness of a block of its body's
 # material and size: far above that of any body, and below what the arithmetic of a step notices.
 HELD_STIFFNESS = 10.0
+# In statics, turns of a joined rigid body that nothing resists are held by this multiple of its weight
+# times its radius, before `HingeBlocks` takes its share: Newton's method then takes a body from any
+# turn to where it hangs.
+TURNS_HELD = 1.0e3
 
 
 def force_terms(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
@@ -89,6 +94,8 @@ def force_terms(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
     if (scene.springs or scene.tubes or scene.fibres
             or any(body.springs for body in scene.mass_springs)):
         yield spring_term(layout, notes)
+    if any(body.joined for body in scene.rigid_bodies):
+        yield from _joint_terms(layout)
     if scene.touches:
         yield _touch_loads(layout, notes)
     if scene.observer is not None:
@@ -207,7 +214,7 @@ def _hinged_terms(layout: Layout, elements: BeamElements) -> Iterator[ForceTerm]
         is_own = hinge[:, end] >= 0
         bending = own.stiffness[is_own, 3:].max(axis=1)
         np.maximum.at(stiffness, hinge[is_own, end] // 2, bending)
-    yield HingeBlocks(frames, stiffness)
+    yield HingeBlocks(frames.own, frames.is_ball, stiffness)
 
 
 def _sealed_gas(layout: Layout, notes: list[str]) -> SealedGas:
@@ -451,7 +458,7 @@ class _Part(NamedTuple):
     stiffness: float | np.ndarray
     rest_lengths: float | np.ndarray
     damping: float = 0.0
-    offsets: tuple[float, ...] = (0.0, 0.0, 0.0)
+    offsets: tuple[float, ...] | np.ndarray = (0.0, 0.0, 0.0)
     is_thread: bool = False
 
     def of_each(self, field: str) -> np.ndarray:
@@ -474,7 +481,7 @@ def spring_term(layout: Layout, notes: list[str]) -> Springs:
     Raises:
         SceneError: A point does not lie on its body.
     """
-    scene, nodes = layout.scene, layout.nodes
+    scene = layout.scene
     parts = [_between(layout, s, key, notes) for key, s in scene.keyed("springs")]
     for key, tube in scene.keyed("tubes"):
         path = layout.carried(tube.on, tube.points, f"{key}.points", notes)
@@ -482,13 +489,45 @@ def spring_term(layout: Layout, notes: list[str]) -> Springs:
     for key, fibre in scene.keyed("fibres"):
         parts += _fibre_parts(layout, fibre, key, notes)
     parts += [_in_mass_spring_body(layout, entry) for entry in scene.mass_springs if entry.springs]
+    return _made_of(parts, Springs, layout)
+
+
+def _made_of(parts: list[_Part], term: type[Springs], layout: Layout) -> Springs:
     first, second = (
         reduce(BarycentricMapping.followed_by, (part[end] for part in parts)) for end in (0, 1)
     )
     stiffness, lengths, damping, offsets, threads = (
         np.concatenate([part.of_each(field) for part in parts]) for field in _Part._fields[2:]
     )
-    return Springs(first, second, stiffness, lengths, damping, nodes.free_index, offsets, threads)
+    free = layout.nodes.free_index
+    return term(first, second, stiffness, lengths, damping, free, offsets, threads)
+
+
+def _joint_terms(layout: Layout) -> Iterator[ForceTerm]:
+    """The bearings of rigid bodies, and in statics what keeps their free turns definite."""
+    parts, bodies = [], {part.name: part for part in layout.rigid}
+    joined = [part for part in layout.rigid if part.entry.joined]
+    for part in joined:
+        for joint in part.entry.joined:
+            points = np.array([joint.through], float)
+            if joint.axis is not None:
+                axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
+                points = points + np.outer((-part.radius, part.radius), axis)
+            share, own = joint.stiffness / len(points), part.carried(points)
+            if joint.to == "world":
+                parts.append(_Part(own, _nowhere(len(points)), share, 0.0, offsets=points))
+            else:
+                parts.append(_Part(own, bodies[joint.to].carried(points), share, 0.0))
+    yield _made_of(parts, Joints, layout)
+    if layout.scene.integration == "quasi_static":
+        turns = layout.frames.unknowns_of(np.array([part.first_node for part in joined])) + 1
+        weights = [TURNS_HELD * STANDARD_GRAVITY * part.mass * part.radius for part in joined]
+        yield HingeBlocks(turns, np.ones(len(turns), bool), weights)
+
+
+def _nowhere(count: int) -> BarycentricMapping:
+    """Second ends of springs to the world: their places are offsets."""
+    return BarycentricMapping(np.zeros((count, 1), np.int64), np.zeros((count, 1)))
 
 
 def _along(
@@ -544,8 +583,7 @@ def _between(layout: Layout, spring, key: str, notes: list[str]) -> _Part:
     rest = np.linalg.norm(np.subtract(ends[1].point, ends[0].point))
     length = rest if spring.rest_length is None else spring.rest_length
     if ends[1].on == "world":
-        second = BarycentricMapping(np.zeros((1, 1), np.int64), np.zeros((1, 1)))
-        return _Part(first, second, spring.stiffness, length, spring.damping, ends[1].point)
+        return _Part(first, _nowhere(1), spring.stiffness, length, spring.damping, ends[1].point)
     second = _end(layout, ends[1], f"{key}.ends", notes)
     return _Part(first, second, spring.stiffness, length, spring.damping)
 

@@ -176,6 +176,7 @@ def build_rigid_parts(
             for body in bodies if entry.name in body.riding
         )
     }  # fmt: skip
+    held = held_bodies(scene, net, held)
     if net is not None and scene.integration == "quasi_static":
         held = net.all_held(held)
     parts = []
@@ -184,11 +185,28 @@ def build_rigid_parts(
             raise scene.error(f"{key}.motion", "free",
                               f"{entry.name} floats: in quasi_static integration nothing gives it "
                               "an equilibrium; make the scene dynamic, the body guided, or attach "
-                              "it to a soft body or join it to a beam that is held")
+                              "it to a soft body or join it to a beam or body that is held")
         node = first_node + 4 * index
         parts.append(_build_part(entry, index, node, bodies, scene, notes))
     _check_attached_once(parts, bodies, scene)
     return tuple(parts)
+
+
+def held_bodies(scene: Scene, net: BeamNet | None, held: set[str]) -> set[str]:
+    """What is held, by beams and by joints of rigid bodies too: names of rigid bodies and beams.
+
+    Args:
+        scene: The scene.
+        net: Its beams; None without beams.
+        held: Names of rigid bodies that are held otherwise.
+    """
+    pairs = [{body.name, joint.to} for body in scene.rigid_bodies for joint in body.joined]
+    before = -1
+    while len(held) > before:
+        before = len(held)
+        held = held if net is None else net.reached(held)
+        held = held.union(*(pair - {"world"} for pair in pairs if pair & (held | {"world"})))
+    return held
 
 
 def _build_part(entry, index: int, first_node: int, bodies, scene, notes) -> RigidPart:
@@ -480,11 +498,11 @@ def lay_out(
     check_walls_of_reduced(scene)
     net = BeamNet(scene) if scene.beams else None
     guided = {entry.name for entry in scene.rigid_bodies if entry.motion != "free"}
-    held_bodies = set() if net is None else net.reached(guided)
+    held = held_bodies(scene, net, guided)
     bodies: list[Body] = []
     first_node = 0
     for key, entry in scene.keyed("deformables"):
-        bodies.append(build_body(entry, key, first_node, scene, notes, held_bodies))
+        bodies.append(build_body(entry, key, first_node, scene, notes, held))
         if entry.reduced is not None:
             bodies[-1] = _with_coordinates(bodies[-1], scene, asked)
         if entry.vertebrae is None:
@@ -520,7 +538,7 @@ def lay_out(
     is_held = all(body.is_held for body in bodies)
     if net is not None:
         riders = {name for body in bodies for name in body.riding}
-        is_held = is_held and {beam.name for beam in net.beams} <= net.reached(guided | riders)
+        is_held = is_held and {beam.name for beam in net.beams} <= held_bodies(scene, net, guided | riders)
         beams, beam_frames = net.placed(rigid, first_node), net.frame_parts()
         sizes += [size_of_points(beam.places) for beam in beams]
     framed = (*rigid, *vertebrae, *beam_frames)
