@@ -211,6 +211,19 @@ def test_at_targets_ten_times_too_far_lengths_rest_and_home_is_reached(robot, na
     assert back.effector_errors[0] <= 1e-4
 
 
+@pytest.mark.slow
+def test_a_trunk_that_folded_on_its_way_home_lets_go_and_comes_home(robot):
+    """Compressed by its slide between the cylinders, it folds 5 mm from home."""
+    simulation, home, target = asked_for(robot, "Trunk between cylinders with slide", 7, 0)
+    steps_towards(simulation, target, OUT)
+    approaches = set()
+    for _ in range(BACK):
+        result = simulation.step(FollowTargets(home, 0.02))
+        approaches.add(simulation.inverse.trust.approach)
+    assert Approach.DEPART in approaches
+    assert result.status is Status.OK and result.effector_errors[0] <= 1e-4
+
+
 def test_a_beam_that_slipped_around_the_rod_comes_home_the_way_it_went(robot):
     """Straightened behind the rod, its tip rests 43 mm from home with all lengths at rest."""
     simulation, distance = robot("eight cables and rod")

@@ -14,11 +14,12 @@ was learnt holds for the targets and loads that it was learnt with, and where gu
 A guided body that moves counts as targets that move as far.
 
 Where a robot comes no nearer to its target, two things can be the matter. It may have been caught on
-its way, for instance behind an obstacle: then its shape at rest is much nearer. It goes back once
-along the path of its actuators, as far as the last target that it reached, and tries again from
-there. At the same displacements the body may have another shape than on its way, for instance where
-it slipped around an obstacle: then its effectors are led back through the places where they were.
-Where they come near none of these, the actuators go where they were at the begin of the path.
+its way, for instance behind an obstacle or folded: then its shape at rest is much nearer. Once it lets go:
+the actuators go to rest, and it tries again from there. Caught again, it goes back once along the path
+of its actuators, as far as the last target that it reached, and tries again from there. At the same
+displacements the body may have another shape than on its way, for instance where it slipped around an
+obstacle: then its effectors are led back through the places where they were. Where they come near none
+of these, the actuators go where they were at the begin of the path.
 Or it goes to and fro without gain, because a kink, such as a contact that opens and closes or a
 part that snaps, is sharper than a linearization can tell, or drifts without gain, or its body does
 not come to balance. Then it goes on with care, as a trust region method does: it goes back to the
@@ -362,7 +363,7 @@ class TargetTrust:
         self._scales, self.rest, self._tolerance = scales, rest, tolerance
         self._recent = np.empty((PATIENCE + 1, len(scales)))
         self.path = ActuatorPath(scales, position_count)
-        self._positions = slice(position_count)
+        self._positions, self._at_rest = slice(position_count), np.zeros(len(scales))
         # Compiled now, not when the first promise is judged.
         longest_move(self._recent[0], self._recent[0], scales)
         half_squares(rest, rest, rest)
@@ -375,13 +376,15 @@ class TargetTrust:
         # The situation that was followed first, and that of the last step.
         self._asked: Situation | None = None
         self._last: Situation | None = None
+        # Positions of the effectors under loads with the actuators at rest [m], where seen.
+        self._settled: np.ndarray | None = None
         self._promised: np.ndarray | None = None
         # The nearest place in balance, or the last one under way to other targets.
         self._nearest: Situation | None = None
         # T where it looked beyond kinks last.
         self._looked, self.branch = np.inf, None
         self._start_again()
-        self._has_retraced, self._unbalanced = False, 0
+        self._free_count = self._unbalanced = 0
         # Where to go first, T up to which to stay there, and T below which to rest later [m²].
         self._departure: tuple[np.ndarray, float, float] | None = None
         self.path.forget()
@@ -419,7 +422,9 @@ class TargetTrust:
         """
         now, greatest, is_same = situation.compared(self._asked)
         if not is_same:
-            self._asked, self._has_retraced = situation, False
+            self._asked, self._free_count = situation, 0
+            if longest_move(self._at_rest, situation.displacements, self._scales) <= MOVED:
+                self._settled = situation.places[self._positions]
             self.weight = self._floor = 0.0
             self._looked, self.branch = np.inf, None
             self._settle_anew()
@@ -612,7 +617,7 @@ class TargetTrust:
         if self._home or (self._since_balanced < PATIENCE and self._since < PATIENCE):
             return
         is_late = self._since >= LONG_PATIENCE
-        if (self._since_balanced >= PATIENCE or is_late) and self._retraces(situation, now):
+        if (self._since_balanced >= PATIENCE or is_late) and self._frees_itself(situation, now):
             return
         if self._since_balanced >= PATIENCE and self._may_look(situation, now):
             if not self._path_length:
@@ -620,7 +625,8 @@ class TargetTrust:
                 return
         drifts = is_late and self._path_length
         if self._unbalanced >= PATIENCE or self._goes_to_and_fro() or drifts:
-            self._take_care(situation)
+            if not self._frees_itself(situation, now):
+                self._take_care(situation)
 
     def _creeps_on(self, now: float) -> bool:
         """Whether the actuators creep for long, with a gain that is not worth it; `now` is T [m²]."""
@@ -636,12 +642,17 @@ class TargetTrust:
         """Whether the same targets have been followed for long."""
         return self._step_count >= LATE
 
-    def _retraces(self, situation: Situation, now: float) -> bool:
-        """Go back along the path where it was caught on the way, once; whether it does."""
+    def _frees_itself(self, situation: Situation, now: float) -> bool:
+        """Go to rest where it was caught, later back along the path, once each; whether it does."""
         is_free = bool(np.isnan(situation.commanded).all())
-        if self._has_retraced or not (is_free and self._is_caught(situation, now)):
+        if self._free_count == 2 or not (is_free and self._is_caught(situation, now)):
             return False
-        self.approach, self._has_retraced, self._has_led = Approach.RETRACE, True, False
+        if self._free_count == 0:
+            self._go_to(self._at_rest, -math.inf)
+            self._is_trial = False
+        else:
+            self.approach, self._has_led = Approach.RETRACE, False
+        self._free_count += 1
         return True
 
     def _return(self, situation: Situation) -> None:
@@ -701,7 +712,7 @@ class TargetTrust:
             self._nearest, self._least, self._back = situation, now, 1
         if not is_clear or self._is_in_vain(now):
             self.is_careful, self.weight, self.longest = False, 0.0, np.inf
-            if self._retraces(situation, now):
+            if self._frees_itself(situation, now):
                 return
             self._rest_at(situation)
             if self._may_look(situation, now):
@@ -820,12 +831,15 @@ class TargetTrust:
             self._steps_to_place = 0
 
     def _is_caught(self, situation: Situation, now: float) -> bool:
-        """Whether the shape at rest is much nearer to the target."""
+        """Whether the shape at rest, as drawn or under loads, is much nearer to the target."""
         # Of what else is wanted than places, such as a stiffness, the shape at rest has nothing.
-        rest = self.rest
-        if len(rest) < len(situation.targets):
-            rest = np.concatenate([rest, np.zeros(len(situation.targets) - len(rest))])
-        return situation.tracking(rest) < CAUGHT**2 * now
+        rest = np.zeros(len(situation.targets))
+        rest[: len(self.rest)] = self.rest
+        nearest = situation.tracking(rest)
+        if self._settled is not None:
+            rest[self._positions] = self._settled
+            nearest = min(nearest, situation.tracking(rest))
+        return nearest < CAUGHT**2 * now
 
     @property
     def _path_length(self) -> float:

@@ -488,6 +488,10 @@ def caught(trust, count, commanded=np.nan) -> None:
         trust.begin(situation(-9.0, displacement=0.5, commanded=commanded))
 
 
+# Steps until it lets go, until it has waited in vain for its shape at rest, and until it is caught again.
+TWICE_CAUGHT = 3 * (PATIENCE + 1)
+
+
 def go_back(trust, target=TARGET) -> list[float]:
     """Follows the path back to its begin; the displacements that it led through."""
     passed = []
@@ -500,8 +504,26 @@ def go_back(trust, target=TARGET) -> list[float]:
     return passed
 
 
-def test_a_robot_that_was_caught_goes_back_along_its_path(trust):
+def test_a_robot_that_was_caught_lets_go_and_tries_again_from_rest(trust):
     caught(trust, PATIENCE + 1)
+    assert trust.approach is Approach.DEPART and not trust.goal.any()
+    trust.begin(situation(-12.0, displacement=0.2))
+    assert trust.approach is Approach.DEPART
+    trust.begin(situation(0.0))
+    assert trust.approach is Approach.FOLLOW
+
+
+def test_a_robot_is_caught_too_that_hangs_near_the_target_at_rest(trust):
+    """At rest it is drawn 20 m away from the target, and hangs 1 m away from it."""
+    target = -20.0
+    trust.begin(situation(-19.0, target))
+    for step in range(PATIENCE + 2):
+        trust.begin(situation(-10.0, target, displacement=0.5 + to_and_fro(step)))
+    assert trust.approach is Approach.DEPART
+
+
+def test_a_robot_that_was_caught_goes_back_along_its_path(trust):
+    caught(trust, TWICE_CAUGHT)
     assert trust.approach is Approach.RETRACE
     np.testing.assert_allclose(go_back(trust), 0.05 * np.arange(10, -1, -1), atol=1e-15)
     assert trust.approach is Approach.FOLLOW
@@ -510,7 +532,7 @@ def test_a_robot_that_was_caught_goes_back_along_its_path(trust):
 def test_in_another_shape_than_on_the_way_the_effectors_are_led_back_where_they_were(trust):
     """From place to place: at once where they are near, else after some steps."""
     trust.begin(situation(-14.0))
-    caught(trust, PATIENCE + 1)
+    caught(trust, TWICE_CAUGHT)
     assert trust.approach is Approach.RETRACE
     trust.path.go_back()
     trust.begin(situation(-9.0 - 0.9 * ELSEWHERE * SIZE, displacement=0.45))
@@ -532,7 +554,7 @@ def test_in_another_shape_than_on_the_way_the_effectors_are_led_back_where_they_
 
 def test_where_leading_back_comes_near_no_place_the_actuators_go_where_they_began(trust):
     trust.begin(situation(-14.0))
-    caught(trust, PATIENCE + 1)
+    caught(trust, TWICE_CAUGHT)
     far = situation(-12.0 - 1.1 * ELSEWHERE * SIZE, displacement=0.45)
     trust.begin(far)
     assert trust.approach is Approach.LEAD_BACK
@@ -546,14 +568,17 @@ def test_where_leading_back_comes_near_no_place_the_actuators_go_where_they_bega
 
 
 def test_on_its_way_back_it_follows_as_soon_as_it_is_much_nearer(trust):
-    caught(trust, PATIENCE + 1)
+    caught(trust, TWICE_CAUGHT)
     trust.begin(situation(-0.1, displacement=0.1))
     assert trust.approach is Approach.FOLLOW
 
 
-def test_it_goes_back_once_for_each_target(trust):
+def test_it_lets_go_and_goes_back_once_for_each_target(trust):
     for target in (TARGET, 1.5 * TARGET):
         for step in range(PATIENCE + 1):
+            trust.begin(situation(-9.0, target, displacement=to_and_fro(step)))
+        assert trust.approach is Approach.DEPART
+        for step in range(PATIENCE + 2):
             trust.begin(situation(-9.0, target, displacement=to_and_fro(step)))
         assert trust.approach is Approach.RETRACE
         go_back(trust, target)
