@@ -28,6 +28,9 @@ SAMPLED = "sampled_range"
 # Ending of the name that tells that a body is strained beyond the range of its law, such as
 # ``finger.strain_range``.
 STRAINED = "strain_range"
+# Ending of the name that tells that a cavity is near the pressure at which it bursts, such as
+# ``air.near_burst``.
+BURST = "near_burst"
 # Tells that the state is unstable where the commanded efforts are held, as hardware without a position
 # loop would: a little more effort leads far away.
 UNSTABLE = "unstable_at_efforts"

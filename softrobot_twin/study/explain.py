@@ -33,6 +33,7 @@ from softrobot_twin.simulation.scene_warnings import expected_sag
 from softrobot_twin.simulation.step.time_integration import DEFAULT_RADIUS
 from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT
 from softrobot_twin.study.length_units import SHOWN
+from softrobot_twin.study.pneumatic_warnings import burst_warnings, fibre_warnings
 from softrobot_twin.study.scene_picture import check_picture, draw_snapshots, take_snapshot
 from softrobot_twin.study.terminal import (
     by_key,
@@ -697,6 +698,11 @@ def _term(names: list[str], word: str) -> str:
     return f"term {found[0]}" if found else "no term"
 
 
+def _burst_warnings(simulation: Simulation) -> list[str]:
+    with terminal_status("driving the cavities to their greatest pressures"):
+        return list(burst_warnings(simulation))
+
+
 def _draw(simulation: Simulation, picture: Path, where: str, view: tuple[float, float] | None) -> None:
     """Draw a robot as it stands, with the names of all things."""
     shot = take_snapshot(simulation, None, simulation.scene.name)
@@ -746,6 +752,7 @@ def explain(scene: Path, mesh_error: bool = True, picture: Path | None = None,
         output.print(f"picture: {picture}\n")
     if mesh_error:
         print_mesh_error(simulation.scene, with_table=True)
-    for note in (*simulation.notes, *thin_warnings(simulation)):
+    for note in (*simulation.notes, *thin_warnings(simulation), *_burst_warnings(simulation),
+                 *fibre_warnings(simulation, thinnest_parts(simulation))):  # fmt: skip
         warn(note)
     return 0

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation import CommandSetpoints, Status
+from softrobot_twin.study.pneumatic_warnings import burst_warnings
 from test.builder import builder
 from test.scene_changes import repeat_step
 
@@ -66,11 +67,12 @@ def test_pressure_control_stops_at_the_limit_point_and_says_so(balloon):
         result = repeat_step(simulation, CommandSetpoints([pressure * SHEAR], 1.0), 3)
         assert result.status is Status.OK, pressure
         assert result.efforts[0] == pytest.approx(pressure * SHEAR)
+        assert ("air.near_burst" in result.report.active_limits) is (pressure > 0.59)
     # Above the limit no state balances the pressure: the balloon grows, to its greatest volume.
     for _ in range(6):
         result = simulation.step(CommandSetpoints([0.9 * SHEAR], 1.0))
         assert result.status is not Status.OK
-    assert result.report.active_limits == ("air.growth_max",)
+    assert result.report.active_limits == ("air.growth_max", "air.near_burst")
     assert result.efforts[0] < 0.7 * SHEAR
     growth = result.displacements[0] / whole
     assert growth == pytest.approx(26.7, abs=0.2)
@@ -79,6 +81,22 @@ def test_pressure_control_stops_at_the_limit_point_and_says_so(balloon):
     for pressure in (0.5, 0.4, 0.4, 0.4, 0.4, 0.4):
         result = simulation.step(CommandSetpoints([pressure * SHEAR], 1.0))
     assert result.status is Status.OK and result.displacements[0] < whole
+
+
+def test_a_pressure_near_the_limit_is_told_while_steps_still_converge(balloon):
+    """C = dV/dp is five times that at rest at 0.73 of the greatest pressure."""
+    simulation, told, volumes = balloon(pressure=[0.0, 0.7 * SHEAR]), {}, []
+    for pressure in (0.3, 0.5, 0.6, 0.65, 0.651):
+        result = simulation.step(CommandSetpoints([pressure * SHEAR], 1.0))
+        assert result.status is Status.OK
+        told[pressure] = "air.near_burst" in result.report.active_limits
+        volumes.append(result.displacements[0])
+    assert told == {0.3: False, 0.5: False, 0.6: True, 0.65: True, 0.651: True}
+    (compliance,) = simulation.newton.actuator_compliances
+    assert (volumes[-1] - volumes[-2]) / (0.001 * SHEAR) == pytest.approx(compliance, rel=0.01)
+    warnings = list(burst_warnings(simulation))
+    assert len(warnings) == 1 and "air: at 70 kPa, 1 of the greatest pressure" in warnings[0]
+    assert result.report.active_limits and not list(burst_warnings(balloon(pressure=[0.0, 3e4])))
 
 
 def test_the_closed_form_has_its_limit_where_it_is_published():

@@ -212,6 +212,19 @@ class Newton:
         return is_of_use and not self._rows.varies
 
     @property
+    def actuator_compliances(self) -> np.ndarray:
+        """Displacement of each actuator by its own effort, at given efforts of the others.
+
+        By the last linearization; infinite where the body is unstable at given efforts. Shape
+        (actuator_row_count,), in the actuators' units.
+        """
+        W = self._linear.W_aa
+        if not self.is_augmented:
+            return W.diagonal()
+        softened = np.linalg.inv(W) - np.diag(self._linear.augmentation.stiffness)
+        return np.full(len(W), np.inf) if np.linalg.eigvalsh(softened)[0] <= 0.0 else np.linalg.inv(softened).diagonal()
+
+    @property
     def static_factorization(self) -> Factorization | None:
         """The factorization, where it holds the exact tangent of statics; else None."""
         is_other = self._model.is_dynamic or self.is_augmented or self.projected_tangent
