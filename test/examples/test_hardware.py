@@ -203,7 +203,7 @@ OF_PULLEYS = [
 OF_HINGES = [
     ({"greatest_torque": None}, "greatest_torque"), ({"largest_turn": 20.0}, "largest_turn"),
     ({"largest_jump": 0.02}, "largest_jump"), ({"servos.0.zero_length": 0.1}, "servos[0].zero_length"),
-    ({"servos.1.least_angle": 2.0}, "servos[1].least_angle"),
+    ({"servos.1.least_angle": 2.5}, "servos[1].least_angle"),
     ({"servos.1.greatest_angle": 3.5}, "servos[1].least_angle"),
     ({"servos.2.radius": 0.01}, "greatest_tension"),
 ]
