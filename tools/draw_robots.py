@@ -36,6 +36,8 @@ PICTURES = {
     "fast_pneunet": "simulate config/scenes/fast_pneunet.yaml --commands "
                     "config/commands/fast_pneunet_curl.csv --rate 20 --picture-at 0.1 2 4.5 "
                     "--picture-view 12 -75",
+    "finray": "simulate config/scenes/finray.yaml --commands config/commands/finray_press.csv "
+              "--rate 50 --picture-at 0.1 2 4 --picture-view 8 -75",
     "segment": "simulate config/scenes/segment.yaml --commands config/commands/segment_bend.csv "
                "--rate 50 --picture-at 0.2 3 8 --picture-view 10 35",
     "strider": "simulate config/scenes/strider.yaml --commands config/commands/strider_sway.csv "
