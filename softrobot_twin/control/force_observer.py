@@ -16,6 +16,7 @@ the model itself is off does not vanish by averaging: it is carried to the devia
 
 from __future__ import annotations
 
+import math
 from functools import cache
 
 import numpy as np
@@ -24,7 +25,8 @@ from scipy.special import gammaincinv
 from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.control.model_history import Moment
-from softrobot_twin.simulation import Simulation
+from softrobot_twin.simulation import CommandSetpoints, Hold, Simulation, State
+from softrobot_twin.simulation.command import LONG
 from softrobot_twin.simulation.effects.observed_forces import ObservedForces, numbers_of
 from softrobot_twin.simulation.marker_compliance import MarkerCompliance
 
@@ -51,6 +53,9 @@ place is looked for, a long move waits for the one before, until no more of how 
 REACH = 0.02
 """A change of forces moves no marker further at once than this share of the robot's size, because a
 linearization does not tell so far."""
+LOOKS, STILL = 24, 0.5
+"""Steps that follow a larger change at once, at most: until it, and what a step left, move markers by
+less than so many deviations."""
 GREATEST = 3.0
 """No force is larger than so many times the `greatest_force` of the scene."""
 
@@ -76,6 +81,7 @@ class ForceObserver:
         found: What the model is to bear.
         lag: What the last step left to move of them [m], same shape.
         stamp: Time of the last measurement [ns].
+        settled: The model where the last measurement was, if steps there have found a large change.
         is_settling: Whether forces have changed so much that they are not yet known.
         by_loads: Their motion by each number of the loads, shape (3 marker_count, load_count).
     """
@@ -107,14 +113,32 @@ class ForceObserver:
         self.by_loads = np.zeros((3 * count, len(self._arms)))
         self._loads = np.zeros(len(self._arms))
         self._covariance = self._prior
-        self.stamp = 0
+        self.stamp, self._moved = 0, 0.0
+        self.settled: State | None = None
         # Mean of what markers are beside the model, and how many measurements it is of.
         self._mean, self._counts = np.zeros((count, 3)), np.zeros(count)
+        self._followed, self._still = -math.inf, 0.0
 
     def look(self) -> None:
         """Finds what forces do to the markers where the last step ended. Called after each step."""
         self.by_loads, lag = self._compliance.at_state(self.found.points)
         self.lag = lag.reshape(-1, 3)
+
+    def balance(self, measured: tuple) -> None:
+        """Looks after a step, and lets the model come to balance in the second after a large change.
+
+        The robot follows quickly then, and it is compared with where the model has come to.
+
+        Args:
+            measured: What else steps are to bear.
+        """
+        self.look()
+        for _ in range(LOOKS // 3 if self._is_following else 0):
+            if np.abs(self.lag).max() < self._still:
+                break
+            if self._simulation.step(Hold(), None, [self.found, *measured]).status.is_failure:
+                break
+            self.look()
 
     def moment(self, markers: np.ndarray, effectors: np.ndarray) -> Moment:
         """The model where the last step ended, as it will have settled.
@@ -123,7 +147,13 @@ class ForceObserver:
             markers: Its markers [m], shape (marker_count, 3).
             effectors: Its effectors [m], shape (effector_count, 3).
         """
-        return Moment(markers + self.lag, effectors, self.loads, self.by_loads)
+        return Moment(markers + self.lag, effectors, self.loads, self.by_loads,
+                      setpoints=self._simulation.state.setpoints)  # fmt: skip
+
+    @property
+    def _is_following(self) -> bool:
+        """Whether the last large change is less than a second ago."""
+        return self.stamp - self._followed < NANOSECONDS
 
     @property
     def places(self) -> np.ndarray:
@@ -160,23 +190,66 @@ class ForceObserver:
         """Numbers of all loads."""
         return len(self._arms)
 
-    def update(self, markers: np.ndarray, model: Moment, noise: float, stamp: int) -> bool:
+    def update(
+        self, markers: np.ndarray, model: Moment, noise: float, stamp: int, measured: tuple = ()
+    ) -> Moment | None:
         """Uses the markers of one measurement.
+
+        The simulation stands where it did.
 
         Args:
             markers: Measured markers [m], NaN for hidden ones, shape (marker_count, 3).
             model: The model of the same moment.
             noise: Standard deviation of each coordinate, where the scene gives none [m].
             stamp: Time of the measurement [ns]; an old one is not used again.
+            measured: What else steps are to bear.
 
         Returns:
-            Whether a load acts at another place than before.
+            The model of that moment under the loads that are known now, where it is another one
+            than `under_loads` tells: at another place, or far off.
         """
-        since, self.stamp = (stamp - self.stamp) / NANOSECONDS, stamp
+        since, self.stamp, self.settled = (stamp - self.stamp) / NANOSECONDS, stamp, None
+        if since == 0.0 or not np.isfinite(markers).all(axis=1).any():
+            return None
+        self._covariance = self._covariance + min(abs(since), 1.0) * self._walk
+        is_new = self._use(markers, model, noise)
+        if self.is_settling and not (self._unknown or self._simulation.model.is_dynamic):
+            model, is_new = self._settle(markers, model, noise, measured), True
+        if not is_new:
+            return None
+        moved = self.by_loads @ self.loads - model.by_loads @ model.loads
+        return model._replace(markers=model.markers + moved.reshape(-1, 3), loads=self.loads,
+                              by_loads=self.by_loads)  # fmt: skip
+
+    def _settle(
+        self, markers: np.ndarray, model: Moment, noise: float, measured: tuple
+    ) -> Moment:
+        """Follows a change for which one linearization is not enough, by steps of the model.
+
+        Returns:
+            The model of the moment, as the last of them left it.
+        """
+        simulation, before = self._simulation, self._simulation.state
+        command = CommandSetpoints(model.setpoints, LONG)
+        for _ in range(LOOKS):
+            result = simulation.step(command, None, [self.found, *measured])
+            if result.status.is_failure:
+                break
+            self.look()
+            model = self.moment(simulation.marker_positions(), model.effectors)
+            # The same measurement again, and not one more.
+            self._covariance, self._counts[:] = self._prior.copy(), 0.0
+            self._use(markers, model, noise)
+            if max(self._moved, np.abs(self.lag).max()) < STILL * noise:
+                break
+        self.settled, self._followed, self._still = simulation.state, self.stamp, STILL * noise
+        simulation.restore(before)
+        return model
+
+    def _use(self, markers: np.ndarray, model: Moment, noise: float) -> bool:
+        """Uses markers by one linearization; whether a load acts at another place than before."""
         beside = markers - self.under_loads(model).markers
         seen = np.isfinite(beside).all(axis=1)
-        if since == 0.0 or not seen.any():
-            return False
         beside = np.where(seen[:, None], beside, 0.0)
         moved = np.linalg.norm((markers - model.markers)[seen], axis=1)
         far = np.sort(moved)[len(moved) // 2]
@@ -186,7 +259,6 @@ class ForceObserver:
         borne = self.by_loads @ given
         if self._unknown and self.is_settling and np.abs(self.lag).max() > UNSETTLED * far:
             return False
-        self._covariance = self._covariance + min(abs(since), 1.0) * self._walk
         if self._notice(borne + beside.ravel(), sum(R), seen.astype(float)):
             self._counts[:] = 0.0
         self._counts = KEPT * self._counts + seen
@@ -207,6 +279,7 @@ class ForceObserver:
                 break
         if self.is_settling:
             spread, self._counts[:] = self._prior, 0.0
+        self._moved = moved
         most = GREATEST * self._entry.greatest_force * self._arms
         self._loads, self._covariance = np.clip(after, -most, most), spread
         self._tell(self.by_loads, sum(R), weights)

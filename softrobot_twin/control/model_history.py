@@ -30,6 +30,8 @@ class Moment(NamedTuple):
         loads: Numbers of the loads that an observer found and the model bore, shape (load_count,).
         by_loads: Motion of the markers by each of these, shape (3 marker_count, load_count).
         delay: How late the device was there [s]; NaN where this is not known.
+        setpoints: The model's setpoints, in the actuators' units, shape (actuator_count,); None in a
+            scene without an observer.
     """
 
     markers: np.ndarray
@@ -37,6 +39,7 @@ class Moment(NamedTuple):
     loads: np.ndarray = np.empty(0)
     by_loads: np.ndarray | None = None
     delay: float = math.nan
+    setpoints: np.ndarray | None = None
 
 
 class ModelHistory:
@@ -167,18 +170,20 @@ class ModelHistory:
         found = Moment(values[: self._markers], values[self._markers :])
         if self._by_loads is None:
             return found
-        return found._replace(loads=between(self._loads), by_loads=between(self._by_loads))
+        return found._replace(loads=between(self._loads), by_loads=between(self._by_loads),
+                              setpoints=self._scales * between(self._setpoints))  # fmt: skip
 
-    def load_elsewhere(self, loads: np.ndarray, by_loads: np.ndarray) -> None:
+    def load_otherwise(self, before: Moment, after: Moment) -> None:
         """Takes all ticks as if they had been under other loads.
 
         Args:
-            loads: See `Moment`.
-            by_loads: Likewise.
+            before: One of them.
+            after: The same, under the other loads.
         """
-        moved = by_loads @ loads - np.einsum("tml,tl->tm", self._by_loads, self._loads)
+        moved = (after.markers - before.markers).ravel() - np.einsum(
+            "tml,tl->tm", self._by_loads, self._loads - before.loads)
         self._values[:, : self._markers] += moved.reshape(len(moved), -1, 3)
-        self._loads[:], self._by_loads[:] = loads, by_loads
+        self._loads[:], self._by_loads[:] = after.loads, after.by_loads
 
     def forget(self) -> None:
         """Starts a new history."""

@@ -650,9 +650,11 @@ class TwinLoop:
         felt = None if self.touches is None else self.touches.read(now)
         touched = [] if felt is None else [felt]
         if self.observer is not None:
-            self._observe(seen, activity)
+            self._observe(seen, activity, tuple(touched))
             touched.append(self.observer.found)
         result, released, violated = self._step(command, touched, time.reach, cause)
+        if self.observer is not None and not result.report.is_resting:
+            self.observer.balance(() if felt is None else (felt,))
         predicted = self.simulation.marker_positions()
         self._remember(ros_time, predicted, result)
         measured, misfit = self._compare(seen, activity)
@@ -891,12 +893,13 @@ class TwinLoop:
             result = _undone(result, before, passage.command, simulation)
         return result, passage.command, passage.violated
 
-    def _observe(self, seen: np.ndarray, activity: Activity) -> None:
+    def _observe(self, seen: np.ndarray, activity: Activity, felt: tuple) -> None:
         """Finds the forces that nobody modelled, by the markers that are plausible.
 
         Args:
             seen: Measured markers [m], shape (marker_count, 3); NaN for hidden markers.
             activity: What the loop does.
+            felt: What is measured of touches.
         """
         if not activity.follows_robot:
             self.observer.reset()
@@ -907,8 +910,13 @@ class TwinLoop:
         if self.observer.is_new(stamp):
             model = self._executed(stamp) or self._history.at(stamp)
             accepted = self._plausibility.without_left_out(seen)
-            if self.observer.update(accepted, model, self._plausibility.noise, stamp):
-                self._history.load_elsewhere(self.observer.loads, self.observer.by_loads)
+            loaded = self.observer.update(accepted, model, self._plausibility.noise, stamp, felt)
+            if loaded is not None:
+                self._history.load_otherwise(model, loaded)
+            if (settled := self.observer.settled) is not None:
+                # The robot is there already, but for what it was commanded since.
+                self.simulation.restore(replace(self.simulation.state, positions=settled.positions,
+                                                efforts=settled.efforts))  # fmt: skip
 
     def _executed(self, stamp: int) -> Moment | None:
         """The model at the command that the robot executed at a time [ns]; None where unknown."""
@@ -941,8 +949,6 @@ class TwinLoop:
         if self.observer is None:
             moment = Moment(markers, result.effector_positions)
         else:
-            if not result.report.is_resting:
-                self.observer.look()
             moment = self.observer.moment(markers, result.effector_positions)
         self._history.add(ros_time, result.setpoints, moment)
 

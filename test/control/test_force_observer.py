@@ -370,10 +370,12 @@ def test_what_an_observer_costs_is_told_beside_a_step(small_scene_mapping, rng):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("delay", [2, 5])
 @pytest.mark.parametrize("closed", [False, True])
-def test_a_load_at_the_tip_is_compensated_in_its_delay_and_four_ticks(closed, rng):
-    """1 N aside; commands act a tick late, and frames with noise come another tick later."""
-    tick, target = 0.025, np.array([0.008, 0.0, 0.136])
+def test_a_load_at_the_tip_is_compensated_in_its_delay_and_four_ticks(closed, delay, rng):
+    """1 N aside; commands act a tick late, and frames with noise come the rest of the delay later."""
+    tick, target, aside = 0.025, np.array([0.008, 0.0, 0.136]), rng.uniform(0.0, 2.0 * np.pi)
+    force = np.array([np.cos(aside), np.sin(aside), 0.0])
     mapping = coarse("diamond", "diamond_600")
     mapping["body"]["element"] = "smoothed"
     twin = built({**observing(mapping, {"name": "tip", "points": [TIP]}),
@@ -381,25 +383,25 @@ def test_a_load_at_the_tip_is_compensated_in_its_delay_and_four_ticks(closed, rn
     real = built({**mapping, "touches": [
         {"name": "tip", "points": [TIP], "while_touched": "follow_targets"}]})  # fmt: skip
     driver = Driver(twin, rate=1.0 / tick, closed_loop=closed)
-    sent, away, seen = [], [], None
-    for k in range(130):
-        if seen is not None:
-            driver.see(seen[0] + rng.normal(0.0, 2e-4, (8, 3)), age=tick)
-            driver.measure(seen[1], age=tick)
+    sent, away, seen = [], [], []
+    for k in range(90):
+        if k >= delay - 1:
+            markers, setpoints = seen[k - delay + 1]
+            driver.see(markers + rng.normal(0.0, 2e-4, (8, 3)), age=tick * (delay - 1))
+            driver.measure(setpoints, age=tick * (delay - 1))
         driver.target(*target)
         sent.append(np.array(driver.tick().command.setpoints))
         setpoints = sent[-2] if k else real.rest_setpoints
-        load = np.array([[0.8, 0.6, 0.0]]) * (k > 80)
         for _ in range(3):
             real.step(CommandSetpoints(setpoints, tick / 3.0), None,
-                      Touched(load, np.full((1, 3), np.nan)))  # fmt: skip
-        seen = real.marker_positions(), np.array(real.state.setpoints)
+                      Touched(force[None] * (k > 50), np.full((1, 3), np.nan)))  # fmt: skip
+        seen.append((real.marker_positions(), np.array(real.state.setpoints)))
         away.append(np.linalg.norm(real.effector_positions()[0] - target))
-    late = np.flatnonzero(np.array(away[81:]) > 0.5e-3)
-    print("displaced by", 1e3 * max(away[81:]), "mm, settled after", late[-1] + 1, "ticks")
-    assert max(away[81:]) > 5e-3
-    assert late[-1] + 1 <= 2 + 4
-    assert driver.loop.observer.found.wrenches[0, :3] == pytest.approx([0.8, 0.6, 0.0], abs=0.1)
+    late = np.flatnonzero(np.array(away[51:]) > 0.5e-3)
+    print("displaced by", 1e3 * max(away[51:]), "mm, settled after", late[-1] + 1, "ticks")
+    assert max(away[51:]) > 5e-3
+    assert late[-1] + 1 <= delay + 4
+    assert driver.loop.observer.found.wrenches[0, :3] == pytest.approx(force, abs=0.1)
 
 
 def test_a_scene_without_an_observer_has_nothing_of_it(drive, simulation):
