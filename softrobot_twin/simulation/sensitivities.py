@@ -155,6 +155,7 @@ class Sensitivities(HeldTangent):
         self._at: tuple[State, bytes] | None = None
         self._middle: AtState | None = None
         self._built: dict[tuple[str | None, int], Terms] = {}
+        self._effector_rows: dict[int, RowStack] = {}
 
     def solve_sensitivity(
         self, forces: np.ndarray, displacements: np.ndarray | None = None
@@ -397,7 +398,9 @@ class Sensitivities(HeldTangent):
         a = rows.groups.actuators
         drives = np.where(actuators.is_effort_driven, 0.0, actuators.drives(state.setpoints))[a]
         if known is None:
-            effectors = effector_rows(terms.effectors, nodes)
+            if id(terms) not in self._effector_rows:
+                self._effector_rows[id(terms)] = effector_rows(terms.effectors, nodes)
+            effectors = self._effector_rows[id(terms)]
             effectors.evaluate(positions)
         places = effectors.values.reshape(-1, 3) if known is None else known.effectors
         return AtState(forces, rows.actuator_paths(state.efforts[a]), drives, places, passive, terms.layout)

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from scipy.linalg import qr
-from scipy.optimize import least_squares, lsq_linear
+from scipy.optimize import lsq_linear
 from scipy.stats import qmc, t
 
 from softrobot_twin.errors import NamedError, SceneError
@@ -72,9 +72,13 @@ EFFORT_NOISE = 0.01
 """Noise of efforts that were not measured yet, as a share of the largest."""
 EACH_HELD_BACK = 4
 """One of so many poses is held back."""
-_ROUNDS, _EVALUATIONS, _REWEIGHTED = 12, 12, 50
-_CURVED = 0.05
-"""The numbers are found where the curvature of the model moves them by less, in standard deviations."""
+_ROUNDS, _REWEIGHTED = 40, 50
+_LEAST_GAIN, _GOOD_GAIN, _NEARER = 0.1, 0.7, 0.4
+"""A step is refused where its gain is less than this share of what the linear model promised, and a longer one
+is tried where it is more than that share; after a refusal steps are shorter by this factor."""
+_NO_GAIN, _LARGE_GAIN = 0.1, 1.0
+"""Numbers whose cost is to fall by less than the first are found: it moves them by less than a third of a standard
+deviation. Derivatives are taken again where it falls by more than the second, and otherwise than promised."""
 _INLIERS, _SPREAD_OF_INLIERS = 3.0, 0.98658
 """Residuals within so many standard deviations, and the standard deviation of a normal distribution that is
 cut off there."""
@@ -174,7 +178,7 @@ def scene_of_points(scene: Scene) -> Scene:
     taken: list[dict[str, Any]] = [
         {"name": f"marker_{one.id}_", "body": one.body, "points": [one.point]} for one in scene.markers]
     taken += [{"name": one.name, "body": one.body, "points": one.points} for one in scene.effectors]
-    changes: dict[str, Any] = {"effectors": taken, "markers": []}
+    changes: dict[str, Any] = {"effectors": taken, "markers": [], "observer": None}
     if scene.integration != "quasi_static":
         changes |= {"integration": "quasi_static", "time_scheme": "backward_euler",
                     "spectral_radius": None}  # fmt: skip
@@ -295,6 +299,7 @@ class RestModel:
             rest = bring_to_rest(self.simulation, setpoints, WAY, None, touched)
         if not rest.is_reached:
             return False
+        followed.stay(name)
         # Of several shapes at one pose that nearest to the measured one is followed.
         self.distances[index] = now = self._misfit(index)
         if now <= self._misfits.get(name, np.inf):
@@ -503,31 +508,34 @@ def estimate(model: Model, measured: Measurements, unknowns: Sequence[Unknown]) 
     if len(measured.values) <= count:
         raise CalibrationError("data", f"{len(measured.values)} measured numbers are too few for "
                                f"{count} unknown ones")
-    scaled = _Scaled(model, unknowns)
-    z = np.zeros(count)
-    values = scaled.at(z, False).values
-    if not np.isfinite(values).all():
+    scaled, z = _Scaled(model, unknowns), np.zeros(count)
+    here, radius, is_here = scaled.at(z, True), 1.0, True
+    if not np.isfinite(here.values).all():
         raise CalibrationError("data", "the model does not come to rest at a pose")
-    noise = _noise(values - measured.values, measured, count)
-    z = _solved(scaled, measured, z, noise, 1.0e-2)
-    here = scaled.at(z, True)
+    noise = _noise(here.values - measured.values, measured, count)
     for _ in range(_ROUNDS):
         linear = _Linear(z, here)
-        z, noise = _polished(linear, measured, noise)
-        here = here._replace(values=scaled.at(z, False).values)
-        per = np.array([noise[kind] for kind in measured.kinds])
-        if not np.isfinite(here.values).all():
-            z = _solved(scaled, measured, linear.origin, noise, 1.0e-2)
-            here = scaled.at(z, True)
-            continue
-        bend, J = (here.values - linear.at(z, False).values) / per, here.jacobian / per[:, None]
-        # By how much the curvature moves the numbers, in standard deviations of their estimates.
-        inverse = np.linalg.inv(J.T @ J + np.eye(count))
-        moved = np.abs(inverse @ (J.T @ bend) / np.sqrt(np.diag(inverse))).max(initial=0.0)
-        if moved < _CURVED:
+        to, after = _polished(linear, measured, noise, radius)
+        per, told = np.array([after[kind] for kind in measured.kinds]), linear.at(to)
+        now, promised = (_cost((values - measured.values) / per, at) for values, at in
+                         ((here.values, z), (told, to)))  # fmt: skip
+        if now - promised < _NO_GAIN:
             break
-        if moved > 1.0:
-            here = scaled.at(z, True)
+        there, step = scaled.at(to, False).values, to - z
+        # Where a pose is lost the gain is no number.
+        gain = (now - _cost((there - measured.values) / per, to)) / (now - promised)
+        if not gain > _LEAST_GAIN:
+            radius = _NEARER * np.abs(step).max()
+            if not is_here:
+                here, is_here = scaled.at(z, True), True
+            continue
+        z, noise = to, after
+        if gain > _GOOD_GAIN:
+            radius = max(radius, 2.0 * np.abs(step).max())
+        here, is_here = here._replace(values=there), False
+        if gain < _GOOD_GAIN and now - promised > _LARGE_GAIN:
+            here, is_here = scaled.at(z, True), True
+    per = np.array([noise[kind] for kind in measured.kinds])
     residuals, J = (here.values - measured.values) / per, here.jacobian / per[:, None]
     soft = 1.0 + (residuals / SOFT) ** 2
     # Information of an estimate with pulls ψ: (Σ ψ')² / Σ ψ², by which normal noise loses 1 %.
@@ -541,22 +549,27 @@ def estimate(model: Model, measured: Measurements, unknowns: Sequence[Unknown]) 
     return Estimate(tuple(unknowns), z, covariance, noise, J, residuals, freedom)
 
 
+def _cost(residuals: np.ndarray, z: np.ndarray) -> float:
+    """What is minimised, of residuals over their noise, at z."""
+    return float(np.sum(2.0 * SOFT**2 * (np.sqrt(1.0 + (residuals / SOFT) ** 2) - 1.0)) + z @ z)
+
+
 def _polished(
-    linear: _Linear, measured: Measurements, noise: dict[str, float]
+    linear: _Linear, measured: Measurements, noise: dict[str, float], radius: float
 ) -> tuple[np.ndarray, dict[str, float]]:
-    """The minimum of a linear model by reweighting, with the noise that follows from its residuals."""
+    """The minimum of a linear model near its origin, with the noise that follows from its residuals."""
     z, count = linear.origin, len(linear.origin)
+    low, high = np.maximum(z - radius, -MOST), np.minimum(z + radius, MOST)
     for _ in range(_REWEIGHTED):
-        here = linear.at(z, True)
-        off = here.values - measured.values
+        off = linear.at(z) - measured.values
         before, noise = noise, _noise(off, measured, count)
         per = np.array([noise[kind] for kind in measured.kinds])
         root = (1.0 + (off / per / SOFT) ** 2) ** -0.25
-        A = np.concatenate([here.jacobian * (root / per)[:, None], np.eye(count)])
+        A = np.concatenate([linear.jacobian * (root / per)[:, None], np.eye(count)])
         b = A @ z - np.concatenate([root * off / per, z])
         moved, z = z, np.linalg.lstsq(A, b, rcond=None)[0]
-        if np.abs(z).max(initial=0.0) > MOST:
-            z = lsq_linear(A, b, (-MOST, MOST)).x
+        if np.any((z < low) | (z > high)):
+            z = lsq_linear(A, b, (low, high)).x
         if np.abs(z - moved).max(initial=0.0) < 1.0e-6 and all(
                 abs(noise[kind] / before[kind] - 1.0) < 1.0e-3 for kind in noise):  # fmt: skip
             break
@@ -588,43 +601,15 @@ class _Linear:
 
     Attributes:
         origin: Where it was built.
+        jacobian: See `Prediction`; by z.
     """
 
     def __init__(self, origin: np.ndarray, here: Prediction):
-        self.origin, self._here = origin, here
+        self.origin, self._values, self.jacobian = origin, here.values, here.jacobian
 
-    def at(self, z: np.ndarray, with_jacobian: bool) -> Prediction:
-        """See `_Scaled.at`."""
-        here = self._here
-        return here._replace(values=here.values + here.jacobian @ (z - self.origin))
-
-
-def _solved(
-    model: _Scaled | _Linear, measured: Measurements, z: np.ndarray, noise: Mapping[str, float],
-    tolerance: float,
-) -> np.ndarray:  # fmt: skip
-    """The minimum at a given noise, by trust-region steps."""
-    per, count = np.array([noise[kind] for kind in measured.kinds]), len(measured.values)
-    # Where a pose is lost the step is refused: it costs more than any that is not.
-    lost = 1.0e3 * max(1.0, float(np.abs((model.at(z, False).values - measured.values) / per).max()))
-
-    def residuals(at: np.ndarray) -> np.ndarray:
-        own = (model.at(at, False).values - measured.values) / per
-        return np.concatenate([np.where(np.isfinite(own), own, lost), at])
-
-    def jacobian(at: np.ndarray) -> np.ndarray:
-        return np.concatenate([model.at(at, True).jacobian / per[:, None], np.eye(len(at))])
-
-    def soft(squares: np.ndarray) -> np.ndarray:
-        rho = np.stack([squares, np.ones_like(squares), np.zeros_like(squares)])
-        root = np.sqrt(1.0 + squares[:count] / SOFT**2)
-        rho[:, :count] = 2.0 * SOFT**2 * (root - 1.0), 1.0 / root, -0.5 / SOFT**2 / root**3
-        return rho
-
-    return least_squares(
-        residuals, z, jacobian, bounds=(-MOST, MOST), loss=soft, xtol=tolerance, ftol=tolerance,
-        gtol=1.0e-12, max_nfev=_EVALUATIONS,
-    ).x  # fmt: skip
+    def at(self, z: np.ndarray) -> np.ndarray:
+        """The values at z."""
+        return self._values + self.jacobian @ (z - self.origin)
 
 
 def _noise(residuals: np.ndarray, measured: Measurements, count: int) -> dict[str, float]:
@@ -758,6 +743,17 @@ class Calibration(NamedTuple):
         return found
 
     @property
+    def systematic_error(self) -> float:
+        """What an observer shall take the model to be off at the markers [m]; 0 without markers.
+
+        Twice the root mean square distance at poses that were held back, less the noise of the markers
+        where the observer of the scene knows it.
+        """
+        noise = (self.scene.observer and self.scene.observer.marker_noise) or 0.0
+        after = self.validation.after.get(MARKERS, 0.0)
+        return 2.0 * float(np.sqrt(max(0.0, after**2 - 3.0 * noise**2)))
+
+    @property
     def is_accepted(self) -> bool:
         """Whether there are numbers that the data tell apart, and they are better than those before."""
         are_apart = all(len(group) == 1 for group in self.not_told)
@@ -888,10 +884,12 @@ def calibrate(
     if not keys:
         chosen = told_beside_others(found.jacobian)
         left = [one.parameter.key for i, one in enumerate(unknowns) if i not in chosen]
+        groups = []
+    if left:
         unknowns = tuple(unknowns[i] for i in chosen)
         handles = [one.parameter for one in unknowns]
         model = RestModel(scene, handles, used)
-        found, groups = estimate(at := model.of(own), at.measured, unknowns), []
+        found = estimate(at := model.of(own), at.measured, unknowns)
     kept = found.without([group[0] for group in groups if len(group) == 1])
     numbers = dict[str, float]()
     for one, value in zip(kept.unknowns, kept.values, strict=True):

@@ -105,6 +105,8 @@ def calibrate_scene(
     if picture is not None:
         draw(found, picture)
         print(f"wrote {picture}")
+    if found.is_accepted and found.systematic_error:
+        print(f"with these numbers an observer needs systematic_error: {found.systematic_error:.2g}  # m")
     if not found.is_accepted:
         print(f"no scene is written: {why_not(found)}")
         return NOT_BETTER
@@ -262,6 +264,9 @@ def write_scene(found: Calibration, path: Path, written: Path, data: str) -> Non
         for key, number in one.parameter.changes(float(f"{value:.{DIGITS}g}")).items():
             numbers[key] = EditedNumber(number, words)
     scene = found.start
+    if scene.observer is not None:
+        numbers["observer.systematic_error"] = EditedNumber(
+            float(f"{found.systematic_error:.2g}"), f"calibrated {day} by {data}: by poses held back")
     as_written = load_scene(Path(scene.path))
     for one in parameters(scene):
         if one.key not in numbers and one.read(scene) != one.read(as_written):

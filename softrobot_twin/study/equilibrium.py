@@ -155,6 +155,15 @@ class FollowedPoses:
         self.scene = scene
         self.simulation = Simulation(self._simulated(scene), with_warnings=False, mounted=mounted)
         self.tangent = Sensitivities(self.simulation)
+        self._rested: dict[Hashable, State] = {}
+
+    def stay(self, pose: Hashable) -> None:
+        """Lets a pose begin from the present state, as long as the numbers stay.
+
+        Args:
+            pose: Any name of it.
+        """
+        self._rested[pose] = self.simulation.state
 
     def scene_at(self, values: np.ndarray) -> Scene:
         """The scene with other values of the numbers.
@@ -204,6 +213,10 @@ class FollowedPoses:
             touched: See there.
         """
         near, simulation = self._near.get(pose), self.simulation
+        if pose in self._rested:
+            simulation.restore(self._rested[pose])
+            if (rest := bring_to_rest(simulation, setpoints, 1, efforts, touched)).is_reached:
+                return rest
         if near is None:
             simulation.reset()
             return bring_to_rest(simulation, setpoints, WAY, efforts, touched)

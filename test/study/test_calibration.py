@@ -1,5 +1,6 @@
 """Numbers of a scene from what was measured at rest."""
 
+import re
 from pathlib import Path
 from secrets import randbits
 
@@ -370,6 +371,24 @@ def test_numbers_joined_by_plus_change_together_by_the_same_amount(bar, random):
     assert found.scene.cables[0].points[0][1] == pytest.approx(7e-4, abs=1e-4)
 
 
+class Curved:
+    """A model whose valley is curved: a full step by its tangent goes up, and far from it it does not rest."""
+
+    def predict(self, numbers, with_jacobian):
+        x, y = numbers
+        lost = abs(y - x**2) > 8.0
+        values = np.array([1.0 - x, 10.0 * (y - x**2), np.nan if lost else 0.0])
+        return Prediction(values, np.array([[-1.0, 0.0], [-20.0 * x, 10.0], [0.0, 0.0]]))
+
+
+def test_a_fit_goes_along_a_curved_valley_and_around_what_does_not_rest(bar, random):
+    handles = parameters(bar, "cables[0].offset", "cables[1].offset")
+    start = random.uniform([-1.6, 0.0], [-1.0, 4.0])
+    unknowns = [Unknown(one, float(at), 3.0, False) for one, at in zip(handles, start, strict=True)]
+    measured = Measurements(np.zeros(3), np.array([MARKERS] * 3), np.zeros(3, int))
+    assert estimate(Curved(), measured, unknowns).values == pytest.approx([1.0, 1.0], abs=0.1)
+
+
 def test_numbers_that_the_scene_does_not_take_are_a_pose_that_is_lost(bar):
     handles = parameters(bar, "cables[0].points[1][2]")
     model = RestModel(bar, handles, poses_at(bar, np.array([[0.002, 0.001, 0.001]])))
@@ -436,6 +455,23 @@ def test_the_command_writes_a_scene_that_keeps_its_text(files, capsys):
     text = written.read_text()
     assert text.startswith("# A bar with a comment.") and "# Pa, of the data sheet; calibrated" in text
     assert "poses.csv" in text
+
+
+@pytest.mark.parametrize("section", ["observer: {}", "observer: {systematic_error: 0.3}  # guessed"])
+def test_the_proposal_tells_the_observer_what_the_model_is_off(files, capsys, section):
+    scene, table = files
+    third = "0.0095]}, {id: 9, point: [0.03, 0.002, 0.0095]}]"
+    scene.write_text(TEXT.replace("0.0095]}]", third) + section)
+    assert run(scene, "--data", table, "--fit", "cables.*.offset") == 0
+    told = capsys.readouterr().out
+    shown = float(re.search(r"systematic_error: (\S+)  # m", told)[1])
+    held = float(re.search(r"markers +\S+ mm +(\S+) mm", told)[1])
+    assert shown == pytest.approx(2e-3 * held, rel=0.06)
+    assert load_scene(scene.with_name("bar_calibrated.yaml")).observer.systematic_error == shown
+    # A modulus that is fitted too leaves less.
+    assert run(scene, "--data", table, "--fit", E, "cables.*.offset") == 0
+    better = load_scene(scene.with_name("bar_calibrated.yaml")).observer.systematic_error
+    assert 0.0 < better < 0.5 * shown
 
 
 def test_the_command_writes_nothing_where_it_cannot_tell(files, capsys):
