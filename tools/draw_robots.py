@@ -38,6 +38,8 @@ PICTURES = {
                     "--picture-view 12 -75",
     "finray": "simulate config/scenes/finray.yaml --commands config/commands/finray_press.csv "
               "--rate 50 --picture-at 0.1 2 4 --picture-view 8 -75",
+    "tdcr": "simulate config/scenes/tdcr.yaml --commands config/commands/tdcr_bend.csv --rate 50 "
+            "--picture-at 0.1 2 4.4 --picture-view 10 -70",
     "segment": "simulate config/scenes/segment.yaml --commands config/commands/segment_bend.csv "
                "--rate 50 --picture-at 0.2 3 8 --picture-view 10 35",
     "strider": "simulate config/scenes/strider.yaml --commands config/commands/strider_sway.csv "

@@ -435,7 +435,7 @@ ROBOTS = dict.fromkeys(("diamond", "trunk", "grasper", "octoleg", "fetch", "flex
 ROBOTS["stifface"] = 0.004
 """The robots of Table 1 of Coevoet 2017, each with what its error is a share of: the travel of its
 effector, or a length [m] where the effector is held in place: the thickness of the pad."""
-LED = ROBOTS | dict.fromkeys(("finger", "fast_pneunet", "finray"), TRAVEL)
+LED = ROBOTS | dict.fromkeys(("finger", "fast_pneunet", "finray", "tdcr"), TRAVEL)
 """These, the finger that README begins with, and what people print or cast."""
 SECONDS = dict.fromkeys(LED, 5.0) | {"diamond": 8.0}
 """Length of each run of a robot's demo [s]."""
