@@ -83,6 +83,7 @@ class ForceObserver:
         stamp: Time of the last measurement [ns].
         settled: The model where the last measurement was, if steps there have found a large change.
         is_settling: Whether forces have changed so much that they are not yet known.
+        is_blind: Whether the tangent of the last look was indefinite: measurements are not used then.
         by_loads: Their motion by each number of the loads, shape (3 marker_count, load_count).
     """
 
@@ -109,6 +110,7 @@ class ForceObserver:
         """Forgets all forces."""
         count = len(self._simulation.marker_ids)
         self.found, self.is_settling = ObservedForces.none(len(self._places)), False
+        self.is_blind = False
         self.lag = np.zeros((count, 3))
         self.by_loads = np.zeros((3 * count, len(self._arms)))
         self._loads = np.zeros(len(self._arms))
@@ -121,8 +123,12 @@ class ForceObserver:
 
     def look(self) -> None:
         """Finds what forces do to the markers where the last step ended. Called after each step."""
-        self.by_loads, lag = self._compliance.at_state(self.found.points)
-        self.lag = lag.reshape(-1, 3)
+        found = self._compliance.at_state(self.found.points, may_be_slow=False)
+        self.is_blind = found is None
+        if found is None:
+            self.lag = np.zeros_like(self.lag)
+        else:
+            self.by_loads, self.lag = found[0], found[1].reshape(-1, 3)
 
     def balance(self, measured: tuple) -> None:
         """Looks after a step, and lets the model come to balance in the second after a large change.
@@ -164,6 +170,26 @@ class ForceObserver:
     def loads(self) -> np.ndarray:
         """Numbers of the loads that the model bears, shape (load_count,)."""
         return numbers_of(self._places, self.found.wrenches)
+
+    def told(self, noise: float) -> np.ndarray:
+        """Standard deviations of the loads by one frame of all markers, where the last look was.
+
+        Of a place that is found these are the medians over its points.
+
+        Args:
+            noise: Standard deviation of each coordinate, where the scene gives none [m].
+
+        Returns:
+            [N] and [N m], shape (load_count,).
+        """
+        R = (self._entry.marker_noise or noise) ** 2 + self._entry.systematic_error**2
+        information = self._known + self.by_loads.T @ self.by_loads / R
+        deviations = np.sqrt(np.linalg.inv(information).diagonal())
+        for place in self._unknown:
+            own, field = self._own[place], self._compliance.by_candidates(place)
+            each = np.linalg.inv(self._known[own, own] + field.transpose(0, 2, 1) @ field / R)
+            deviations[own] = np.median(np.sqrt(np.diagonal(each, axis1=1, axis2=2)), axis=0)
+        return deviations
 
     def is_new(self, stamp: int) -> bool:
         """Whether a measurement has not been used yet.
@@ -209,7 +235,7 @@ class ForceObserver:
             than `under_loads` tells: at another place, or far off.
         """
         since, self.stamp, self.settled = (stamp - self.stamp) / NANOSECONDS, stamp, None
-        if since == 0.0 or not np.isfinite(markers).all(axis=1).any():
+        if since == 0.0 or self.is_blind or not np.isfinite(markers).all(axis=1).any():
             return None
         self._covariance = self._covariance + min(abs(since), 1.0) * self._walk
         is_new = self._use(markers, model, noise)
@@ -236,6 +262,8 @@ class ForceObserver:
             if result.status.is_failure:
                 break
             self.look()
+            if self.is_blind:
+                break
             model = self.moment(simulation.marker_positions(), model.effectors)
             # The same measurement again, and not one more.
             self._covariance, self._counts[:] = self._prior.copy(), 0.0

@@ -361,7 +361,10 @@ class TwinDiagnostics:
             values[f"{name}_force_n"] = " ".join(f"{one:.3g}" for one in force)
             values[f"{name}_deviation_n"] = " ".join(f"{one:.2g}" for one in spread)
         found = ", ".join(compress(observer.names, observer.found.is_detected))
-        return first_of(values, "no force beyond noise", (found, OK, f"found: {found}"))
+        return first_of(
+            values, "no force beyond noise",
+            (observer.is_blind, WARN, "the robot buckles in the model: forces stay what they were"),
+            (found, OK, f"found: {found}"))
 
     def _of_limits(self) -> Part:
         window = self._window

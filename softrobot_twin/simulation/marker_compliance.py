@@ -39,7 +39,9 @@ class MarkerCompliance(HeldTangent):
         self.own_rows = self.rows.stack
         self._count = self.own_rows.row_count // 3
 
-    def at_state(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def at_state(
+        self, points: np.ndarray, may_be_slow: bool = True
+    ) -> tuple[np.ndarray, np.ndarray] | None:
         """What markers yield, and how far they are from balance, by one linearization.
 
         By the factorization of the last step where it has that of statics; see
@@ -47,11 +49,13 @@ class MarkerCompliance(HeldTangent):
 
         Args:
             points: Index of the point of each place, shape (place_count,).
+            may_be_slow: Whether an indefinite tangent, as of a body that buckles, is factorized with
+                what holds it: that takes a hundred times as long.
 
         Returns:
             Motion by each number of the loads [m/N] and [m/(N m)], shape
             (3 marker_count, load_count); and what the last step left to move [m], shape
-            (3 marker_count,).
+            (3 marker_count,). None where they would take too long.
         """
         if self.rows.choose(points):
             self._take_rows()
@@ -59,12 +63,16 @@ class MarkerCompliance(HeldTangent):
         holding = self._holding(None)
         rows = self._rows(positions, holding)
         left, apart = self._left(holding)
-        factorization = self._factorization(positions, holding)
+        factorization, is_slow = self._factorization(positions, holding), not self._may_be_definite
+        if factorization is None and not (is_slow or may_be_slow):
+            return None
         by_force, lag = self._moves(factorization, rows, holding, left, apart)
         markers = 3 * self.rows.marker_count
         if factorization is not None and np.abs(lag[:markers]).max() > FAR * self._model.nodes.size:
             # So far from balance the tangent is another one than where the step began.
-            by_force, lag = self._moves(self._definite(positions), rows, holding, left, apart)
+            here = self._definite(positions)
+            if here is not None or may_be_slow:
+                by_force, lag = self._moves(here, rows, holding, left, apart)
         return by_force[:markers, markers:] @ self.rows.basis(positions), lag[:markers]
 
     def places_at(self, points: np.ndarray) -> np.ndarray:

@@ -21,6 +21,7 @@ from numba.core.registry import CPUDispatcher
 from scipy.interpolate import interp1d
 
 from softrobot_twin.control.arrival import Arrival
+from softrobot_twin.control.force_observer import ForceObserver
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.control.twin_loop import TwinLoop
@@ -538,6 +539,9 @@ def _column_case(diamond: Scene, cells: tuple[int, int, int]) -> BenchCase:
 
 WHOLE_STEP = "whole step"
 SUPERLU = "one SuperLU factorization"
+OBSERVER = "observer, beside the step"
+OBSERVED_NOISE = 1.0e-4
+"""Standard deviation of a marker's coordinate, as an observer is told it [m]."""
 OUTSIDE = "outside the stages"
 """Time outside the stages: checks of commands, copies of states, reports."""
 # SuperLU takes much longer than a step, so it runs only between some of the timed steps.
@@ -566,7 +570,8 @@ class SizeMeasurement:
         point_count: Sampled quadrature points of these.
         row_count: Rows of H, median.
         contact_count: Contacts with force, median.
-        stages: Time of each stage [s], of what is outside them, and of the whole step.
+        stages: Time of each stage [s], of what is outside them, of the whole step, and of an observer
+            beside it.
         step_count: Steps timed.
         superlu: Time of one SuperLU factorization of the same matrices [s]; NaN for a reduced
             model, whose matrix is dense and small.
@@ -660,6 +665,7 @@ def measure(case: BenchCase, steps: int) -> SizeMeasurement:
         calls = _calls_in_a_step(simulation, commands)
         kernel_share = _share_of_kernels(simulation, commands)
         beside = _time_beside_steps(simulation, commands)
+        stages = _stages(record.steps, simulation.stages) | _observed(simulation, commands)
     factorization = without_rows(model.factorization)
     reductions = [body.reduction.reduction for body in model.bodies if body.reduction is not None]
     reports = [step.report for step in record.steps]
@@ -670,7 +676,7 @@ def measure(case: BenchCase, steps: int) -> SizeMeasurement:
         sum(len(one.sampled.cells) for one in reductions),
         spread([step.row_count for step in record.steps]).median,
         spread([report.contact_count for report in reports]).median,
-        _stages(record.steps, simulation.stages), steps, spread(times), len(times),
+        stages, steps, spread(times), len(times),
         spread(faults).median,
         sum(step.time - step.worked > INTERRUPTION for step in record.steps) / steps,
         flop_count(factorization, model.rows.node_index, model.rows.row_count),
@@ -807,6 +813,21 @@ def _time_beside_steps(simulation: Simulation, commands) -> float:
     finally:
         del simulation.step
     return float(np.median(beside))
+
+
+def _observed(simulation: Simulation, commands) -> dict[str, Spread]:
+    """Time of an observer beside a step, with markers where the model has them; nothing without one."""
+    if simulation.scene.observer is None:
+        return {}
+    observer, times = ForceObserver(simulation), []
+    for number in range(1, COUNTED_STEPS + 1):
+        simulation.step(next(commands), None, observer.found)
+        start = perf_counter()
+        observer.look()
+        model = observer.moment(simulation.marker_positions(), simulation.effector_positions())
+        observer.update(model.markers, model, OBSERVED_NOISE, number * NANOSECONDS)
+        times.append(perf_counter() - start)
+    return {OBSERVER: spread(times)}
 
 
 def _factor_bytes(factorization) -> int | None:

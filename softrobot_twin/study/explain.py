@@ -14,6 +14,7 @@ import numpy as np
 from rich.table import Table
 
 from softrobot_twin.constraints.contact import Contacts
+from softrobot_twin.control.force_observer import ForceObserver
 from softrobot_twin.geometry.wall_thickness import ThinnestPart, thinnest_part
 from softrobot_twin.mechanics.laws import law_named
 from softrobot_twin.mechanics.sealed_gas import SealedGas
@@ -26,6 +27,7 @@ from softrobot_twin.simulation.building.beam_bodies import BeamBody
 from softrobot_twin.simulation.building.cavity_actuator import wall_details
 from softrobot_twin.simulation.building.deformable_body import AtRest, MaterialPart, law_at_rest
 from softrobot_twin.simulation.building.scene_layout import build_shape
+from softrobot_twin.simulation.effects.observed_forces import observed_term
 from softrobot_twin.simulation.effects.reduction_error import FullModelError
 from softrobot_twin.simulation.mesh_error import MeshError, MeshErrorEstimator, MeshErrorUnknown
 from softrobot_twin.simulation.mounting import MountingError, prestress
@@ -242,6 +244,7 @@ def _effects(simulation: Simulation, names: list[str]) -> Iterator[Effect]:
                      _term(names, "effectors"))
     if scene.markers:
         yield Effect("markers", count(scene.markers, "marker"), "a mapping, evaluated after the step")
+    yield from _observed_effects(simulation, names)
     yield from _contact_effects(simulation, names)
     for key, stage in scene.keyed("mounting"):
         yield Effect(key, stage.describe(), "the shape at rest")
@@ -480,6 +483,26 @@ def _contact_effects(simulation: Simulation, names: list[str]) -> Iterator[Effec
                      f"found by {type(pair).__name__}{places}")
 
 
+def _observed_effects(simulation: Simulation, names: list[str]) -> Iterator[Effect]:
+    """The forces that an observer finds, and how surely markers tell them at rest."""
+    if simulation.scene.observer is None:
+        return
+    observer, first = ForceObserver(simulation), 0
+    observer.look()
+    noise = simulation.scene.observer.marker_noise or MARKER_NOISE
+    told, named = observer.told(noise), f"by a frame with {number(1e3 * noise)} mm of noise"
+    for force in observed_term(simulation.model).places:
+        deviations = told[first : first + force.dimension]
+        first += force.dimension
+        what = ("force and torque on a rigid body" if force.is_wrench else
+                "force, and its place on the surface" if force.is_found else "force at known points")
+        sure = f"each component within {deviations[:3].max():.2g} N (1 sigma)"
+        if force.is_wrench:
+            sure += f" and {deviations[3:].max():.2g} N m"
+        yield Effect(f"observer: {force.name}", f"{what}; {sure} {named}, at rest",
+                     _term(names, "observed loads"))
+
+
 def terms(simulation: Simulation) -> list[tuple[str, str]]:
     """Name, and kind, size and class of the terms that a step sums; alike ones are one row.
 
@@ -529,6 +552,8 @@ def sizes(simulation: Simulation) -> list[tuple[str, str]]:
     return lines
 
 
+MARKER_NOISE = 1.0e-4
+"""Standard deviation of a marker's coordinate where a scene gives none [m]."""
 LEAST_ACROSS = 2.0
 """Elements with four nodes across the thinnest part of a body below which a warning is printed."""
 FOUR_NODES = ("linear", "smoothed")

@@ -15,6 +15,7 @@ from softrobot_twin.scene.schema import ObservedForce, Observer
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation, Touched
 from softrobot_twin.simulation.effects.observed_forces import ObservedForces, observed_term
 from softrobot_twin.simulation.marker_compliance import MarkerCompliance
+from softrobot_twin.solvers.multifrontal import Multifrontal
 from softrobot_twin.study.calibration import calibrate
 
 from .conftest import ROOT, Driver, coarse, warmed_up
@@ -180,7 +181,7 @@ def test_deviations_of_a_hundred_pushes_hold(observed, pushed, rng):
 
 @pytest.mark.exhaustive
 def test_on_another_robot_forces_are_found_after_a_calibration(small_scene_mapping, rng):
-    """Another mesh, E 15 % off, cables 1 mm off; twice the error at poses held back is told."""
+    """Another mesh, E 15 % off, cables 1 mm off; 1.25 times the error at poses held back is told."""
     device = coarse("diamond", "diamond_600")
     device["body"]["material"]["young_modulus"] = 0.85 * 180e3
     for cable, off in zip(device["cables"], ([1, 0, 0], [0, 0, 1], [0, 0, -1], [0, -1, 0])):
@@ -195,12 +196,13 @@ def test_on_another_robot_forces_are_found_after_a_calibration(small_scene_mappi
             setpoints, real.marker_positions() + rng.normal(0.0, NOISE, (8, 3)), np.full((1, 3), np.nan),
             real.state.efforts + rng.normal(0.0, 0.02, 4), np.zeros((0, 3))))  # fmt: skip
     found = calibrate(model.scene, poses, [])
-    told = 2.0 * found.validation.after["markers"]
     tip = ObservedForce(name="tip", points=(tuple(TIP),))
-    twin = Simulation(found.scene.changed(observer=Observer(forces=(tip,), systematic_error=told)))
-    error, inside, _ = pushes(warmed_up(twin), real, rng, 20, is_marred=False)
+    observer = Observer(forces=(tip,), systematic_error=found.systematic_error)
+    twin = Simulation(found.scene.changed(observer=observer))
+    error, inside, spread = pushes(warmed_up(twin), real, rng, 20, is_marred=False)
     assert error < 0.25
     assert inside >= 0.88
+    assert spread < 0.5
 
 
 @pytest.mark.slow
@@ -268,6 +270,21 @@ def test_without_a_marker_nothing_is_learnt(observed):
     observer = ForceObserver(observed)
     observe(observed, observer, observed.rest_setpoints, np.full((8, 3), np.nan), 0)
     assert not observer.found.is_any
+
+
+def test_where_the_model_buckles_forces_stay_and_no_look_is_slow(observed, rng, monkeypatch):
+    setpoints = pose(observed, rng)
+    hold(observed, setpoints, 20)
+    observer, markers = ForceObserver(observed), observed.marker_positions()
+    observe(observed, observer, setpoints, markers + rng.normal(0.0, NOISE, (8, 3)), 0)
+    before = observer.found
+    monkeypatch.setattr(observed.newton, "held_factorization", lambda held: None)
+    monkeypatch.setattr(Multifrontal, "factor", lambda self: False)
+    observer.look()
+    model = observer.moment(observed.marker_positions(), observed.effector_positions())
+    observer.update(markers + 0.01, model, NOISE, 2 * FRAME)
+    assert observer.is_blind
+    assert observer.found is before
 
 
 def test_a_finger_that_closes_on_an_object_that_nobody_modelled_tells_it(rng):

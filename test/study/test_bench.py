@@ -9,11 +9,13 @@ from specimens import column_mesh
 
 from softrobot_twin.geometry.quality import radius_ratios
 from softrobot_twin.scene import load_scene
+from softrobot_twin.scene.schema import Observer
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.solvers.superlu import SuperLU
 from softrobot_twin.study import bench
 from softrobot_twin.study.bench import SOFA_RATIOS
 from softrobot_twin.study.bench_measurement import (
+    OBSERVER,
     OUTSIDE,
     WHOLE_STEP,
     BenchCase,
@@ -53,6 +55,13 @@ def test_bench_writes_a_row_for_each_stage_and_a_picture(column, tmp_path, call)
         assert row["growth_exponent"] == ""  # a single size has no growth
         assert (row["scene"], row["steps"]) == ("column", "5")
     assert (tmp_path / "made" / "bench.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_an_observer_is_a_stage_beside_the_step(measured):
+    scene = load_scene(default_scene_path()).changed(observer=Observer())
+    case = given_cases([default_scene_path()])[0]._replace(scene=scene)
+    assert measure(case, 5).stages[OBSERVER].median > 0.0
+    assert OBSERVER not in measured.stages
 
 
 def test_several_scenes_are_fitted_together(column, tmp_path, call):

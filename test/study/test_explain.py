@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.scene.schema import Effector
+from softrobot_twin.scene import load_scene, scene_from_mapping
+from softrobot_twin.scene.schema import Effector, ObservedForce, Observer
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.study.explain import (
     Effect,
@@ -30,6 +30,17 @@ def test_every_scene_of_the_package_is_explained(scene, call):
     without = "octoleg", "octoleg_device", "fetch_reduced"
     told = "elastic energy as mounted" if scene.stem.startswith("emio") else "sag by gravity"
     assert told in done.output or scene.stem in without
+
+
+@pytest.mark.parametrize(("observer", "words"), [
+    (None, ""), (Observer(), "force at known points; each component within 0.0"),
+    (Observer(forces=(ObservedForce(name="tip"),)), "force, and its place on the surface; each"),
+])  # fmt: skip
+def test_explain_tells_how_surely_markers_tell_a_force(observer, words):
+    scene = load_scene(SCENES / "diamond.yaml").changed(observer=observer)
+    told = [one.content for one in effects(Simulation(scene)) if one.entry == "observer: tip"]
+    assert len(told) == bool(words)
+    assert all(one.startswith(words) for one in told)
 
 
 @pytest.mark.parametrize("entry, words", [
