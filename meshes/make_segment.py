@@ -1,4 +1,4 @@
-"""Makes the tetrahedral meshes of the pneumatic segment: ``python meshes/make_segment.py``.
+"""Makes the meshes of the pneumatic segment: ``python meshes/make_segment.py``.
 
 The segment is a cylinder of silicone around z, from z = 0 to 102 mm, of radius 22.2 mm. A cross of
 walls along x and y divides its inside into four chambers, one in each quadrant: gas in one of them
@@ -7,7 +7,9 @@ closed surfaces ``cavity_1`` to ``cavity_4``, from the quadrant x, y > 0 on coun
 silicone is the region ``body``.
 
 A section of quadrilaterals, the same after a quarter of a turn and in the mirror y, is repeated
-along z; polygons have the areas of the circles that they replace.
+along z; polygons have the areas of the circles that they replace. The cells between are cut into
+tetrahedra, or kept whole in ``segment_hexa_*.msh``: in walls as thin as these, one hexahedron bends
+as several layers of tetrahedra do.
 """
 
 from __future__ import annotations
@@ -73,6 +75,7 @@ class Refinement:
         wall: Cells through the outer wall; the cross has two.
         end: Layers of each end.
         chamber: Layers along the chambers.
+        whole: Whether its cells are hexahedra.
     """
 
     inner: int
@@ -80,6 +83,7 @@ class Refinement:
     wall: int
     end: int
     chamber: int
+    whole: bool = False
 
 
 # Name of a refinement (about its number of nodes) and how it is cut.
@@ -89,6 +93,8 @@ REFINEMENTS = {
     2300: Refinement(2, 2, 1, 1, 20),
     4000: Refinement(2, 1, 2, 2, 32),
 }
+HEXAHEDRAL = {1125: Refinement(3, 1, 1, 1, 6, True), 1279: Refinement(2, 1, 1, 1, 12, True)}
+"""The same of meshes of hexahedra."""
 
 
 def make_segment(refinement: Refinement, shape: SegmentShape = SegmentShape()) -> PneumaticMesh:
@@ -115,7 +121,7 @@ def make_segment(refinement: Refinement, shape: SegmentShape = SegmentShape()) -
     along = [f"{CAVITY}_{number}" if number else "body" for number in in_chamber]
     closed = ["body"] * len(in_chamber)
     labels = [closed] * refinement.end + [along] * refinement.chamber + [closed] * refinement.end
-    return swept(section, heights[:, None], np.array(labels))
+    return swept(section, heights[:, None], np.array(labels), refinement.whole)
 
 
 def _quadrant(refinement: Refinement, shape: SegmentShape) -> tuple[np.ndarray, np.ndarray]:
@@ -181,9 +187,11 @@ def _faults(made: PneumaticMesh) -> list[str]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Makes the requested meshes; returns 1 when one of them cannot be used."""
-    parser = mesh_parser("Mesh the pneumatic segment.", REFINEMENTS)
+    parser = mesh_parser("Mesh the pneumatic segment.", {**REFINEMENTS, **HEXAHEDRAL})
     options = parser.parse_args(arguments)
-    return 0 if make_all(options, "segment", REFINEMENTS, make_segment, _faults) else 1
+    written = [make_all(options, name, own, make_segment, _faults)
+               for name, own in (("segment", REFINEMENTS), ("segment_hexa", HEXAHEDRAL))]  # fmt: skip
+    return 0 if all(written) else 1
 
 
 if __name__ == "__main__":

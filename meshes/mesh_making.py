@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -31,11 +31,14 @@ class PneumaticMesh:
         regions: Tetrahedra of each region of the body, by its name.
         cavities: Closed triangle surface of each cavity, by its name: nodes of the body, normals
             out of the gas, shape (triangle_count, 3).
+        bricks: Hexahedra of each region that are written in place of its tetrahedra, which fill
+            them, shape (brick_count, 8); empty where tetrahedra are written.
     """
 
     mesh: TetMesh
     regions: dict[str, np.ndarray]
     cavities: dict[str, np.ndarray]
+    bricks: dict[str, np.ndarray] = field(default_factory=dict)
 
     def cavity_volume(self, name: str) -> float:
         """Volume of the gas in a cavity at rest [m³]."""
@@ -77,7 +80,7 @@ def make_all(options, name: str, refinements: dict, make: Callable, judge: Calla
         True when all could be written.
     """
     written = True
-    for size in options.size or refinements:
+    for size in [one for one in refinements if not options.size or one in options.size]:
         made = make(refinements[size])
         if isinstance(made, PneumaticMesh):
             path = options.output / f"{name}_{size}.msh"
@@ -243,6 +246,8 @@ def write_pneumatic_mesh(path: Path, made: PneumaticMesh) -> None:
 
     path.parent.mkdir(parents=True, exist_ok=True)
     blocks = [("tetra", made.mesh.cells[tets]) for tets in made.regions.values()]
+    if made.bricks:
+        blocks = [("hexahedron", made.bricks[name]) for name in made.regions]
     blocks += [("triangle", triangles) for triangles in made.cavities.values()]
     names = {name: 3 for name in made.regions} | {name: 2 for name in made.cavities}
     tags = [

@@ -126,7 +126,9 @@ def polar_section(radii: np.ndarray, sectors: int) -> Section:
     )
 
 
-def swept(section: Section, heights: np.ndarray, labels: np.ndarray) -> PneumaticMesh:
+def swept(
+    section: Section, heights: np.ndarray, labels: np.ndarray, whole: bool = False
+) -> PneumaticMesh:
     """Sweeps a section along z.
 
     Args:
@@ -134,6 +136,7 @@ def swept(section: Section, heights: np.ndarray, labels: np.ndarray) -> Pneumati
         heights: z of each of its nodes at each level [mm], shape (level_count, point_count) or
             (level_count, 1).
         labels: Region or cavity of each cell, or `EMPTY`, shape (level_count − 1, face_count).
+        whole: Whether its bricks are kept whole beside the tetrahedra.
 
     Returns:
         The body [m]; regions in alphabetical order.
@@ -158,10 +161,13 @@ def swept(section: Section, heights: np.ndarray, labels: np.ndarray) -> Pneumati
         for label in np.unique(labels)
         if label != EMPTY
     }
-    return _without_gas(positions, tets)
+    bricks = {label: cells[labels.ravel() == label] for label in tets} if whole else {}
+    return _without_gas(positions, tets, bricks)
 
 
-def _without_gas(positions: np.ndarray, tets: dict[str, np.ndarray]) -> PneumaticMesh:
+def _without_gas(
+    positions: np.ndarray, tets: dict[str, np.ndarray], bricks: dict[str, np.ndarray]
+) -> PneumaticMesh:
     """The body, and the surfaces of the gas."""
     solid = {label: cells for label, cells in tets.items() if not label.startswith(CAVITY)}
     used, indices = np.unique(np.vstack(list(solid.values())), return_inverse=True)
@@ -180,7 +186,8 @@ def _without_gas(positions: np.ndarray, tets: dict[str, np.ndarray]) -> Pneumati
     for label, triangles in cavities.items():
         if (triangles < 0).any():
             raise ValueError(f"the gas of {label} ends where there is no body")
-    return PneumaticMesh(TetMesh(positions[used], indices.reshape(-1, 4)), regions, cavities)
+    kept = {label: new_indices[bricks[label]] for label in solid if label in bricks}
+    return PneumaticMesh(TetMesh(positions[used], indices.reshape(-1, 4)), regions, cavities, kept)
 
 
 def _divided(cells: np.ndarray, ranks: np.ndarray) -> np.ndarray:
