@@ -14,6 +14,7 @@ from softrobot_twin.scene.scene_parameters import changed_scene, parameters
 from softrobot_twin.scripting import build
 from softrobot_twin.study.calibration import (
     MARKERS,
+    OBSERVED,
     CalibrationError,
     Measurements,
     Prediction,
@@ -466,7 +467,7 @@ def test_the_proposal_tells_the_observer_what_the_model_is_off(files, capsys, se
     told = capsys.readouterr().out
     shown = float(re.search(r"systematic_error: (\S+)  # m", told)[1])
     held = float(re.search(r"markers +\S+ mm +(\S+) mm", told)[1])
-    assert shown == pytest.approx(2e-3 * held, rel=0.06)
+    assert shown == pytest.approx(1e-3 * OBSERVED * held, rel=0.06)
     assert load_scene(scene.with_name("bar_calibrated.yaml")).observer.systematic_error == shown
     # A modulus that is fitted too leaves less.
     assert run(scene, "--data", table, "--fit", E, "cables.*.offset") == 0
