@@ -117,7 +117,8 @@ def _cuts(refinement: Refinement, shape: Shape) -> tuple[np.ndarray, np.ndarray,
     beside = (0.5 * (shape.chamber[1] - shape.channel[0]), refinement.beside)
     across = [(shape.side, thick), beside, (shape.channel[0], thick), beside, (shape.side, thick)]
     rise = shape.chamber[2] - shape.channel[1] - shape.roof
-    up = [(shape.base, thick), (shape.channel[1], thick), (shape.roof, thick), (rise, refinement.rise), (shape.ceiling, thick)]  # fmt: skip
+    up = [(shape.base, thick), (shape.channel[1], thick), (shape.roof, thick),
+          (rise, refinement.rise), (shape.ceiling, thick)]  # fmt: skip
     steps = [np.cumsum(np.concatenate([[0.0], *(np.full(count, length / count)
              for length, count in parts)])) for parts in (along, across, up)]  # fmt: skip
     return steps[0], steps[1] - 0.5 * steps[1][-1], steps[2]

@@ -6,6 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from meshes import make_fast_pneunet
+from softrobot_twin.geometry.mesh_reading import read_solid_mesh
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import CommandSetpoints, Simulation, Status
 
@@ -60,12 +62,14 @@ def test_it_curls_in_its_plane_and_its_paper_keeps_its_length(finger):
     assert lengths[1] == pytest.approx(lengths[0], rel=0.02)
 
 
+@pytest.mark.slow
 def test_walls_that_touch_push_each_other_apart():
     touching, alone = (np.abs(curled([20.0e3], **other)[0][0])
                        for other in ({}, {"contact": None}))  # fmt: skip
     assert touching > 1.05 * alone
 
 
+@pytest.mark.slow
 def test_dragon_skin_bends_further_than_elastosil():
     angles = [np.abs(curled([15.0e3], changes)[0][0])
               for changes in ({}, {"body.material": {"preset": "dragon_skin_30"}})]  # fmt: skip
@@ -77,3 +81,24 @@ def test_the_chambers_hold_the_volume_of_their_dimensions():
     chambers, channel = 7 * 8.0 * 15.0 * 25.0, 6 * (1.2 + 2.5 + 1.2) * 2.0 * 3.0
     volumes = simulation.model.actuators.terms[0].rest_volumes
     assert 1e9 * volumes == pytest.approx([chambers + channel])
+
+
+@pytest.mark.slow
+def test_walls_of_three_times_as_many_nodes_that_touch_at_all_of_them_bend_it_as_far(tmp_path):
+    """At 3, 10 and 20 kPa, where the walls are apart, touch, and press."""
+    size, pressures = 3696, [3.0e3, 10.0e3, 20.0e3]
+    assert make_fast_pneunet.main(["--size", str(size), "--output", str(tmp_path)]) == 0
+    mesh = tmp_path / f"fast_pneunet_{size}.msh"
+    rest = read_solid_mesh(mesh).mesh.node_positions
+    points = []
+    for gap in range(6):
+        sides = 1e-3 * (10.4 + 12.9 * gap), 1e-3 * (12.9 + 12.9 * gap)
+        on_wall = (np.abs(rest[:, 0] - sides[0]) < 1e-6) & (np.abs(rest[:, 1]) < 7.4e-3)
+        on_wall &= (rest[:, 2] > 6.5e-3) & (rest[:, 2] < 26.5e-3)
+        points += [{"point": [z, y, -sides[0]], "against": [z, y, -sides[1]]}
+                   for _, y, z in rest[on_wall].tolist()]  # fmt: skip
+    assert len(points) == 144
+    fine = curled(pressures, {"body.mesh.file": str(mesh), "contact.points": points})[0]
+    shipped = curled(pressures)[0]
+    print(np.degrees(fine), np.degrees(shipped))
+    np.testing.assert_allclose(shipped, fine, rtol=0.08)

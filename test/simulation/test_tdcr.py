@@ -1,8 +1,9 @@
 """The tendon robot of two sections, against the model of piecewise constant curvature.
 
 Rao et al. 2021 compare this model with others on the same numbers. Between two disks the wire is an
-arc of the angle θ, and a tendon at the distance r from it, inwards, is its chord, 2 (l/θ - r) sin θ/2.
-Without weight θ minimises the energy of bending and the work of the tensions, for each arc alone.
+arc of the angle θ, and a tendon at the distance r from it, inwards, is its chord,
+2 (l/θ - r) sin θ/2. Without weight θ minimises the energy of bending and the work of the tensions, for
+each arc alone.
 """
 
 import secrets
@@ -24,15 +25,15 @@ def tip_of_arcs(tendons):
     heading, tip = 0.0, np.zeros(2)
     for section in tendons:
         def energy(angle, section=section):
-            chords = sum(tension * 2.0 * (ARC / angle - inwards) * np.sin(0.5 * angle)
+            arc = ARC * np.sinc(0.5 * angle / np.pi)
+            chords = sum(tension * (arc - 2.0 * inwards * np.sin(0.5 * angle))
                          for tension, inwards in section)  # fmt: skip
             return 0.5 * BENDING * angle**2 / ARC + chords
 
         angle = minimize_scalar(energy, bounds=(-0.4, 0.4), options={"xatol": 1e-12}).x
         for _ in range(10):
-            chord = 2.0 * ARC / angle * np.sin(0.5 * angle)
             across = heading + 0.5 * angle
-            tip += chord * np.array([np.sin(across), -np.cos(across)])
+            tip += ARC * np.sinc(0.5 * angle / np.pi) * np.array([np.sin(across), -np.cos(across)])
             heading += angle
     return tip
 
