@@ -1,9 +1,11 @@
-"""The device node of a robot with servos: `DeviceNode` of the package around `ServoDevice`.
+"""The device node of a robot with servos or pressure regulators: `DeviceNode` of the package around
+`ServoDevice` or `RegulatorDevice`.
 
     python hardware_node.py --ros-args --params-file PARAMETERS -p servos_file:=servos.yaml
+    python hardware_node.py --ros-args --params-file PARAMETERS -p regulators_file:=regulators.yaml
 
 All that it shares with the simulated device is the package's: topics, checks of messages, clocks,
-the watch over the ROS graph. New are the servos, and that a measurement that fails is not
+the watch over the ROS graph. New are servos or regulators, and that a measurement that fails is not
 published.
 """
 
@@ -12,6 +14,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping
 
+from regulators import RegulatorDevice, read_regulators
 from servo_bus import BusError, HardwareAlert
 from servos import ServoDevice, read_servos
 
@@ -24,12 +27,12 @@ from softrobot_twin.ros.process import run_node
 _WARN_EVERY = 2.0
 
 
-class NoServos(SoftRobotTwinError):
-    """The servos cannot be used."""
+class NoHardware(SoftRobotTwinError):
+    """The servos or regulators cannot be used."""
 
 
 class HardwareNode(DeviceNode):
-    """Connects servos to the topics of a twin.
+    """Connects servos or regulators to the topics of a twin.
 
     Attributes:
         bus_errors: Number of measurements that failed.
@@ -38,18 +41,23 @@ class HardwareNode(DeviceNode):
     own_parameters = (
         Entry("servos_file", "servos.yaml", "File that describes the servos and their pulleys.",
               read_only=True),
+        Entry("regulators_file", "", "File that describes pressure regulators, in place of servos.",
+              read_only=True),
     )  # fmt: skip
-    device: ServoDevice | None = None
+    device: ServoDevice | RegulatorDevice | None = None
     bus_errors = 0
 
-    def make_device(self, values: Mapping[str, object]) -> ServoDevice:
-        """Finds the servos; see `DeviceNode.make_device`."""
+    def make_device(self, values: Mapping[str, object]) -> ServoDevice | RegulatorDevice:
+        """Finds the servos or regulators; see `DeviceNode.make_device`."""
         self._measured = float("-inf")
-        self._description = read_servos(str(values["servos_file"]))
+        file, read, kind = str(values["servos_file"]), read_servos, ServoDevice
+        if values["regulators_file"]:
+            file, read, kind = str(values["regulators_file"]), read_regulators, RegulatorDevice
+        self._description = read(file)
         try:
-            return ServoDevice(self._description)
+            return kind(self._description)
         except BusError as error:
-            raise NoServos(str(error)) from error
+            raise NoHardware(str(error)) from error
 
     def work(self, now: float) -> None:
         """Measures and publishes; what cannot be measured is not published, so that the twin
@@ -69,16 +77,15 @@ class HardwareNode(DeviceNode):
             self.device.recover()
         except BusError:
             return
-        self.get_logger().warning("the servos answer again; their torque is off until a command",
-                                  throttle_duration_sec=_WARN_EVERY)  # fmt: skip
+        self.get_logger().warning(self.device.recovered, throttle_duration_sec=_WARN_EVERY)
 
     def after_work(self, now: float) -> None:
-        """Tells why the servos stand still."""
+        """Tells why the servos stand still, or the cavities are vented."""
         if self.device.trouble:
             self.get_logger().warning(self.device.trouble, throttle_duration_sec=_WARN_EVERY)
 
     def destroy_node(self) -> None:
-        """Switches the torque off, then destroys the node."""
+        """Switches the torque off, or vents, then destroys the node."""
         device, self.device = self.device, None
         if device is not None:
             for problem in device.close():

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import yaml
+from device_file import DeviceFileError, checked, read_entries
 from servo_bus import BusError, HardwareAlert, Port, SerialPort, ServoBus
 
 from softrobot_twin.control.device import DeviceReading
-from softrobot_twin.errors import SoftRobotTwinError
 
 TICKS_PER_TURN = 4096
 AMPERES_PER_UNIT = 2.69e-3
@@ -25,22 +23,6 @@ OPERATING_MODE, TORQUE_ENABLE, HARDWARE_ERROR, WATCHDOG = 11, 64, 70, 98
 GOAL_POSITION, PRESENT_CURRENT, PRESENT_POSITION = 116, 126, 132
 _MODES = {"position": 3, "extended_position": 4}
 _TRIES = 3
-
-
-class ServosError(SoftRobotTwinError):
-    """A file that describes servos cannot be used.
-
-    Attributes:
-        file: The file.
-        key: The key in it.
-        value: Its value.
-        unit: Its unit.
-    """
-
-    def __init__(self, file: Path, key: str, value: object, unit: str, reason: str):
-        self.file, self.key, self.value, self.unit = file, key, value, unit
-        shown = f"{key} = {value!r} {unit}".rstrip() + ": " if key else ""
-        super().__init__(f"{file}: {shown}{reason}")
 
 
 class Servo(NamedTuple):
@@ -147,30 +129,22 @@ def read_servos(file: Path | str) -> ServosFile:
     """Reads the description of servos.
 
     Raises:
-        ServosError: The file cannot be read, or a value is missing, unknown or out of range.
+        DeviceFileError: The file cannot be read, or a value is missing, unknown or out of range.
     """
     file = Path(file)
-    try:
-        given = yaml.safe_load(file.read_text())
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ServosError(file, "", "", "", f"cannot be read: {error}") from error
+    given, entries = read_entries(file, "servos", "servo")
     common = {"port": (str, "", 0, 0), "baud_rate": (int, "bit/s", 1, 1e8), "mode": (str, "", 0, 0),
               "torque_constant": (float, "N m/A", 1e-6, 1e3),
               "command_timeout": (float, "s", 0.02, 2.54),
               "answer_time": (float, "s", 1e-4, 1.0)}  # fmt: skip
     of_pulleys = {"greatest_tension": (float, "N", 1e-6, 1e5), "largest_jump": (float, "m", 1e-6, 10.0)}
     of_hinges = {"greatest_torque": (float, "N m", 1e-6, 1e3), "largest_turn": (float, "rad", 1e-6, 10.0)}
-    if not isinstance(given, dict) or not isinstance(given.get("servos"), list):
-        raise ServosError(file, "servos", given and type(given).__name__, "", "must be a list")
-    entries = given.pop("servos")
-    if not entries:
-        raise ServosError(file, "servos", [], "", "names no servo")
     winds = ["radius" in entry for entry in entries if isinstance(entry, dict)]
     common |= of_pulleys if any(winds) else {}
     common |= {} if all(winds) else of_hinges
-    values = _checked(file, "", given, common)
+    values = checked(file, "", given, common)
     if values["mode"] not in _MODES:
-        raise ServosError(file, "mode", values["mode"], "", f"must be one of {list(_MODES)}")
+        raise DeviceFileError(file, "mode", values["mode"], "", f"must be one of {list(_MODES)}")
     servos = tuple(_servo(file, f"servos[{index}].", entry) for index, entry in enumerate(entries))
     for index, servo in enumerate(servos):
         _check_servo(file, f"servos[{index}].", servo, servos[:index], values["mode"])
@@ -186,52 +160,28 @@ def _servo(file: Path, where: str, entry: object) -> Servo:
     places = ("zero", "least", "greatest")
     own |= {f"{place}_{word}": (float, unit, low, 1e3) for place in places}
     own |= {"radius": (float, "m", 1e-5, 1.0)} if winds else {}
-    values = _checked(file, where, entry, own)
+    values = checked(file, where, entry, own)
     for place in places:
         values[place] = values.pop(f"{place}_{word}")
     return Servo(**values)
-
-
-def _checked(file: Path, where: str, given: object, wanted: Mapping) -> dict[str, object]:
-    """Values of a mapping, each with its type and in its range."""
-    if not isinstance(given, dict):
-        raise ServosError(file, where.rstrip("."), given, "", "must be keys with values")
-    for key in given:
-        if key not in wanted:
-            raise ServosError(file, f"{where}{key}", given[key], "",
-                              f"is unknown; known are {', '.join(wanted)}")  # fmt: skip
-    values = {}
-    for key, (kind, unit, low, high) in wanted.items():
-        if key not in given:
-            raise ServosError(file, f"{where}{key}", None, unit, "is missing")
-        value = given[key]
-        is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-        if kind is float and is_number:
-            value = float(value)
-        if type(value) is not kind:
-            raise ServosError(file, f"{where}{key}", value, unit, f"must be a {kind.__name__}")
-        if kind is not str and not low <= value <= high:
-            raise ServosError(file, f"{where}{key}", value, unit, f"must be {low:g} to {high:g}")
-        values[key] = value
-    return values
 
 
 def _check_servo(
     file: Path, where: str, servo: Servo, before: tuple[Servo, ...], mode: str
 ) -> None:
     if servo.direction == 0:
-        raise ServosError(file, f"{where}direction", 0, "", "must be 1 or -1")
+        raise DeviceFileError(file, f"{where}direction", 0, "", "must be 1 or -1")
     for key in ("name", "id"):
         if getattr(servo, key) in [getattr(other, key) for other in before]:
-            raise ServosError(file, f"{where}{key}", getattr(servo, key), "", "is used twice")
+            raise DeviceFileError(file, f"{where}{key}", getattr(servo, key), "", "is used twice")
     word = "angle" if servo.radius is None else "length"
     if not servo.least < servo.greatest:
-        raise ServosError(file, f"{where}least_{word}", servo.least, servo.unit,
+        raise DeviceFileError(file, f"{where}least_{word}", servo.least, servo.unit,
                           f"must be below greatest_{word}")  # fmt: skip
     ends = servo.ticks(servo.least), servo.ticks(servo.greatest)
     least, most = (0, TICKS_PER_TURN - 1) if mode == "position" else (-(2**20) + 1, 2**20 - 1)
     if min(ends) < least or max(ends) > most:
-        raise ServosError(file, f"{where}least_{word}", servo.least, servo.unit,
+        raise DeviceFileError(file, f"{where}least_{word}", servo.least, servo.unit,
                           f"the {word}s need the ticks {min(ends)} to {max(ends)}; in mode {mode} "
                           f"a servo has {least} to {most}")  # fmt: skip
 
@@ -260,6 +210,7 @@ class ServoDevice:
     """
 
     effector_names: tuple[str, ...] = ()
+    recovered = "the servos answer again; their torque is off until a command"
 
     def __init__(self, description: ServosFile, port: Port | None = None):
         self.description = description

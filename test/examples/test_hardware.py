@@ -13,6 +13,7 @@ FOLDER = ROOT / "examples" / "hardware"
 sys.path.insert(0, str(FOLDER))
 
 import servo_bus as bus_module  # noqa: E402
+from device_file import DeviceFileError  # noqa: E402
 from servo_bus import (  # noqa: E402
     BusError,
     BusTimeout,
@@ -32,7 +33,6 @@ from servos import (  # noqa: E402
     WATCHDOG,
     Servo,
     ServoDevice,
-    ServosError,
     read_servos,
 )
 from simulated_servos import MODEL, SimulatedBus, SimulatedServo, Terminal  # noqa: E402
@@ -217,7 +217,7 @@ def test_a_file_or_a_servo_that_cannot_be_is_refused_by_key_and_value(tmp_path, 
     change_scene(given, change)
     file = tmp_path / "servos.yaml"
     file.write_text(yaml.safe_dump(given))
-    with pytest.raises(ServosError) as raised:
+    with pytest.raises(DeviceFileError) as raised:
         read_servos(file)
     assert raised.value.key == key and str(file) in str(raised.value)
 
@@ -444,12 +444,12 @@ def test_the_file_of_the_example_fits_its_robot(file, scene):
 def test_the_page_names_every_key_of_the_file_and_every_parameter_of_the_tracker():
     page = (ROOT / "docs" / "hardware.md").read_text()
     given, own = {}, {}
-    for file in ("servos.yaml", "emio_servos.yaml"):
-        given |= yaml.safe_load((FOLDER / file).read_text())
-        own |= given.pop("servos")[0]
+    for file, section in (("servos", "servos"), ("emio_servos", "servos"), ("regulators", "regulators")):
+        given |= yaml.safe_load((FOLDER / f"{file}.yaml").read_text())
+        own |= given.pop(section)[0]
     rows = [line.split("|")[1] for line in page.splitlines() if line.startswith("| `")]
     told = {word for row in rows for word in row.replace("`", "").replace(",", " ").split()}
-    told = {word.removeprefix("servos[].") for word in told}
+    told = {word.rpartition("[].")[2] for word in told}
     assert {*given, *own} <= told
     from mocap_node import PARAMETERS
 
@@ -466,5 +466,5 @@ def test_the_nodes_tell_what_they_take(script):
 
 
 def test_a_file_that_is_missing_is_named():
-    with pytest.raises(ServosError, match=r"^none\.yaml: cannot be read"):
+    with pytest.raises(DeviceFileError, match=r"^none\.yaml: cannot be read"):
         read_servos("none.yaml")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from geometry_msgs.msg import PointStamped, Pose, PoseArray, PoseStamped
-from sensor_msgs.msg import JointState, PointCloud2
+from sensor_msgs.msg import FluidPressure, JointState, PointCloud2
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool
 
@@ -21,8 +21,10 @@ ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "examples" / "hardware"
 sys.path.insert(0, str(FOLDER))
 
-from hardware_node import HardwareNode, NoServos  # noqa: E402
+from hardware_node import HardwareNode, NoHardware  # noqa: E402
 from mocap_node import MocapFrame, MocapNode, fit_frame, quaternion_of, rotation_of  # noqa: E402
+from regulators import read_regulators  # noqa: E402
+from simulated_regulators import SimulatedRegulators  # noqa: E402
 from simulated_servos import SimulatedBus, SimulatedServo, Terminal  # noqa: E402
 from test.builder import builder
 
@@ -121,7 +123,7 @@ def test_the_torque_is_off_after_the_node(world, robot, hardware):
 
 def test_servos_that_do_not_answer_end_the_start_with_one_line(world, robot):
     robot.bus.silent.add(2)
-    with pytest.raises(NoServos, match="servo 2: no answer"):
+    with pytest.raises(NoHardware, match="servo 2: no answer"):
         world.add(HardwareNode, servos_file=str(robot.file))
     assert "/device" not in [f"/{name}" for name in world.probe.get_node_names()]
 
@@ -155,6 +157,42 @@ def test_no_message_moves_a_servo_out_of_its_lengths(world, robot, hardware):
                 goal = int.from_bytes(servo.table[116:120], "little", signed=True)
                 assert abs(goal - 2048) * 2 * np.pi * 0.010 / 4096 <= 0.0451
     assert hardware.device.refused > 100
+
+
+@pytest.fixture
+def regulators(tmp_path):
+    """Simulated regulators, and the file that describes them."""
+    described = read_regulators(FOLDER / "regulators.yaml")
+    simulated = SimulatedRegulators(described)
+    given = yaml.safe_load((FOLDER / "regulators.yaml").read_text())
+    given |= {"host": "127.0.0.1", "port": simulated.module.port, "answer_time": 0.3}
+    simulated.file = tmp_path / "regulators.yaml"
+    simulated.file.write_text(yaml.safe_dump(given))
+    yield simulated
+    simulated.module.close()
+
+
+def test_commands_fill_chambers_and_without_them_all_are_vented(world, regulators):
+    node = world.add(HardwareNode, regulators_file=str(regulators.file), device_rate=20.0)
+    heard = world.hear(FluidPressure, "/twin/measured_pressures/chamber_3")
+    speaker, names = world.speaker(JointState, "/twin/cables"), list(regulators.pressures)
+
+    def is_filled():
+        header = Header(stamp=world.stamp(), frame_id="base_link")
+        speaker.publish(JointState(header=header, name=names, position=[0.0, 0.0, 3e3, 1e3]))
+        world.run(0.05)
+        return heard and abs(heard[-1].fluid_pressure - 104325.0) < 30.0
+
+    world.until(is_filled)
+    assert heard[-1].variance > 0.0 and node.bus_errors == 0
+    assert regulators.pressures["chamber_4"] == pytest.approx(1e3, abs=20.0)
+    world.until(lambda: "no command arrives" in node.device.trouble)
+    world.until(lambda: max(regulators.pressures.values()) < 30.0)
+    regulators.module.is_silent = True
+    world.until(lambda: node.bus_errors > 0)
+    regulators.module.is_silent = False
+    node.stop()
+    assert node.device.close() == []
 
 
 POSE = [0.1, -0.2, 0.3, 0.0, 0.0, math.sin(0.35), math.cos(0.35)]
