@@ -36,6 +36,8 @@ class DeviceFlaws:
         valve_lag: Time constant of the pressure regulators [s]; 0 for none.
         flow_limit: Greatest flow into and out of a cavity, as volume at ambient pressure [m³/s]; of
             a cavity whose volume is commanded, the greatest speed of its syringe [m³/s].
+        leak: Flow out of a cavity with a regulator, as volume at ambient pressure, by its gauge
+            pressure [m³/(s Pa)].
         pressure_noise: Standard deviation of each measured pressure [Pa].
         angle_rate: Greatest rate of the motors of hinges [rad/s].
         angle_noise: Standard deviation of each of their measured angles [rad].
@@ -51,6 +53,7 @@ class DeviceFlaws:
     seed: int = 0
     valve_lag: float = number("s", 0.0)
     flow_limit: float = number("m³/s", 2.0e-4, above_zero=True)
+    leak: float = number("m³/(s Pa)", 0.0)
     pressure_noise: float = number("Pa", 0.0)
     angle_rate: float = number("rad/s", 6.0, above_zero=True)
     angle_noise: float = number("rad", 0.0)
@@ -73,9 +76,13 @@ class Valves:
     soft cavity fills far more slowly than a rigid one. C is measured while the cavity moves; where
     other actuators change its volume meanwhile, it is at least that at rest.
 
+    A leak lets gas out, p_ambient G (p - p_ambient) of the same product: the pressure falls with a time
+    T = (V + p C) / (p_ambient G), against which a regulator with a lag keeps T / (T + τ) of what is
+    commanded, and one at its limit of flow Q no more than Q / G.
+
     Args:
         simulation: The body, at rest and warmed up.
-        flaws: Lag, flow limit and noise.
+        flaws: Lag, flow limit, leak and noise.
         ambient_pressure: Absolute pressure around the robot [Pa].
 
     Attributes:
@@ -119,8 +126,29 @@ class Valves:
             time_step: The time [s].
         """
         lag = self._flaws.valve_lag
-        share = 1.0 - np.exp(-time_step / lag) if lag > 0.0 else 1.0
-        return np.where(self.by_pressure, present + share * (commanded - present), commanded)
+        if lag == 0.0:
+            return commanded
+        leaks = 1.0 + lag * self._leak_rates(present)
+        share = 1.0 - np.exp(-time_step * leaks / lag)
+        return np.where(self.by_pressure, present + share * (commanded / leaks - present), commanded)
+
+    def _leak_rates(self, present: np.ndarray) -> np.ndarray:
+        """Share of each gauge pressure that leaks in a second [1/s], shape (actuator_count,)."""
+        rates = np.zeros(len(present))
+        absolute = self._ambient + present[self.by_pressure]
+        rates[self.by_pressure] = (
+            self._ambient * self._flaws.leak / (self._volumes + absolute * self._compliances)
+        )
+        return rates
+
+    def leaked(self, present: np.ndarray, time_step: float) -> np.ndarray:
+        """What each setpoint loses by leaks in a time [s], shape (actuator_count,).
+
+        Args:
+            present: Setpoints, those of regulators gauge pressures [Pa], same shape.
+            time_step: The time [s].
+        """
+        return np.minimum(time_step * self._leak_rates(present), 1.0) * present
 
     def reach(self, present: np.ndarray, time_step: float) -> np.ndarray:
         """Greatest move of each actuator in a time [s], shape (actuator_count,).
@@ -355,7 +383,8 @@ class SimulatedDevice:
         if time_step > 0.0:
             reach = self._valves.reach(self._servo, time_step)
             aims = self._valves.aims(self._commanded, self._servo, time_step)
-            self._servo += np.clip(aims - self._servo, -reach, reach)
+            leaked = self._valves.leaked(self._servo, time_step)
+            self._servo += np.clip(aims - self._servo, -reach - leaked, reach - leaked)
             driven = np.clip(self._driven, self._servo - self._play, self._servo + self._play)
             self.result = self._step(CommandSetpoints(driven, time_step), now)
             # The encoder measures the actual position: limits of the body may stop a servo.

@@ -302,6 +302,8 @@ DEVICE = COMMON + _fixed(
     Entry("device_flow_limit", 2e-4, "Greatest flow of gas into or out of a cavity, as its volume at "
           "ambient pressure; of a cavity with control: volume, the speed of its syringe.", "m³/s",
           1e-12, 10.0),
+    Entry("device_leak", 0.0, "Flow out of a cavity with a regulator, as its volume at ambient pressure, "
+          "by its gauge pressure.", "m³/(s Pa)", 0.0, 1.0),
     Entry("device_pressure_noise", 20.0, "Standard deviation of each measured pressure.", "Pa", 0.0,
           1e6),
     Entry("device_marker_noise", 0.0002, "Standard deviation of each measured coordinate.", "m", 0.0,

@@ -7,7 +7,7 @@ from softrobot_twin.control.device import PressurisedDevice
 from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.simulation import Simulation
+from softrobot_twin.simulation import CommandSetpoints, Simulation
 
 STEP = 0.02
 
@@ -88,7 +88,7 @@ def test_a_step_of_zero_or_negative_time_moves_nothing(simulation, rest):
     ({"delay": -0.1}, "device_delay"),
     ({"servo_rate": 0.0}, "device_servo_rate"),
     ({"marker_noise": float("nan")}, "device_marker_noise"),
-    ({"valve_lag": -0.1}, "device_valve_lag"),
+    ({"valve_lag": -0.1}, "device_valve_lag"), ({"leak": -1e-12}, "device_leak"),
     ({"flow_limit": 0.0}, "device_flow_limit"),
     ({"pressure_noise": float("inf")}, "device_pressure_noise"),
 ])  # fmt: skip
@@ -189,6 +189,32 @@ def test_the_lag_does_not_depend_on_how_often_the_device_is_read(quick_air):
         return reading.setpoints[LOW]
 
     assert pressure_after(0.02) == pytest.approx(pressure_after(0.005), rel=1e-9)
+
+
+def test_a_leak_keeps_a_regulator_with_a_lag_below_its_command(quick_air):
+    """T / (T + τ) of it, with T = (V + p C) / (p_ambient G)."""
+    leak, lag = 1.0e-10, 0.1
+    device = SimulatedDevice(quick_air, DeviceFlaws(valve_lag=lag, flow_limit=1.0, leak=leak))
+    asked = quick_air.rest_setpoints + [0.0, 4000.0, 0.0, 0.0]
+    _, setpoints = played(device, asked, 2.0)
+    held = setpoints[-1, LOW]
+    volumes, pressures = [], (held - 50.0, held + 50.0)
+    for pressure in pressures:
+        result = quick_air.step(CommandSetpoints(
+            quick_air.rest_setpoints + [0.0, pressure, 0.0, 0.0], 1e3))
+        volumes.append(quick_air.limits.displacement_scale[LOW] + result.displacements[LOW])
+    compliance = np.diff(volumes)[0] / 100.0
+    time = (np.mean(volumes) + (AIR + held) * compliance) / (AIR * leak)
+    assert held == pytest.approx(4000.0 * time / (time + lag), rel=0.02) and held < 3700.0
+
+
+def test_a_leak_that_takes_all_the_flow_keeps_the_pressure_from_rising(quick_air):
+    """At Q / G as much leaks as flows in; without supply, the pressure falls to nothing."""
+    flow, leak = 1e-6, 5e-10
+    device = SimulatedDevice(quick_air, DeviceFlaws(flow_limit=flow, leak=leak))
+    asked = quick_air.rest_setpoints + [0.0, 8000.0, 0.0, 0.0]
+    _, setpoints = played(device, asked, 6.0)
+    assert setpoints[-1, LOW] == pytest.approx(flow / leak, rel=0.02)
 
 
 @pytest.mark.parametrize("pressure", [8000.0, -4000.0])
