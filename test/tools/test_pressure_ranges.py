@@ -5,10 +5,6 @@ import pressure_ranges
 import pytest
 from pressure_ranges import ROBOTS, SHARES, error_lines, errors_of, read_references
 
-PNEUNET = pytest.mark.xfail(
-    strict=True, reason="620 nodes a finger were chosen for their time: see docs/pneumatics.md"
-)
-
 
 def test_every_robot_has_a_reference_of_each_way():
     known = read_references()
@@ -22,8 +18,7 @@ def test_every_robot_has_a_reference_of_each_way():
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("name, way", [
-    pytest.param(name, way, marks=PNEUNET if name == "pneunet" else ())
-    for name, robot in ROBOTS.items() for way in robot.ways
+    (name, way) for name, robot in ROBOTS.items() for way in robot.ways
 ])  # fmt: skip
 def test_a_robot_moves_as_a_converged_solid_over_its_range(name, way):
     errors = errors_of(name, way)
