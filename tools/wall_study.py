@@ -204,8 +204,6 @@ def _roof(kind: str, count: int, layers: int, wall: float, weight: float, young:
                    lambda moves: -_across(mesh, 25.0 * out, out, wall, 2, moves), reference)
 
 
-
-
 def scordelis_lo(kind: str, count: int, layers: int) -> Wall:
     """The Scordelis-Lo roof, wall 0.25 of radius 25, between diaphragms: its mid edge sinks 0.3024.
 

@@ -57,7 +57,6 @@ class RestPose(NamedTuple):
     forces: np.ndarray
     origin: str = ""
 
-
     @property
     def numbers(self) -> np.ndarray:
         """All that is measured but forces, one after the other; see `places`."""

@@ -1,7 +1,8 @@
 """Measurements of ``bench``: the cases, their commands, and the timing of their steps.
 
 A case moves its effectors on a circle, moves its actuators over their limits, repeats the longest
-constant part of a commands file, or follows a part of a targets file. Beside the steps, SuperLU and dense products are timed.
+constant part of a commands file, or follows a part of a targets file. Beside the steps, SuperLU and
+dense products are timed.
 """
 
 from __future__ import annotations

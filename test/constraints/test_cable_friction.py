@@ -11,8 +11,6 @@ from softrobot_twin.mechanics.barycentric import BarycentricMapping
 MU = 0.1
 
 
-
-
 def zigzag(count=6):
     """Points whose path turns in three dimensions; the last segment is as long as the others."""
     rng = np.random.default_rng(4)
@@ -112,7 +110,7 @@ def test_a_slack_cable_stays_slack():
     term = make(x, stiffness=50.0)
     go(term, x, 5.0, 0.0)
     assert term.tensions.tolist() == [0.0] * len(term.tensions)
-    blocks, forces = np.zeros((len(term.entry_rows), 3)), np.zeros((len(x), 3))
+    forces = np.zeros((len(x), 3))
     term.held_forces.add_forces(x, forces)
     assert not forces.any()
     assert np.isfinite(term.compliance).all()

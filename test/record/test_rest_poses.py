@@ -5,10 +5,9 @@ from secrets import randbits
 import numpy as np
 import pytest
 
-from softrobot_twin.control.arrival import Arrival
 from softrobot_twin.control.rest_watch import MOST_POSES, RestPose, RestWatch, Sample
 from softrobot_twin.record.rest_poses import poses_of_run, poses_of_table
-from softrobot_twin.scene import load_scene, scene_from_mapping
+from softrobot_twin.scene import load_scene
 from softrobot_twin.scene.scene_parameters import changed_scene
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.runs.input_tables import TableFileError
