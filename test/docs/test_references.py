@@ -4,6 +4,7 @@ import ast
 import io
 import re
 import tokenize
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -30,6 +31,7 @@ def prose(path: Path) -> list[str]:
     return [" ".join(each.split()) for each in found]
 
 
+@cache
 def all_prose() -> list[tuple[Path, str]]:
     files = [path for folder in FOLDERS for path in sorted((ROOT / folder).rglob("*.py"))]
     pages = [path for path in sorted((ROOT / "docs").glob("*.md")) if path != PAGE]
