@@ -70,7 +70,7 @@ class Finding(NamedTuple):
         best: The least that the optimiser found, or ours [m].
         late_move: Largest move of a command in a late step, by the size.
         late: Statuses of the late steps.
-        tolerance: Distance within which a target counts as reached [m].
+        tolerance: Weighted distance within which targets count as reached [m].
     """
 
     status: str
@@ -222,9 +222,11 @@ def follow(robot: Robot) -> tuple[st.Robot, Finding]:
             moves, words = _moves(commands), set(late)
     late_move = max(moves + _moves(commands)) / robot.size
     ours = float(np.linalg.norm(missed_targets(robot, result)))
+    # All effectors may be as far off as counts as reached, and distances are weighted.
+    greatest = np.linalg.norm([weights.max() for weights in robot.weights.values()])
     return twin, Finding(
         result.status.value, result.limits, ours, ours, late_move, frozenset(words.union(late)),
-        twin.simulation.scene.solver.reach_tolerance,
+        max(greatest, 1.0) * twin.simulation.scene.solver.reach_tolerance,
     )  # fmt: skip
 
 
