@@ -119,9 +119,9 @@ def cylinder(kind: str, count: int, layers: int, wall: float = 0.1, poisson: flo
     return _solved(mesh, elastic_law(1.0, poisson), held, loads, moved, expected)
 
 
-def _hemisphere(kind: str, count: int, layers: int, wall: float, from_pole: float):
-    """A quarter of a hemisphere of radius 10 with a hole around its pole, and what holds it."""
-    top = np.radians(90.0 - from_pole)
+def _hemisphere(kind: str, count: int, layers: int, wall: float):
+    """A quarter of a hemisphere of radius 10 with a hole of 18° around its pole, and what holds it."""
+    top = np.radians(90.0 - 18.0)
 
     def place(points):
         around, up = 0.5 * np.pi * points[:, 0], top * points[:, 1]
@@ -145,7 +145,7 @@ def pinched_hemisphere(kind: str, count: int, layers: int) -> Wall:
         count: Cells along a quarter and up to the hole of 18°; even.
         layers: Cells over the wall.
     """
-    mesh, held, edge = _hemisphere(kind, count, layers, 0.04, 18.0)
+    mesh, held, edge = _hemisphere(kind, count, layers, 0.04)
     x, loads = mesh.node_positions, np.zeros(mesh.node_positions.shape)
     for axis, sign in ((0, 1.0), (1, -1.0)):
         line = np.flatnonzero(edge & (np.abs(x[:, 1 - axis]) < 1e-9))
@@ -171,7 +171,7 @@ def thick_hemisphere(kind: str, count: int, layers: int) -> Wall:
         count: Cells along a quarter and up to the hole of 18°; even.
         layers: Cells over the wall.
     """
-    mesh, held, edge = _hemisphere(kind, count, layers, THICK, 18.0)
+    mesh, held, edge = _hemisphere(kind, count, layers, THICK)
     x = mesh.node_positions
     angle = np.arctan2(x[:, 1], x[:, 0])
     radial = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(len(x))])
@@ -180,9 +180,8 @@ def thick_hemisphere(kind: str, count: int, layers: int) -> Wall:
     return _solved(mesh, law, held, loads, lambda moves: _across(mesh, place, out, THICK, 0, moves), THICK_REFERENCE)
 
 
-def _roof(kind: str, count: int, layers: int, wall: float, weight: float, young: float,
-          reference: float) -> Wall:  # fmt: skip
-    """A quarter of a roof of radius 25, length 50 and 40° to each side, under weight by area."""
+def _roof(kind: str, count: int, layers: int, wall: float, reference: float) -> Wall:
+    """A quarter of a roof of radius 25, length 50 and 40° to each side, under a weight of 90 by area."""
 
     def place(points):
         angle, radius = np.radians(40.0) * points[:, 0], 25.0 + wall * (points[:, 2] - 0.5)
@@ -198,9 +197,9 @@ def _roof(kind: str, count: int, layers: int, wall: float, weight: float, young:
     loads = np.zeros(x.shape)
     for block in mesh.blocks():
         shared = block.volumes[:, None] * block.load_shares
-        np.add.at(loads[:, 2], block.mesh.cells, -weight / wall * shared)
+        np.add.at(loads[:, 2], block.mesh.cells, -90.0 / wall * shared)
     out = np.array([np.sin(np.radians(40.0)), 0.0, np.cos(np.radians(40.0))])
-    return _solved(mesh, elastic_law(young, 0.0), held, loads,
+    return _solved(mesh, elastic_law(4.32e8, 0.0), held, loads,
                    lambda moves: -_across(mesh, 25.0 * out, out, wall, 2, moves), reference)
 
 
@@ -212,7 +211,7 @@ def scordelis_lo(kind: str, count: int, layers: int) -> Wall:
         count: Cells along a quarter's sides.
         layers: Cells over the wall.
     """
-    return _roof(kind, count, layers, 0.25, 90.0, 4.32e8, 0.3024)
+    return _roof(kind, count, layers, 0.25, 0.3024)
 
 
 THICK_ROOF_REFERENCE = 2.650e-3
@@ -227,7 +226,7 @@ def thick_roof(kind: str, count: int, layers: int) -> Wall:
         count: Cells along a quarter's sides.
         layers: Cells over the wall.
     """
-    return _roof(kind, count, layers, 2.5, 90.0, 4.32e8, THICK_ROOF_REFERENCE)
+    return _roof(kind, count, layers, 2.5, THICK_ROOF_REFERENCE)
 
 
 PROBLEMS = {

@@ -56,6 +56,8 @@ linearization does not tell so far."""
 LOOKS, STILL = 24, 0.5
 """Steps that follow a larger change at once, at most: until it, and what a step left, move markers by
 less than so many deviations."""
+USUAL_NOISE = 1.0e-4
+"""Standard deviation of a marker's coordinate where neither scene nor measurement gives one [m]."""
 GREATEST = 3.0
 """No force is larger than so many times the `greatest_force` of the scene."""
 

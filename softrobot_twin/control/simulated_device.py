@@ -135,6 +135,8 @@ class Valves:
     def _leak_rates(self, present: np.ndarray) -> np.ndarray:
         """Share of each gauge pressure that leaks in a second [1/s], shape (actuator_count,)."""
         rates = np.zeros(len(present))
+        if self._flaws.leak == 0.0:
+            return rates
         absolute = self._ambient + present[self.by_pressure]
         rates[self.by_pressure] = (
             self._ambient * self._flaws.leak / (self._volumes + absolute * self._compliances)

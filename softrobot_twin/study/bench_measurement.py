@@ -22,7 +22,7 @@ from numba.core.registry import CPUDispatcher
 from scipy.interpolate import interp1d
 
 from softrobot_twin.control.arrival import Arrival
-from softrobot_twin.control.force_observer import ForceObserver
+from softrobot_twin.control.force_observer import USUAL_NOISE, ForceObserver
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.control.twin_loop import TwinLoop
@@ -541,8 +541,6 @@ def _column_case(diamond: Scene, cells: tuple[int, int, int]) -> BenchCase:
 WHOLE_STEP = "whole step"
 SUPERLU = "one SuperLU factorization"
 OBSERVER = "observer, beside the step"
-OBSERVED_NOISE = 1.0e-4
-"""Standard deviation of a marker's coordinate, as an observer is told it [m]."""
 OUTSIDE = "outside the stages"
 """Time outside the stages: checks of commands, copies of states, reports."""
 # SuperLU takes much longer than a step, so it runs only between some of the timed steps.
@@ -826,7 +824,7 @@ def _observed(simulation: Simulation, commands) -> dict[str, Spread]:
         start = perf_counter()
         observer.look()
         model = observer.moment(simulation.marker_positions(), simulation.effector_positions())
-        observer.update(model.markers, model, OBSERVED_NOISE, number * NANOSECONDS)
+        observer.update(model.markers, model, USUAL_NOISE, number * NANOSECONDS)
         times.append(perf_counter() - start)
     return {OBSERVER: spread(times)}
 

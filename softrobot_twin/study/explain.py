@@ -14,7 +14,7 @@ import numpy as np
 from rich.table import Table
 
 from softrobot_twin.constraints.contact import Contacts
-from softrobot_twin.control.force_observer import ForceObserver
+from softrobot_twin.control.force_observer import USUAL_NOISE, ForceObserver
 from softrobot_twin.geometry.wall_thickness import ThinnestPart, thinnest_part
 from softrobot_twin.mechanics.laws import law_named
 from softrobot_twin.mechanics.sealed_gas import SealedGas
@@ -489,7 +489,7 @@ def _observed_effects(simulation: Simulation, names: list[str]) -> Iterator[Effe
         return
     observer, first = ForceObserver(simulation), 0
     observer.look()
-    noise = simulation.scene.observer.marker_noise or MARKER_NOISE
+    noise = simulation.scene.observer.marker_noise or USUAL_NOISE
     told, named = observer.told(noise), f"by a frame with {number(1e3 * noise)} mm of noise"
     for force in observed_term(simulation.model).places:
         deviations = told[first : first + force.dimension]
@@ -552,8 +552,6 @@ def sizes(simulation: Simulation) -> list[tuple[str, str]]:
     return lines
 
 
-MARKER_NOISE = 1.0e-4
-"""Standard deviation of a marker's coordinate where a scene gives none [m]."""
 LEAST_ACROSS = 2.0
 """Elements with four nodes across the thinnest part of a body below which a warning is printed."""
 FOUR_NODES = ("linear", "smoothed")

@@ -222,7 +222,9 @@ class Newton:
         if not self.is_augmented:
             return W.diagonal()
         softened = np.linalg.inv(W) - np.diag(self._linear.augmentation.stiffness)
-        return np.full(len(W), np.inf) if np.linalg.eigvalsh(softened)[0] <= 0.0 else np.linalg.inv(softened).diagonal()
+        if np.linalg.eigvalsh(softened)[0] <= 0.0:
+            return np.full(len(W), np.inf)
+        return np.linalg.inv(softened).diagonal()
 
     @property
     def static_factorization(self) -> Factorization | None:
