@@ -69,6 +69,7 @@ from softrobot_twin.simulation.apparent_compliance import ApparentCompliance, Ef
 from softrobot_twin.simulation.appearance import Pose
 from softrobot_twin.simulation.building.table_columns import column, position_columns
 from softrobot_twin.simulation.command import DEFAULT_TIME_STEP
+from softrobot_twin.simulation.linear_model import LinearModel, ModalTangent
 from softrobot_twin.simulation.runs.input_tables import (
     TARGETS_EXAMPLE,
     open_columns,
@@ -798,6 +799,29 @@ class Robot:
             CommandError: There is no such effector.
         """
         return self._yielding().principal_stiffness(self._place(effector))
+
+    def linear_model(
+        self, modes: int | None = 5, time_step: float = DEFAULT_TIME_STEP
+    ) -> LinearModel:
+        """Small motions about where the robot stands, by a few modes; in scenes that move in time.
+
+        Actuators that were commanded by efforts last have these as inputs, the others what drives
+        them.
+
+        Args:
+            modes: How many modes; None for all of the mesh.
+            time_step: Of its forms in discrete time [s].
+
+        Returns:
+            ``M``, ``K``, ``damping``, ``H``, ``E`` and more; ``discrete()``, ``sampled()`` and
+            ``continuous()`` give A, B, C and D, as `control.ss` takes them.
+
+        Raises:
+            CommandError: No linear model is built for such a scene, or an argument cannot be used.
+        """
+        count = None if modes is None else _count("modes", modes)
+        tangent = ModalTangent(self.simulation, self._by_effort)
+        return tangent.at_state(count, _positive("time_step", time_step, "s"))
 
     def _place(self, effector: str) -> int:
         if effector not in self.effector_names:

@@ -338,7 +338,7 @@ class Sensitivities(HeldTangent):
             rows, own = self._rows(state.positions, held), held.own_of_places
             A, self._middle = self._definite(state.positions), None
             H = rows.H.transposed(self._model.nodes.free_node_count).T
-            self._effectors = H[len(H) - 3 * self._count :]
+            self._actuator_rows, self._effectors = H[: len(held.held)], H[len(H) - 3 * self._count :]
             self._solver = (self._saddle(rows, held) if A is None
                             else CondensedHold(A, H[held.places], own))
             self._at = state, by_effort
