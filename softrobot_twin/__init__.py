@@ -17,12 +17,14 @@ from __future__ import annotations
 
 import os
 import sys
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from softrobot_twin.blas_threads import use_one_blas_thread
 from softrobot_twin.errors import SoftRobotTwinError
 
 if TYPE_CHECKING:
+    from softrobot_twin.scene import Scene
     from softrobot_twin.scripting import (
         Equilibria,
         Pose,
@@ -38,6 +40,7 @@ if TYPE_CHECKING:
         setpoints,
         targets,
     )
+    from softrobot_twin.scripting.vector_environment import VectorEnvironment
 
 __all__ = [
     "Equilibria",
@@ -54,6 +57,7 @@ __all__ = [
     "load",
     "setpoints",
     "targets",
+    "vector_env",
 ]
 
 # With several threads, small BLAS calls become up to fifty times slower on a busy machine.
@@ -61,6 +65,31 @@ if "OPENBLAS_NUM_THREADS" not in os.environ:
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
     if "numpy" in sys.modules:
         use_one_blas_thread()
+
+
+def vector_env(
+    scene: Path | str | Scene | Robot, count: int, workers: Any = None, **options: Any
+) -> VectorEnvironment:
+    """Builds many robots of one scene that learn at once, each to reach for targets.
+
+    Args:
+        scene: See `VectorEnvironment`, as all further arguments.
+        count: Number of robots.
+        workers: Number of processes, or a client of Dask; None for a process on each core.
+        **options: Such as ``states=64, randomize={"cables.*.rate": (0.04, 0.06)}``.
+
+    Returns:
+        A `gymnasium.vector.VectorEnv`.
+
+    Raises:
+        MissingExtraError: gymnasium is not installed.
+        CommandError: See `VectorEnvironment`.
+        SceneError: See `VectorEnvironment`.
+        WorkerError: See `VectorEnvironment`.
+    """
+    from softrobot_twin.scripting.vector_environment import VectorEnvironment
+
+    return VectorEnvironment(scene, count, workers, **options)
 
 
 # Hidden from type checkers: with it they would take any name.

@@ -2,6 +2,7 @@
 
 import importlib
 import sys
+import types
 import warnings
 from pathlib import Path
 
@@ -214,3 +215,84 @@ def test_a_missing_gymnasium_is_named_with_its_command(monkeypatch):
     monkeypatch.delitem(sys.modules, gym_environment.__name__)
     with pytest.raises(MissingExtraError, match="pip install gymnasium"):
         importlib.import_module(gym_environment.__name__)
+
+
+def test_actions_out_of_range_are_cut_and_counted(environment):
+    environment.reset(options={"target": [0.08, 0.0, 0.0]})
+    before = environment.clipped_count
+    seen = environment.step(np.array([1.5, -1.0]))
+    assert seen[4]["clipped"] == 1 and environment.clipped_count == before + 1
+    environment.reset(options={"target": [0.08, 0.0, 0.0]})
+    np.testing.assert_array_equal(environment.step(np.array([1.0, -1.0]))[0], seen[0])
+
+
+def test_a_step_without_solution_ends_the_episode_and_costs_all_that_are_left(environment, monkeypatch):
+    environment.reset(seed=2)
+    failed = types.SimpleNamespace(status=st.Status.DIVERGED)
+    monkeypatch.setattr(environment.robot.simulation, "step", lambda command: failed)
+    _, reward, terminated, truncated, info = environment.step(np.zeros(2))
+    assert terminated and not truncated and info["is_failure"] and info["status"] == "diverged"
+    assert reward == pytest.approx(-20 * info["distance"])
+
+
+def test_parameters_are_drawn_for_episodes_within_their_range_and_change_the_robot():
+    environment = ReachingEnvironment(small_finger(gravity=[0.0, 0.0, -9.81]), redraw_every=2, randomize={
+        "body.material.young_modulus": (100e3, 300e3),
+        st.load(FINGER).parameters("gravity[2]")[0]: lambda random: -random.choice([5.0, 10.0])})
+
+    def episodes(seed):
+        environment.reset(seed=seed)
+        found = []
+        for _ in range(3):
+            found.append((*environment.parameters.values(), environment.place[2]))
+            info = environment.reset()[1]
+        assert info["parameters"] == environment.parameters
+        return np.array(found)
+
+    first = episodes(3)
+    np.testing.assert_array_equal(first, episodes(3))
+    moduli, weights, heights = first.T
+    assert moduli[0] == moduli[1] != moduli[2] and ((moduli > 100e3) & (moduli < 300e3)).all()
+    assert set(weights) <= {-5.0, -10.0}
+    # Beam theory: the sag of a cantilever goes with weight over modulus.
+    sag = heights * moduli / weights
+    np.testing.assert_allclose(sag, sag[0], rtol=0.05)
+
+
+def test_episodes_begin_at_saved_states_and_lead_to_others():
+    environment = ReachingEnvironment(small_finger())
+    states = environment.sample_states(3, seed=1)
+    places = []
+    for state in states:
+        environment.robot.state = state
+        places.append(environment.place)
+    environment = ReachingEnvironment(environment.robot, states=states)
+    begun, aimed = set(), set()
+    for seed in range(20):
+        environment.reset(seed=seed)
+        start, target = (next(i for i, one in enumerate(places) if (one == place).all())
+                         for place in (environment.place, environment.target))
+        assert start != target and environment.robot.state is states[start]
+        begun.add(start), aimed.add(target)
+    assert begun == aimed == {0, 1, 2}
+    environment.reset(options={"state": states[2], "target": places[0]})
+    np.testing.assert_array_equal(environment.place, places[2])
+    np.testing.assert_array_equal(environment.target, places[0])
+
+
+@pytest.mark.parametrize(("randomized", "error", "words"), [
+    ({"body.material.young_modulus": (2e5, 1e5)}, CommandError, "young_modulus: is drawn from .*Pa"),
+    ({"body.material.young_modulus": (-1e5, 1e5)}, st.SoftRobotTwinError, "young_modulus = -100000.0"),
+    ({"cables.*.rat": (0.1, 0.2)}, st.SoftRobotTwinError, "cables.*rat"),
+])  # fmt: skip
+def test_what_cannot_be_drawn_is_refused_when_it_is_made(randomized, error, words):
+    with pytest.raises(error, match=words):
+        ReachingEnvironment(small_finger(), randomize=randomized)
+
+
+def test_states_of_another_scene_and_a_single_one_are_refused(environment):
+    state = small_finger().state
+    with pytest.raises(CommandError, match="not of this scene"):
+        ReachingEnvironment(environment.robot, states=[state, state])
+    with pytest.raises(CommandError, match="states: has 1 state"):
+        ReachingEnvironment(environment.robot, states=[environment.robot.state])
