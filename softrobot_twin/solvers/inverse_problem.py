@@ -66,6 +66,8 @@ class InverseSystem(NamedTuple):
         effectors: δ_e,free: effector error at z = 0 [m], shape (e,).
         actuators: δ_a,free [m], shape (a,).
         gaps: δ_c,free [m], shape (c,).
+        W: ‖z‖² is zᵀ W z, where it is not that of W_a and W_c, shape (n, n): with friction, forces
+            along contacts follow from z and store energy too.
     """
 
     W_e: np.ndarray
@@ -75,6 +77,7 @@ class InverseSystem(NamedTuple):
     effectors: np.ndarray
     actuators: np.ndarray
     gaps: np.ndarray
+    W: np.ndarray | None = None
 
     @classmethod
     def without_contacts(
@@ -122,8 +125,9 @@ def build_inverse_problem(
     contacts = len(system.gaps)
     # Contiguous by rows, as the compiled kernels expect.
     motion, A, C = map(np.ascontiguousarray, system[:3])
+    W = np.concatenate([A, C]) if system.W is None else np.ascontiguousarray(system.W)
     P, g = tracking_and_energy(
-        motion, A, C, system.is_move, system.effectors, effector_weights, energy_weight,
+        motion, W, system.is_move, system.effectors, effector_weights, energy_weight,
         proximal_weight, np.zeros(motion.shape[1]) if centre is None else np.array(centre),
     )  # fmt: skip
     least, most, lower, upper = bounds
@@ -164,7 +168,7 @@ def with_effort_rows(
 
 @njit(**KERNEL)
 def tracking_and_energy(
-    motion, A, C, is_move, effectors, weights, energy_weight, proximal_weight, centre
+    motion, W, is_move, effectors, weights, energy_weight, proximal_weight, centre
 ):  # fmt: skip
     """Hessian and gradient of ½ ‖Q^½ δ_e‖² / s + ½ ε (‖z‖²_W + p ‖z - z̄‖²_W).
 
@@ -174,8 +178,7 @@ def tracking_and_energy(
 
     Args:
         motion: Effector displacement by z, shape (e, n).
-        A: Actuator displacement by z, shape (a, n).
-        C: Gap by z, shape (c, n).
+        W: Displacements of actuators and gaps by z, shape (n, n).
         is_move: Whether the unknown of each actuator is its move, shape (a,).
         effectors: δ_e,free [m], shape (e,).
         weights: Q, weight of each effector row, shape (e,).
@@ -186,7 +189,7 @@ def tracking_and_energy(
     Returns:
         The Hessian P, shape (n, n), and the gradient g at z = 0, shape (n,).
     """
-    n, actuators = motion.shape[1], len(A)
+    n, actuators = motion.shape[1], len(is_move)
     stores, efforts = np.ones(n, np.bool_), 0
     for i in range(actuators):
         stores[i] = not is_move[i]
@@ -202,7 +205,7 @@ def tracking_and_energy(
     for i in range(n):
         for j in range(n):
             if stores[i] and stores[j]:
-                energy[i, j] = A[i, j] if i < actuators else C[i - actuators, j]
+                energy[i, j] = W[i, j]
         own[i] = energy[i, i]
     # A row that nothing displaces gets a compliance of one.
     for start, stop in ((0, actuators), (actuators, n)):

@@ -87,7 +87,7 @@ def proved_efforts(
         return False, least, active
     none, no_rows = np.empty(0), np.empty((0, count))
     P, g = tracking_and_energy(
-        motion, A, no_rows, is_move, errors, weights, energy_weight, proximal_weight, centre
+        motion, A, is_move[:count], errors, weights, energy_weight, proximal_weight, centre
     )
     proved, efforts, objective, _, active, _ = optimum_from_active_set(
         P, g, least, most, rows, lower, upper, no_rows, none, none,

@@ -13,7 +13,6 @@ from softrobot_twin.control.engagement import Activity
 from softrobot_twin.control.loop_settings import LoopSettings, Mode
 from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.control.twin_loop import TwinLoop
-from softrobot_twin.errors import ParameterError
 from softrobot_twin.simulation import Hold, Simulation, Status
 
 SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
@@ -33,12 +32,6 @@ def close(driver, ticks=150):
     rest = driver.loop.simulation.rest_setpoints
     assert driver.wind(["grip"], [rest[0] - GRIP]) is None
     return driver.tick(ticks)
-
-
-def test_targets_in_contact_with_friction_are_refused_before_the_loop_starts(grasper):
-    with pytest.raises(ParameterError, match="grasper.*friction.*direct") as refusal:
-        TwinLoop(grasper, LoopSettings(), Mode.INVERSE)
-    assert refusal.value.name == "mode"
 
 
 def test_without_a_command_time_advances_and_the_cube_stays_on_the_floor(drive_grasper):

@@ -4,18 +4,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 
 from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
 from softrobot_twin.control.engagement import Activity
-from softrobot_twin.control.loop_settings import LoopSettings, Mode
+from softrobot_twin.control.loop_settings import Mode
 from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
 from softrobot_twin.control.target_path import read_waypoints
-from softrobot_twin.control.twin_loop import TwinLoop
-from softrobot_twin.errors import ParameterError
-from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.simulation import Simulation, Status
+from softrobot_twin.simulation import Status
 from test.builder import builder
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
@@ -114,14 +110,6 @@ def test_a_reset_clears_commands_beside_targets(settled):
     driver.choose([PLATFORM], [0.004])
     driver.loop.reset()
     assert driver.loop.selected.setpoints is None
-
-
-def test_friction_is_refused_before_the_loop_starts(trunk_mapping):
-    mapping = yaml.safe_load(yaml.safe_dump(trunk_mapping))
-    mapping["contact"]["friction"] = 0.3
-    rough = Simulation(scene_from_mapping(mapping))
-    with pytest.raises(ParameterError, match="trunk_cylinders.*friction.*direct"):
-        TwinLoop(rough, LoopSettings(), Mode.INVERSE)
 
 
 def test_commanded_tensions_move_the_cables_and_not_the_platform(drive_trunk):

@@ -12,7 +12,6 @@ from std_msgs.msg import Header
 from std_srvs.srv import SetBool
 
 from softrobot_twin.control.arrival import Refusal
-from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.device_node import DeviceNode
 from softrobot_twin.ros.messages import contacts_message
 from softrobot_twin.ros.topics import STREAM
@@ -140,11 +139,6 @@ def test_diagnostics_report_contacts_and_their_accuracy(world, make_grasper, dia
     assert float(account.values["residual_mm"]) <= 1e-5
     assert {"sweeps_max", "force_residual_n", "overlap_max_mm", "count_max"} <= set(account.values)
     assert account.message.startswith("contacts: ")
-
-
-def test_targets_in_contact_with_friction_are_refused_at_start_up(make_grasper):
-    with pytest.raises(ParameterError, match="mode.*friction.*direct"):
-        make_grasper(mode="inverse")
 
 
 @pytest.mark.skipif(not CAN_SERVE, reason="this rerun cannot read its files")

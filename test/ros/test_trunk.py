@@ -133,11 +133,6 @@ def test_an_infeasible_force_limit_is_relaxed_and_named(world, make_trunk, diagn
     assert "trunk.cylinder_left.force_limit_exceeded" in limits.values["active"]
 
 
-def test_targets_where_there_is_friction_are_refused_at_start_up(make_trunk):
-    with pytest.raises(ParameterError, match="mode.*friction.*direct"):
-        make_trunk(contact={"friction": 0.3})
-
-
 def test_the_target_file_is_found_beside_the_scenes(world):
     target = world.add(TargetNode, target_path=GIVEN["target_path"], target_ramp_time=0.0)
     assert target.path.points.shape[1] == 3

@@ -150,12 +150,6 @@ def why_not_followed(model: Model) -> str:
     """
     if model.effectors is None or not model.actuators.count:
         return "this scene has no effectors or no actuators"
-    if model.contacts is not None and model.contacts.rubs:
-        first, second = model.contacts.pair_names[int(model.contacts.friction_of_pair.argmax())]
-        return (
-            "inverse control in contact with friction is not built into this version: set friction "
-            f"to 0, as between {first} and {second}, or command lengths or tensions"
-        )
     return ""
 
 

@@ -29,7 +29,6 @@ from softrobot_twin.simulation.result import RATE
 from softrobot_twin.simulation.step.actuation import NO_EFFORT, Actuation, ContactLoads
 from softrobot_twin.simulation.step.apparent_stiffness import StiffnessRows
 from softrobot_twin.simulation.step.direct_actuation import DirectActuation, widened
-from softrobot_twin.simulation.step.interpretation import why_not_followed
 from softrobot_twin.simulation.step.linearized import Linearized, row_motion
 from softrobot_twin.simulation.step.target_trust import NO_LOADS, Approach, Situation, TargetTrust
 from softrobot_twin.solvers.inverse_problem import (
@@ -433,7 +432,7 @@ class InverseActuation:
         """Lay out the problem.
 
         Args:
-            model: A scene with actuators and effectors, without friction.
+            model: A scene with actuators and effectors.
             direct: Solves for λ at prescribed displacements.
             qp_solvers: Solvers of quadratic programs in the order they are asked, without a warm
                 start, in place of those that the scene names.
@@ -868,7 +867,7 @@ class InverseActuation:
         What the trust in the linearization restrains are moves from the held displacements: with
         the last efforts the body may not be stable.
         """
-        last = unknowns.stack(*self._direct.last_solution(linear))
+        last = unknowns.stack(*self._last(linear))
         if self.trust.weight == 0.0:
             return last
         still = unknowns.stack(held.efforts, held.contact.multipliers)
@@ -876,6 +875,10 @@ class InverseActuation:
         restraint = self.trust.weight / self._energy_now
         share = restraint / self._proximal_weight()
         return (1.0 - share) * last + share * still
+
+    def _last(self, linear: Linearized) -> tuple[np.ndarray, np.ndarray]:
+        """Efforts and contact forces of the last solution."""
+        return self._direct.last_solution(linear)
 
     @staticmethod
     def _with_effort_rows(
@@ -1090,27 +1093,6 @@ class InverseActuation:
         return float(np.sqrt(squares.max(initial=0.0)))
 
 
-def build_inverse(
-    model: Model, direct: DirectActuation, qp_solvers: tuple | None = None
-) -> InverseActuation | None:
-    """The inverse of a scene; None for a scene that cannot follow targets.
-
-    Args:
-        model: The built scene; its notes tell of a weight that is too small to be used.
-        direct: Finds λ of what is commanded or held.
-        qp_solvers: See `InverseActuation`.
-    """
-    if why_not_followed(model):
-        return None
-    weight = model.scene.solver.energy_weight
-    if weight < LEAST_ENERGY_WEIGHT:
-        model.notes.append(
-            f"solver.energy_weight: {weight:g} is less than the arithmetic bears: "
-            f"{LEAST_ENERGY_WEIGHT:.2g} is used"
-        )
-    return InverseActuation(model, direct, qp_solvers)
-
-
 def _missed(
     linear: Linearized, unknowns: Unknowns, z: np.ndarray, errors: np.ndarray, weights: np.ndarray
 ) -> np.ndarray:
@@ -1146,10 +1128,12 @@ def inverse_system(
     one_sided = np.concatenate([taut, np.arange(c.start, c.stop)])
     gaps = free[one_sided]
     gaps[: len(taut)] -= prescribed[taut]
-    of_unknowns = W[:, np.concatenate([own, one_sided])]
+    unknowns = np.concatenate([own, one_sided])
+    of_unknowns = W[:, unknowns]
+    stored = None if linear.stored is None else linear.stored[np.ix_(unknowns, unknowns)]
     return InverseSystem(
         of_unknowns[e], of_unknowns[own], of_unknowns[one_sided], is_move[own], errors, free[own],
-        gaps,
+        gaps, stored,
     )  # fmt: skip
 
 
@@ -1226,7 +1210,8 @@ def _with_contacts_closed(
         linear.W[np.ix_(pressing, pressing)],
         np.column_stack([across, linear.violation[pressing]]), rcond=None,
     )[0]  # fmt: skip
-    return W - across.T @ shares[:, :-1], free - across.T @ shares[:, -1]
+    moved = linear.W[:kept, pressing]
+    return W - moved @ shares[:, :-1], free - moved @ shares[:, -1]
 
 
 def _complementarity_residual(problem: QPCC, z: np.ndarray, forces: np.ndarray) -> float:

@@ -17,6 +17,7 @@ would penetrate are added, and the problem is solved again.
 
 from __future__ import annotations
 
+from copy import copy
 from typing import NamedTuple
 
 import numpy as np
@@ -127,7 +128,10 @@ class Linearized:
             are the efforts.
         move_count: Number of slides, the last of the actuators; their multipliers are their
             displacements from the state.
+        stored: W of the energy of the multipliers, where it is not `W`; else None.
     """
+
+    stored: np.ndarray | None = None
 
     def __init__(
         self, factorization: Factorization, stack: RowStack, forces: np.ndarray,
@@ -389,6 +393,26 @@ class Linearized:
         moved = np.einsum("ij,ij->i", H.blocks[entries], move[H.node_index[entries]])
         np.add.at(gaps, contact[H.row_index[entries]], moved)
         return gaps
+
+    def tied(self, rows: np.ndarray, ties: np.ndarray, offset: np.ndarray) -> Linearized:
+        """The same system in fewer multipliers z, from which all follow: λ = T z + t.
+
+        Args:
+            rows: Condensed rows that are left, those of contacts the last, shape (m,).
+            ties: T, shape (n, m).
+            offset: t [N], shape (n,).
+
+        Returns:
+            The system, of which nothing but W, δ_free and what follows from them is of use.
+        """
+        tied, (a, e, c), W = copy(self), self.groups, self.W @ ties
+        tied.compliance, tied.stored = Compliance(W[rows]), ties.T @ W
+        tied.violation = self.violation[rows] + self.W[rows] @ offset
+        left = len(rows) - c.start
+        tied.groups = RowGroups(a, e, slice(c.start, len(rows)))
+        first = self._all.contacts.start
+        tied._all = self._all._replace(contacts=slice(first, first + left))
+        return tied
 
     def expand(self, multipliers: np.ndarray) -> np.ndarray:
         """A⁻¹ (b + Hᵀλ), shape (free_node_count, 3); the next call may overwrite it.

@@ -137,7 +137,7 @@ class Newton:
             any(term.is_slender for term in model.forces) and not isinstance(factorization, DenseStiffness)
             and not model.is_dynamic and self._conserves
         )  # fmt: skip
-        self._was_folded = False
+        self._was_folded = self._follows = False
         self.projected_tangent = self.is_augmented = False
         sharers = (*model.forces, factorization)
         are_traceable = all(getattr(one, "is_traceable", False) for one in sharers)
@@ -353,6 +353,7 @@ class Newton:
         Returns:
             The condensed system, or None when the tangent cannot be factorized.
         """
+        self._follows = held is not None and not held.is_prescribed
         if self.is_folded is None:
             self._sum_forces(positions)
         self._was_folded = self.is_folded
@@ -496,7 +497,7 @@ class Newton:
             multipliers: λ of all rows there [N], shape (row_count,).
         """
         model, rows, pressing, row_starts = self._model, self._rows, None, None
-        if self._leaves_out:
+        if self._leaves_out and not self._follows:
             row_starts = model.contacts.row_starts
             pressing = expected_to_press(model.contacts, rows.values[rows.groups.contacts])
         moves = self._prescribed_moves(positions)

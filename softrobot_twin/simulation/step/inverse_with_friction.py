@@ -1,0 +1,346 @@
+"""Targets in scenes with friction: one Gauss-Newton step around a solution with friction.
+
+Where contacts stick or slip, forces along them follow from the other multipliers z, the efforts and
+the normal forces: λ = T z + t. So the problem is that without friction in other columns,
+
+    sticks      λ_t such that δ_t = 0
+    slips       λ_t = µ λ_n d, with d the direction of its force;
+                across d it yields by |v| / (µ λ_n), as the direction of the slip v turns
+    is open     λ_t = 0
+
+which is the derivative of the solution with friction (implicit differentiation of the law of Coulomb).
+What the optimum asks of the actuators is then done with friction, in the same linearization. Where
+contacts switch between sticking and slipping on the way, the effectors do not go where the optimum
+promised. Then it is sought again by what the contacts do there, and the nearest of all is made. Where
+these come hardly nearer, a kink is in the way, and the contacts do something else beyond it: single
+actuators are moved a little to either side, one in each step, and the optimum is sought from there.
+
+Each step goes a part of the way only. Effectors that went too far come back along another way, since
+friction turns.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from softrobot_twin.compilation import KERNEL, njit
+from softrobot_twin.constraints.contact import Contacts
+from softrobot_twin.simulation.building.model import Model
+from softrobot_twin.simulation.step.actuation import NO_EFFORT, Actuation, ContactLoads
+from softrobot_twin.simulation.step.direct_actuation import DirectActuation
+from softrobot_twin.simulation.step.interpretation import why_not_followed
+from softrobot_twin.simulation.step.inverse_actuation import InverseActuation, keep_within
+from softrobot_twin.simulation.step.linearized import Linearized
+from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT, Bounds
+
+# A contact with less than this share of the greatest force does not press.
+PRESSES = 1.0e-9
+# A contact with more than this share of the greatest friction slips.
+SLIPS = 1.0 - 1.0e-6
+# Share of its own compliance that a sticking row yields by, where several rows hold the same.
+YIELDS = 1.0e-9
+# Times that an optimum is sought by what contacts do.
+MOST_ROUNDS = 3
+# Where an optimum keeps this share of what it promised, it is not sought again.
+KEPT_PROMISE = 0.9
+# Of the way to the targets each step goes this share where contacts press whose friction is the
+# second number or more; with less friction it goes further.
+SHARE, MUCH_FRICTION = 0.6, 0.2
+# Where squares of misses fall by less than this share, actuators are tried one by one, by moves that
+# would go so many times the way.
+PROGRESS, PROBED = 0.1, (0.25, 1.0, 4.0)
+# A share of the tolerance of targets that does not matter.
+NO_MATTER = 1.0e-3
+
+
+@njit(**KERNEL)
+def tie(first, row_starts, friction, forces, slips, ties, held, yields):
+    """T of contacts, and the directions along which they stick.
+
+    Args:
+        first: First row of the contacts.
+        row_starts: First row of each contact and the number of rows, shape (contact_count + 1,).
+        friction: µ of each, shape (contact_count,).
+        forces: λ of each row of a solution [N], shape (contact_row_count,).
+        slips: δ of each row in the same [m], same shape.
+        ties: Takes T but for what sticks, identity before the contacts, zeros before, shape
+            (first + contact_row_count, first + contact_count).
+        held: Takes the directions that stick, zeros before, shape (2 contact_count, first +
+            contact_row_count).
+        yields: Takes by what each yields [m/N], shape (2 contact_count,).
+
+    Returns:
+        Number of these directions.
+    """
+    for i in range(first):
+        ties[i, i] = 1.0
+    hardest, count = 0.0, 0
+    for c in range(len(friction)):
+        ties[first + row_starts[c], first + c] = 1.0
+        hardest = max(hardest, forces[row_starts[c]])
+    for c in range(len(friction)):
+        r = row_starts[c]
+        limit = friction[c] * forces[r]
+        if row_starts[c + 1] - r == 3 and forces[r] > PRESSES * hardest and limit > 0.0:
+            size = np.hypot(forces[r + 1], forces[r + 2])
+            if size > SLIPS * limit:
+                along, across = forces[r + 1] / size, forces[r + 2] / size
+                ties[first + r + 1, first + c] = friction[c] * along
+                ties[first + r + 2, first + c] = friction[c] * across
+                held[count, first + r + 1], held[count, first + r + 2] = -across, along
+                yields[count] = np.hypot(slips[r + 1], slips[r + 2]) / limit
+                count += 1
+            else:
+                for k in range(2):
+                    held[count, first + r + 1 + k], yields[count] = 1.0, 0.0
+                    count += 1
+    return count
+
+
+def tied_by_contacts(linear: Linearized, contacts: Contacts, found: Actuation) -> Linearized:
+    """The system in efforts and normal forces, by what contacts do in a solution.
+
+    Args:
+        linear: The system condensed onto all rows.
+        contacts: The contact term.
+        found: The solution.
+    """
+    (a, _, c), n, count = linear.groups, len(linear.violation), contacts.count
+    multipliers, forces = np.zeros(n), found.contact.multipliers
+    multipliers[a], multipliers[c] = found.efforts[a], forces
+    slips = linear.compliance.motion(c, multipliers) + linear.violation[c]
+    ties, held = np.zeros((n, c.start + count)), np.zeros((2 * count, n))
+    yields = np.zeros(2 * count)
+    sticking = tie(
+        c.start, contacts.row_starts, contacts.friction, forces, slips, ties, held, yields
+    )
+    offset, held = np.zeros(n), held[:sticking]
+    if sticking:
+        moved = held @ linear.W
+        own = moved @ held.T
+        own[np.diag_indices(sticking)] += yields[:sticking] + YIELDS * own.diagonal()
+        given = np.column_stack([moved @ ties, held @ linear.violation])
+        bearing = -held.T @ np.linalg.solve(own, given)
+        ties, offset = ties + bearing[:, :-1], bearing[:, -1]
+    rows = np.concatenate([np.arange(c.start), c.start + contacts.row_starts[:-1]])
+    return linear.tied(rows, ties, offset)
+
+
+class Aim(NamedTuple):
+    """Where effectors shall be, in one linearization.
+
+    Attributes:
+        linear: The condensed system.
+        errors: δ_free of effectors less where they shall be, then of further rows [m].
+        weights: Weight of each of these rows.
+    """
+
+    linear: Linearized
+    errors: np.ndarray
+    weights: np.ndarray
+
+    def left(self, found: Actuation, system: Linearized | None = None) -> np.ndarray:
+        """How far effectors are from there in a solution [m], shape (effector_row_count,).
+
+        Args:
+            found: The solution.
+            system: The system that it is of, if it is another one.
+        """
+        system = self.linear if system is None else system
+        places = system.effector_places(found.efforts, found.contact.multipliers)
+        return self.errors[: len(places)] + places - self.linear.effectors
+
+    def missed(self, found: Actuation, system: Linearized | None = None) -> float:
+        """Weighted sum of the squares of `left` [m²].
+
+        Args:
+            found: See `left`.
+            system: See `left`.
+        """
+        left = self.left(found, system)
+        return float(self.weights[: len(left)] @ (left * left))
+
+    def short_of_targets(self, held: Actuation, share: float) -> Aim:
+        """Aims short of the targets, where contacts press: what goes too far does not come back.
+
+        Args:
+            held: What the actuators do when they stay.
+            share: Share of the way that is left out.
+        """
+        if not (held.contact.multipliers > 0.0).any():
+            return self
+        left, errors = self.left(held), self.errors.copy()
+        errors[: len(left)] -= share * left
+        return self._replace(errors=errors)
+
+
+class InverseWithFriction(InverseActuation):
+    """Finds actuation and contact forces that bring effectors to their targets, with friction."""
+
+    def __init__(self, model: Model, direct: DirectActuation, qp_solvers: tuple | None = None):
+        """Lay out the problem.
+
+        Args:
+            model: A scene with actuators, effectors and friction.
+            direct: See `InverseActuation`.
+            qp_solvers: See there.
+        """
+        super().__init__(model, direct, qp_solvers)
+        # Squares of misses that make no difference, of weight one.
+        self._negligible, self._probed = (NO_MATTER * self._tolerance) ** 2, 0
+        most = float(model.contacts.friction_of_pair.max())
+        self._left_out = (1.0 - SHARE) * min(1.0, most / MUCH_FRICTION)
+
+    def _over_branches(
+        self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
+        bounds: Bounds, commanded: np.ndarray, extra: np.ndarray | None,
+        chosen: np.ndarray | None = None,
+    ) -> Actuation | None:  # fmt: skip
+        """The actuation with friction that comes nearest; where none does, that which holds."""
+        if not linear.contact_row_count:
+            return super()._over_branches(
+                linear, errors, weights, held, bounds, commanded, extra, chosen
+            )
+        self._last_solution = self._direct.last_solution(linear)
+        aim = Aim(linear, errors, weights).short_of_targets(held, self._left_out)
+
+        def optimum(at: Actuation) -> tuple[Actuation | None, float]:
+            """What is best while contacts do the same, done with friction, and its promise."""
+            tied = tied_by_contacts(linear, self._contacts, at)
+            promised = super(InverseWithFriction, self)._over_branches(
+                tied, aim.errors, weights, self._on_normals(at), bounds, commanded, extra, chosen
+            )
+            if promised is None:
+                return None, np.inf
+            found = self._with_friction(linear, promised.drives(self._limits), bounds, promised)
+            return found, aim.missed(promised, tied)
+
+        before, best, at = aim.missed(held), None, held
+        negligible = self._negligible * weights.max(initial=0.0)
+        for _ in range(MOST_ROUNDS):
+            at, promise = optimum(at)
+            if at is None:
+                break
+            best = at if best is None else min(best, at, key=aim.missed)
+            if before - aim.missed(at) >= KEPT_PROMISE * (before - promise) - negligible:
+                break
+        if best is None:
+            return None
+        if aim.missed(best) > before + negligible:
+            half = 0.5 * (held.drives(self._limits) + best.drives(self._limits))
+            best = self._with_friction(linear, half, bounds, best)
+        if before > negligible and aim.missed(best) > (1.0 - PROGRESS) * before:
+            reach = np.sqrt(before / weights.max())
+            probe = self._probe(linear, held, bounds, commanded, reach)
+            if probe is not None:
+                best = min(best, probe, optimum(probe)[0] or probe, key=aim.missed)
+        if aim.missed(best) > before + negligible:
+            self.trust.tighten()
+            best = held
+        self._direct.remember(best.efforts)
+        return best
+
+    def _probe(
+        self, linear: Linearized, held: Actuation, bounds: Bounds, commanded: np.ndarray,
+        reach: float,
+    ) -> Actuation | None:  # fmt: skip
+        """What comes of moving one actuator that bears; in each step another one, side, or length.
+
+        But for contacts, effectors would be displaced by a multiple of a distance [m].
+        """
+        a, e, _ = linear.groups
+        bears = np.abs(held.efforts[a]) > NO_EFFORT * np.abs(held.efforts[a]).max(initial=0.0)
+        free = np.flatnonzero(~commanded[a] & (bears | ~self._one_sided[a]))
+        if not len(free):
+            return None
+        self._probed = (self._probed + 1) % (2 * len(free) * len(PROBED))
+        side, rest = self._probed % 2, self._probed // 2
+        probed, length = free[rest % len(free)], PROBED[rest // len(free)]
+        own = 1.0 if self._by_effort[probed] else linear.W[probed, probed]
+        farther = np.linalg.norm(linear.W[e, probed]) / own
+        most = self.trust.move_limit * self._scales[probed]
+        move = min(length * reach / farther, most) if farther > 0.0 else most
+        drives = held.drives(self._limits).copy()
+        drives[probed] += move if side else -move
+        return self._with_friction(linear, self._limits.drives_within(drives, bounds), bounds, held)
+
+    def _with_friction(
+        self, linear: Linearized, drives: np.ndarray, bounds: Bounds, promised: Actuation
+    ) -> Actuation:
+        """What comes of drives with friction, within the same linearization."""
+        found = self._direct.at_drives(linear, drives, bounds)
+        limited = found.contact._replace(limits=self._limits_met(found.contact.multipliers))
+        return found._replace(qp_solver=promised.qp_solver, contact=limited)
+
+    def _on_normals(self, found: Actuation) -> Actuation:
+        """An actuation with the normal forces of the contacts alone."""
+        normals = found.contact.multipliers[self._contacts.row_starts[:-1]]
+        return found._replace(contact=found.contact._replace(multipliers=normals))
+
+    def _settled(
+        self, linear: Linearized, efforts: np.ndarray, contact: ContactLoads, bounds: Bounds,
+        solver: str,
+    ) -> Actuation:  # fmt: skip
+        """Set actuators to the paths found; what comes of them is found with friction."""
+        if not linear.contact_row_count:
+            return super()._settled(linear, efforts, contact, bounds, solver)
+        if linear.augmentation is None:
+            efforts = np.minimum(np.maximum(efforts, bounds.effort_min), bounds.effort_max)
+        path = linear.actuator_displacements(efforts, contact.multipliers)
+        within = np.empty(len(path))
+        keep_within(path, bounds.displacement_min, bounds.displacement_max, self._round_off, within)
+        return Actuation(efforts, within, True, solver, contact)
+
+    def _last(self, linear: Linearized) -> tuple[np.ndarray, np.ndarray]:
+        if not linear.contact_row_count:
+            return super()._last(linear)
+        efforts, forces = self._last_solution
+        return efforts, forces[self._contacts.row_starts[:-1]]
+
+    def _limits_met(self, forces: np.ndarray) -> tuple[str, ...]:
+        """The same of the forces of all rows, or of normal forces alone."""
+        if len(forces) == self._contacts.row_count:
+            forces = forces[self._contacts.row_starts[:-1]]
+        return super()._limits_met(forces)
+
+    def is_held_by_energy(
+        self, linear: Linearized, target_rows: np.ndarray, held: Actuation, bounds: Bounds,
+        tolerance: float,
+    ) -> bool:  # fmt: skip
+        """See `InverseActuation`; contacts that stick or slip go on so.
+
+        Args:
+            linear: The condensed system.
+            target_rows: See `InverseActuation`.
+            held: What the actuators do when they stay.
+            bounds: Bounds of this step.
+            tolerance: See `InverseActuation`.
+        """
+        if linear.contact_row_count:
+            linear, held = tied_by_contacts(linear, self._contacts, held), self._on_normals(held)
+        return super().is_held_by_energy(linear, target_rows, held, bounds, tolerance)
+
+
+def build_inverse(
+    model: Model, direct: DirectActuation, qp_solvers: tuple | None = None
+) -> InverseActuation | None:
+    """The inverse of a scene; None for a scene that cannot follow targets.
+
+    Args:
+        model: The built scene; its notes tell of a weight that is too small to be used.
+        direct: Finds λ of what is commanded or held.
+        qp_solvers: See `InverseActuation`.
+    """
+    if why_not_followed(model):
+        return None
+    weight = model.scene.solver.energy_weight
+    if weight < LEAST_ENERGY_WEIGHT:
+        model.notes.append(
+            f"solver.energy_weight: {weight:g} is less than the arithmetic bears: "
+            f"{LEAST_ENERGY_WEIGHT:.2g} is used"
+        )
+    rubs = model.contacts is not None and model.contacts.rubs
+    kind = InverseWithFriction if rubs else InverseActuation
+    return kind(model, direct, qp_solvers)

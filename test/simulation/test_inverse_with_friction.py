@@ -1,0 +1,169 @@
+"""Facts of targets where contacts stick and slip: a finger on a rod, and a beam beside one."""
+
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+import pytest
+import yaml
+
+from softrobot_twin.scene import scene_from_mapping
+from softrobot_twin.scene.loading import written_out
+from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation, Status
+from softrobot_twin.simulation.step.inverse_with_friction import tied_by_contacts
+from softrobot_twin.simulation.step.time_budget import StageClock
+from softrobot_twin.solvers.inverse_problem import Bounds
+from test.builder import builder
+from test.scene_changes import change_scene, repeat_step
+
+FINGER = Path(__file__).resolve().parents[2] / "config" / "scenes" / "finger.yaml"
+TICK, MU = 0.05, 0.5
+BENT = np.array([0.009, -0.006])
+
+
+@pytest.fixture
+def rng():
+    seed = np.random.SeedSequence().entropy % 2**32
+    print(f"seed {seed}")
+    return np.random.default_rng(seed)
+
+
+@builder
+def finger(friction=MU, *changes) -> Simulation:
+    """A finger of 100 mm with two cables, whose middle is pulled onto a rod below it."""
+    mapping = written_out(yaml.safe_load(FINGER.read_text()))
+    mapping["body"] |= {
+        "mesh": {"box": {"size": [0.1, 0.018, 0.018], "cells": [14, 3, 3]},
+                 "translation": [0.0, -0.009, -0.009]},
+        "element": "linear",
+        "fixed": [{"box": {"minimum": [-0.001, -0.02, -0.02], "maximum": [0.001, 0.02, 0.02]}}],
+    }  # fmt: skip
+    mapping["body"]["material"]["young_modulus"] = 150e3
+    del mapping["markers"], mapping["effectors"][0]["measured_by"]
+    rod = {"ends": [[0.055, -0.05, -0.020], [0.055, 0.05, -0.020]], "radius": 0.010}
+    mapping["obstacles"] = [{"name": "rod", "cylinder": rod}]
+    mapping["contact"] = {
+        "friction": friction, "alarm_distance": 0.003, "between": [{"pair": ["body", "rod"]}],
+    }  # fmt: skip
+    change_scene(mapping, *changes)
+    return Simulation(scene_from_mapping(mapping, FINGER))
+
+
+def pull(simulation, shortenings, longest=1e-3):
+    """Shortens the cables at once, in steps of no more than a length."""
+    begin = simulation.rest_setpoints - simulation.state.setpoints
+    count = int(np.ceil(np.abs(shortenings - begin).max() / longest))
+    for share in np.linspace(0.0, 1.0, count + 1)[1:]:
+        at = simulation.rest_setpoints - begin - share * (shortenings - begin)
+        simulation.step(CommandSetpoints(at, TICK))
+    return repeat_step(simulation, CommandSetpoints(at, TICK), 3)
+
+
+def follow(simulation, target, steps):
+    return repeat_step(simulation, FollowTargets(np.atleast_2d(target), TICK), steps)
+
+
+def test_places_that_lengths_lead_to_are_reached_in_contact(finger, rng):
+    simulation = finger()
+    pull(simulation, BENT)
+    start, near = simulation.state, []
+    for _ in range(6):
+        simulation.restore(start)
+        bend = rng.uniform(0.011, 0.016)
+        reached = pull(simulation, np.array([bend, -0.8 * bend]))
+        assert reached.report.contact_count
+        simulation.restore(start)
+        result = follow(simulation, reached.effector_positions, 40)
+        near.append(result.effector_errors[0])
+    assert max(near) < 5e-4
+    assert np.mean(np.array(near) < 1e-4) >= 0.8
+
+
+def test_with_hardly_any_friction_it_goes_where_it_goes_without(finger, rng):
+    smooth, rough = finger(0.0), finger(1e-9)
+    for _ in range(3):
+        target = [0.1 - rng.uniform(0.001, 0.02), 0.0, -rng.uniform(0.0, 0.03)]
+        ends = [follow(one, target, 60).effector_positions for one in (smooth, rough)]
+        np.testing.assert_allclose(*ends, atol=1e-6)
+
+
+def test_what_contacts_do_tells_how_effectors_follow_lengths(finger):
+    """Finite differences of the solution with friction, in one linearization."""
+    simulation = finger()
+    pull(simulation, np.array([0.012, -0.006]))
+    pull(simulation, np.array([0.0125, 0.0085]))
+    model, state, direct = simulation.model, simulation.state, simulation.direct
+    simulation.newton.begin_step(state.positions, state.velocities, TICK)
+    model.contacts.begin_step(state.positions, state.velocities, TICK)
+    linear = simulation.newton.linearize(
+        state.positions.copy(), state.efforts, StageClock(perf_counter)
+    )
+    bounds = Bounds(*np.array([[-1.0, -1.0], [1.0, 1.0], [0.0, 0.0], [40.0, 40.0]]))
+    ahead = -state.setpoints + simulation.rest_setpoints + [2e-4, 3e-4]
+
+    def at(drives):
+        found = direct.at_drives(linear, drives, bounds)
+        return found, linear.effector_places(found.efforts, found.contact.multipliers)
+
+    found, _ = at(ahead)
+    assert (found.efforts > 0.0).all()
+    forces = found.contact.multipliers.reshape(-1, 3)
+    used = np.linalg.norm(forces[:, 1:], axis=1) / np.maximum(MU * forces[:, 0], 1e-12)
+    assert (used[forces[:, 0] > 0.0] < 0.999).any() or (used > 0.999).any()
+    tied = tied_by_contacts(linear, model.contacts, found)
+    e, pressing = tied.groups.effectors, np.flatnonzero(forces[:, 0] > 0.0)
+    kept = np.concatenate([np.arange(2), tied.groups.contacts.start + pressing])
+    by_paths = tied.W[e][:, kept] @ np.linalg.inv(tied.W[np.ix_(kept, kept)])[:, :2]
+    step = 1e-7
+    differences = [
+        (at(ahead + way)[1] - at(ahead - way)[1]) / (2 * step) for way in step * np.eye(2)
+    ]
+    np.testing.assert_allclose(by_paths.T, differences, rtol=1e-3, atol=1e-3)
+
+
+def test_at_a_reached_target_lengths_rest(finger):
+    simulation = finger()
+    pull(simulation, BENT)
+    start = simulation.state
+    target = pull(simulation, np.array([0.0125, -0.01])).effector_positions
+    simulation.restore(start)
+    before = follow(simulation, target, 150).setpoints
+    for _ in range(100):
+        result = follow(simulation, target, 1)
+        assert result.status is Status.OK and result.report.contact_count
+        np.testing.assert_allclose(result.setpoints, before, atol=1e-6 * 0.1)
+        before = result.setpoints
+
+
+def test_no_tick_leaves_rates_lengths_and_tensions(finger, rng):
+    simulation = finger()
+    limits, size = simulation.limits, 0.1
+    pull(simulation, BENT)
+    for _ in range(300):
+        way = rng.normal(size=(1, 3)) * size * rng.choice([0.01, 1.0])
+        target = simulation.effector_positions() + way
+        tick = rng.choice([0.0, 1e-3, 0.02, 0.1])
+        before = simulation.state.setpoints
+        result = simulation.step(FollowTargets(target, tick))
+        after = result.setpoints
+        assert np.isfinite(after).all() and np.isfinite(result.state.positions).all()
+        drives = simulation.rest_setpoints - after
+        assert (drives >= limits.displacement_min - 1e-12).all()
+        assert (drives <= limits.displacement_max + 1e-12).all()
+        assert (np.abs(after - before) <= limits.rate * tick + 1e-12).all()
+        assert (result.efforts <= limits.effort_max * (1.0 + 1e-9)).all()
+        forces = simulation.model.contacts.last_multipliers.reshape(-1, 3)
+        along = np.linalg.norm(forces[:, 1:], axis=1)
+        assert (along <= MU * forces[:, 0] * (1.0 + 1e-6) + 1e-9).all()
+
+
+@pytest.mark.parametrize("friction", [0.2, 1.0])
+def test_a_beam_is_led_along_a_rod(beam, rod, friction):
+    simulation = beam(lambda m: rod(m, friction=friction))
+    for shortenings in ([0.012, 0, 0, 0], [0.015, 0.004, 0, 0], [0.014, 0, 0, 0.003]):
+        simulation.reset()
+        reached = pull(simulation, np.array(shortenings))
+        assert reached.report.contact_count
+        simulation.reset()
+        result = follow(simulation, reached.effector_positions, 60)
+        assert result.effector_errors[0] < 5e-4 and result.report.contact_count
