@@ -8,15 +8,15 @@ the normal forces: λ = T z + t. So the problem is that without friction in othe
                 across d it yields by |v| / (µ λ_n), as the direction of the slip v turns
     is open     λ_t = 0
 
-which is the derivative of the solution with friction (implicit differentiation of the law of Coulomb).
-What the optimum asks of the actuators is then done with friction, in the same linearization. Where
-contacts switch between sticking and slipping on the way, the effectors do not go where the optimum
-promised. Then it is sought again by what the contacts do there, and the nearest of all is made. Where
-these come hardly nearer, a kink is in the way, and the contacts do something else beyond it: single
-actuators are moved a little to either side, one in each step, and the optimum is sought from there.
+which is the derivative of the solution with friction (implicit differentiation of Coulomb's law). What
+the optimum asks of the actuators is then done with friction, in the same linearization. Where contacts
+switch between sticking and slipping on the way, effectors do not go where the optimum promised. Then it
+is sought again by what the contacts do there, and the nearest of all is made. Where these come hardly
+nearer, a kink is in the way, and the contacts do something else beyond it: single actuators are moved
+to either side, one in each step, and the optimum is sought by what contacts do there.
 
-Each step goes a part of the way only. Effectors that went too far come back along another way, since
-friction turns.
+Each step goes a part of the way only. Effectors that went too far come back another way, since friction
+turns.
 """
 
 from __future__ import annotations
@@ -46,8 +46,9 @@ MOST_ROUNDS = 3
 # Where an optimum keeps this share of what it promised, it is not sought again.
 KEPT_PROMISE = 0.9
 # Of the way to the targets each step goes this share where contacts press whose friction is the
-# second number or more; with less friction it goes further.
-SHARE, MUCH_FRICTION = 0.6, 0.2
+# second number or more; with less friction it goes further. With less than the third, friction makes no
+# kinks that would be worth a look.
+SHARE, MUCH_FRICTION, LITTLE_FRICTION = 0.6, 0.2, 1.0e-3
 # Where squares of misses fall by less than this share, actuators are tried one by one, by moves that
 # would go so many times the way.
 PROGRESS, PROBED = 0.1, (0.25, 1.0, 4.0)
@@ -56,7 +57,7 @@ NO_MATTER = 1.0e-3
 
 
 @njit(**KERNEL)
-def tie(first, row_starts, friction, forces, slips, ties, held, yields):
+def tie(first, row_starts, friction, forces, slips, own, least, ties, held, yields):
     """T of contacts, and the directions along which they stick.
 
     Args:
@@ -65,6 +66,8 @@ def tie(first, row_starts, friction, forces, slips, ties, held, yields):
         friction: µ of each, shape (contact_count,).
         forces: λ of each row of a solution [N], shape (contact_row_count,).
         slips: δ of each row in the same [m], same shape.
+        own: Displacement of each row by its own force [m/N], same shape.
+        least: Friction that displaces its contact by no more is none [m].
         ties: Takes T but for what sticks, identity before the contacts, zeros before, shape
             (first + contact_row_count, first + contact_count).
         held: Takes the directions that stick, zeros before, shape (2 contact_count, first +
@@ -83,7 +86,9 @@ def tie(first, row_starts, friction, forces, slips, ties, held, yields):
     for c in range(len(friction)):
         r = row_starts[c]
         limit = friction[c] * forces[r]
-        if row_starts[c + 1] - r == 3 and forces[r] > PRESSES * hardest and limit > 0.0:
+        if row_starts[c + 1] - r == 3 and forces[r] > PRESSES * hardest:
+            if limit * max(own[r + 1], own[r + 2]) <= least:
+                continue
             size = np.hypot(forces[r + 1], forces[r + 2])
             if size > SLIPS * limit:
                 along, across = forces[r + 1] / size, forces[r + 2] / size
@@ -99,13 +104,16 @@ def tie(first, row_starts, friction, forces, slips, ties, held, yields):
     return count
 
 
-def tied_by_contacts(linear: Linearized, contacts: Contacts, found: Actuation) -> Linearized:
+def tied_by_contacts(
+    linear: Linearized, contacts: Contacts, found: Actuation, least: float = 0.0
+) -> Linearized:
     """The system in efforts and normal forces, by what contacts do in a solution.
 
     Args:
         linear: The system condensed onto all rows.
         contacts: The contact term.
         found: The solution.
+        least: Friction that displaces its contact by no more is none [m].
     """
     (a, _, c), n, count = linear.groups, len(linear.violation), contacts.count
     multipliers, forces = np.zeros(n), found.contact.multipliers
@@ -113,16 +121,17 @@ def tied_by_contacts(linear: Linearized, contacts: Contacts, found: Actuation) -
     slips = linear.compliance.motion(c, multipliers) + linear.violation[c]
     ties, held = np.zeros((n, c.start + count)), np.zeros((2 * count, n))
     yields = np.zeros(2 * count)
+    own = linear.W.diagonal()[c].copy()
     sticking = tie(
-        c.start, contacts.row_starts, contacts.friction, forces, slips, ties, held, yields
+        c.start, contacts.row_starts, contacts.friction, forces, slips, own, least, ties, held, yields
     )
     offset, held = np.zeros(n), held[:sticking]
     if sticking:
         moved = held @ linear.W
-        own = moved @ held.T
-        own[np.diag_indices(sticking)] += yields[:sticking] + YIELDS * own.diagonal()
+        yielding = moved @ held.T
+        yielding[np.diag_indices(sticking)] += yields[:sticking] + YIELDS * yielding.diagonal()
         given = np.column_stack([moved @ ties, held @ linear.violation])
-        bearing = -held.T @ np.linalg.solve(own, given)
+        bearing = -held.T @ np.linalg.solve(yielding, given)
         ties, offset = ties + bearing[:, :-1], bearing[:, -1]
     rows = np.concatenate([np.arange(c.start), c.start + contacts.row_starts[:-1]])
     return linear.tied(rows, ties, offset)
@@ -189,9 +198,13 @@ class InverseWithFriction(InverseActuation):
         """
         super().__init__(model, direct, qp_solvers)
         # Squares of misses that make no difference, of weight one.
-        self._negligible, self._probed = (NO_MATTER * self._tolerance) ** 2, 0
+        self._least, self._probed = NO_MATTER * self._tolerance, 0
         most = float(model.contacts.friction_of_pair.max())
         self._left_out = (1.0 - SHARE) * min(1.0, most / MUCH_FRICTION)
+        self._rubs = most > LITTLE_FRICTION
+        # Compiled now, not when the first contact presses.
+        none, matrix = np.zeros(0), np.zeros((0, 0))
+        tie(0, np.zeros(1, np.int64), none, none, none, none, 0.0, matrix, matrix, none)
 
     def _over_branches(
         self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
@@ -208,7 +221,7 @@ class InverseWithFriction(InverseActuation):
 
         def optimum(at: Actuation) -> tuple[Actuation | None, float]:
             """What is best while contacts do the same, done with friction, and its promise."""
-            tied = tied_by_contacts(linear, self._contacts, at)
+            tied = tied_by_contacts(linear, self._contacts, at, self._least)
             promised = super(InverseWithFriction, self)._over_branches(
                 tied, aim.errors, weights, self._on_normals(at), bounds, commanded, extra, chosen
             )
@@ -218,7 +231,7 @@ class InverseWithFriction(InverseActuation):
             return found, aim.missed(promised, tied)
 
         before, best, at = aim.missed(held), None, held
-        negligible = self._negligible * weights.max(initial=0.0)
+        negligible = self._least**2 * weights.max(initial=0.0)
         for _ in range(MOST_ROUNDS):
             at, promise = optimum(at)
             if at is None:
@@ -226,12 +239,13 @@ class InverseWithFriction(InverseActuation):
             best = at if best is None else min(best, at, key=aim.missed)
             if before - aim.missed(at) >= KEPT_PROMISE * (before - promise) - negligible:
                 break
-        if best is None:
-            return None
+        if best is None or not self._rubs:
+            return best
         if aim.missed(best) > before + negligible:
             half = 0.5 * (held.drives(self._limits) + best.drives(self._limits))
             best = self._with_friction(linear, half, bounds, best)
-        if before > negligible and aim.missed(best) > (1.0 - PROGRESS) * before:
+        is_stalled = before > negligible and aim.missed(best) > (1.0 - PROGRESS) * before
+        if is_stalled:
             reach = np.sqrt(before / weights.max())
             probe = self._probe(linear, held, bounds, commanded, reach)
             if probe is not None:
@@ -319,7 +333,7 @@ class InverseWithFriction(InverseActuation):
             tolerance: See `InverseActuation`.
         """
         if linear.contact_row_count:
-            linear, held = tied_by_contacts(linear, self._contacts, held), self._on_normals(held)
+            linear, held = tied_by_contacts(linear, self._contacts, held, self._least), self._on_normals(held)
         return super().is_held_by_energy(linear, target_rows, held, bounds, tolerance)
 
 
