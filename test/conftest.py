@@ -162,6 +162,8 @@ LONG = {
         "test_the_environment_names_the_folder_and_one_that_cannot_be_written_is_replaced",
     ),
     "control": (
+        "force_observer::"
+        "test_a_push_at_a_known_place_is_found_with_an_outlier_and_two_lost_markers",
         "mesh_error_watch::"
         "test_a_state_is_asked_about_once_and_then_the_process_gives_its_memory_back",
         "mesh_error_watch::"
@@ -204,15 +206,16 @@ LONG = {
         "contact_rest::test_a_beam_beside_a_rod_comes_to_rest_with_ten_drawn_shortenings",
         "edge_of_reach::"
         "test_a_beam_of_eight_cables_beside_a_rod_comes_to_rest_at_targets_too_far",
+        "exploration::test_a_robot_that_shall_not_explore_rests_where_it_is",
         "fibres::test_a_braided_tube_contracts_as_inextensible_threads_make_it",
         "fibres::test_hoops_stop_radial_growth_and_are_slack_where_the_tube_contracts",
         "generalized_alpha::test_a_mass_on_a_spring_converges_at_the_order_of_its_scheme",
         "generalized_alpha::test_rotations_converge_at_the_order_of_the_scheme",
         "inverse_limits::"
         "test_a_target_ten_times_out_of_reach_is_held_without_drift_beside_a_rod",
+        "mesh_error::test_on_bars_the_estimate_is_within_a_factor_of_the_truth",
         "mesh_error::"
         "test_the_error_at_given_pressures_and_volumes_is_near_that_against_a_finer_mesh",
-        "mesh_error::test_on_bars_the_estimate_is_within_a_factor_of_the_truth",
         "mounting::test_two_hundred_reachable_poses_are_reached",
         "pneumatic_robots::test_a_grown_accordion_returns_after_a_push_to_the_side",
         "reduced_body::test_a_basis_that_spans_everything_gives_the_full_model",
@@ -227,9 +230,10 @@ LONG = {
         "accuracy::test_choose_studies_a_refined_mesh_and_keeps_its_files",
         "accuracy::"
         "test_choose_tells_what_a_training_costs_and_buys_and_trains_where_it_is_asked_to",
+        "accuracy::test_errors_fall_with_refinement_and_quadratic_meshes_are_better",
+        "accuracy::test_every_reference_states_its_uncertainty",
         "accuracy::"
         "test_prescribed_displacements_have_smaller_errors_than_forces_on_the_coarsest_mesh",
-        "accuracy::test_errors_fall_with_refinement_and_quadratic_meshes_are_better",
         "bench::test_a_reduced_model_alone_is_timed",
         "bench::test_a_reduced_model_is_compared_with_its_full_one",
         "body_training::test_a_stopped_run_goes_on_where_it_was",
@@ -237,6 +241,7 @@ LONG = {
         "cavity_files::test_a_picture_shows_walls_of_all_cavities_inside_clear_bodies",
         "cavity_files::test_a_run_of_commands_writes_pressures_and_a_picture",
         "design::test_a_search_that_stops_at_a_kink_says_so_and_a_radius_takes_kinks_away",
+        "design::test_trials_with_an_actuator_at_its_limit_are_refused_and_told",
         "explain::test_every_scene_of_the_package_is_explained",
         "hexahedral_accuracy",
         "inflated_accuracy::test_choose_speaks_of_volumes_and_keeps_what_the_scene_controls",
@@ -254,12 +259,15 @@ LONG = {
         "vertebrae_reduction::test_the_command_makes_only_what_has_changed",
         "vertebrae_reduction::test_the_fetch_is_divided_into_plates_and_accordions",
         "vertebrae_reduction::test_the_measured_error_is_saved",
+        "vertebrae_reduction::test_vertebrae_that_do_not_fit_are_refused",
         "vertebrae_reduction::test_weight_is_that_of_the_body",
         "workspace::test_a_lost_process_costs_only_its_own_sample",
         "workspace::test_a_stopped_run_goes_on_where_it_was",
         "workspace::test_two_processes_write_the_same_bytes",
     ),
     "tools": (
+        "compare_inverse::test_a_bar_that_snaps_rests_where_its_tip_is_nearest",
+        "compare_inverse::test_a_beam_that_kept_out_of_balance_for_ever_comes_to_rest",
         "compare_inverse::test_random_robots_rest_near_the_best_place_or_tell_it",
         "contact_growth::test_more_contacts_make_more_rows_on_the_same_matrix",
     ),
@@ -270,23 +278,38 @@ SAMPLED = {
         "kernel_cache::test_a_change_compiles_the_kernels_that_import_it_and_no_others",
         "traced_stage::test_the_driver_gives_the_same_bits_as_python",
     ),
+    "control": (
+        "closed_loop::test_a_late_robot_does_not_overshoot_and_its_cables_rest",
+        "closed_loop::test_a_robot_that_acts_late_is_where_its_moving_target_is",
+        "closed_loop::test_a_target_that_stops_is_overshot_by_its_way_of_the_delay_at_most",
+        "device_returns::test_a_device_that_returns_at_another_position_is_resynchronised",
+    ),
     "examples": ("hardware::test_the_nodes_tell_what_they_take",),
     "geometry": (
         "surface_shape::test_in_overlap_a_contact_point_is_at_least_as_deep_as_any_point",
         "surface_shape::test_no_point_of_a_triangle_is_nearer_than_its_contact_point",
+    ),
+    "mechanics": (
+        "point_law::test_forces_and_stiffness_are_the_slopes_of_the_energy",
     ),
     "ros": (
         "hostile_messages::test_no_message_ends_a_device",
         "hostile_messages::test_no_message_ends_a_twin_or_causes_an_unsafe_command",
         "hostile_messages::test_ticks_between_random_messages_are_as_safe",
     ),
-    "scene": ("mutated_scenes",),
+    "scene": (
+        "loading::test_a_text_too_large_for_a_scene_is_refused_before_it_is_read_whole",
+        "mutated_scenes",
+    ),
     "simulation": (
         "collapse::test_a_collapsed_body_recovers_or_is_reported_as_inverted",
         "collapse::test_in_dynamics_a_collapsed_body_recovers_or_is_reported_as_inverted",
         "compressed::test_a_trunk_crushed_by_its_cables_is_reported",
         "edge_of_reach::test_at_targets_ten_times_too_far_lengths_rest_and_home_is_reached",
         "edge_of_reach::test_the_diamond_comes_to_rest_at_targets_ten_times_too_far_and_returns",
+        "fallback::test_the_better_model_is_in_use_while_the_error_is_above_the_wanted_one",
+        "generalized_alpha::test_a_beam_converges_at_the_second_order",
+        "guessed_actuation::test_by_one_kernel_a_robot_goes_the_same_way_to_the_bit",
         "inverse_obstacles::test_a_beam_between_two_rods_crosses_neither",
         "model_file::test_a_file_that_was_cut_or_whose_bits_changed_is_refused",
         "model_file::test_each_array_is_refused_missing_in_another_shape_or_of_another_kind",
@@ -294,17 +317,21 @@ SAMPLED = {
         "model_file::test_what_does_not_fit_the_body_is_refused",
         "obstacles::test_a_soft_block_lies_on_an_obstacle",
         "rubber_stays_upright::test_a_cube_stays_upright_in_one_command",
-        "guessed_actuation::test_by_one_kernel_a_robot_goes_the_same_way_to_the_bit",
         "scales::test_a_similar_robot_gives_a_similar_result",
         "sensitivities::test_derivatives_are_those_of_states_that_are_solved_again",
         "statics_from_rest::"
         "test_a_soft_bar_that_was_straight_sags_to_where_a_stiff_one_sags_as_it_softens",
+        "stiffness_targets::test_the_pad_shows_the_wanted_stiffness_and_stays_where_it_is",
         "triangulated_floor",
         "trunk_scene::test_the_tip_reaches_the_published_workspace",
         "tunnelling::test_no_body_passes_through_a_wire_of_a_millimetre",
         "wedge",
     ),
-    "study": ("first_scene",),
+    "study": (
+        "bench_reference::test_a_step_makes_no_more_calls_than_in_the_reference",
+        "first_scene",
+        "pneumatic_warnings::test_threads_that_are_further_apart_than_two_walls_are_warned_of",
+    ),
     "tools": ("robot_references", "rubber_references"),
 }  # fmt: skip
 # Of a test with more seeds than these, `make test` takes the first.
