@@ -15,8 +15,8 @@ is sought again by what the contacts do there, and the nearest of all is made. W
 nearer, a kink is in the way, and the contacts do something else beyond it: single actuators are moved
 to either side, one in each step, and the optimum is sought by what contacts do there.
 
-Each step goes a part of the way only. Effectors that went too far come back another way, since friction
-turns.
+Each step goes a part of the way to targets that stay. Effectors that went too far come back another way,
+since friction turns.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.constraints.contact import Contacts
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.step.actuation import NO_EFFORT, Actuation, ContactLoads
+from softrobot_twin.simulation.step.apparent_stiffness import StiffnessRows
 from softrobot_twin.simulation.step.direct_actuation import DirectActuation
 from softrobot_twin.simulation.step.interpretation import why_not_followed
 from softrobot_twin.simulation.step.inverse_actuation import InverseActuation, keep_within
@@ -171,17 +172,18 @@ class Aim(NamedTuple):
         left = self.left(found, system)
         return float(self.weights[: len(left)] @ (left * left))
 
-    def short_of_targets(self, held: Actuation, share: float) -> Aim:
+    def short_of_targets(self, held: Actuation, share: float, motion: np.ndarray) -> Aim:
         """Aims short of the targets, where contacts press: what goes too far does not come back.
 
         Args:
             held: What the actuators do when they stay.
-            share: Share of the way that is left out.
+            share: Share of the way that is left out, but for the motion of the targets.
+            motion: Steady motion of the targets in a step [m], shape (effector_row_count,).
         """
         if not (held.contact.multipliers > 0.0).any():
             return self
         left, errors = self.left(held), self.errors.copy()
-        errors[: len(left)] -= share * left
+        errors[: len(left)] -= share * (left + motion)
         return self._replace(errors=errors)
 
 
@@ -206,6 +208,32 @@ class InverseWithFriction(InverseActuation):
         none, matrix = np.zeros(0), np.zeros((0, 0))
         tie(0, np.zeros(1, np.int64), none, none, none, none, 0.0, matrix, matrix, none)
 
+    def reset(self) -> None:
+        """See `InverseActuation`."""
+        super().reset()
+        self._targets = self._moved = None
+
+    def solve(
+        self, linear: Linearized, target_rows: np.ndarray, held: Actuation, bounds: Bounds,
+        stiffness: StiffnessRows | None = None,
+    ) -> tuple[Actuation, Actuation]:  # fmt: skip
+        """See `InverseActuation`; notes how targets move.
+
+        Args:
+            linear: The condensed system.
+            target_rows: See `InverseActuation`.
+            held: What the actuators do when they stay.
+            bounds: Bounds of this step.
+            stiffness: See `InverseActuation`.
+        """
+        moved = np.zeros(len(target_rows))
+        if self._targets is not None:
+            moved = np.nan_to_num(target_rows - self._targets)
+        before = np.zeros(len(moved)) if self._moved is None else np.abs(self._moved)
+        self._motion = np.clip(moved, -before, before)
+        self._targets, self._moved = target_rows.copy(), moved
+        return super().solve(linear, target_rows, held, bounds, stiffness)
+
     def _over_branches(
         self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
         bounds: Bounds, commanded: np.ndarray, extra: np.ndarray | None,
@@ -217,13 +245,15 @@ class InverseWithFriction(InverseActuation):
                 linear, errors, weights, held, bounds, commanded, extra, chosen
             )
         self._last_solution = self._direct.last_solution(linear)
-        aim = Aim(linear, errors, weights).short_of_targets(held, self._left_out)
+        aim = Aim(linear, errors, weights).short_of_targets(held, self._left_out, self._motion)
 
         def optimum(at: Actuation) -> tuple[Actuation | None, float]:
             """What is best while contacts do the same, done with friction, and its promise."""
             tied = tied_by_contacts(linear, self._contacts, at, self._least)
+            errors = aim.errors.copy()
+            errors[: len(linear.effectors)] += tied.effectors - linear.effectors
             promised = super(InverseWithFriction, self)._over_branches(
-                tied, aim.errors, weights, self._on_normals(at), bounds, commanded, extra, chosen
+                tied, errors, weights, self._on_normals(at), bounds, commanded, extra, chosen
             )
             if promised is None:
                 return None, np.inf
