@@ -87,7 +87,7 @@ _FRAME = re.compile(r"marker_frame\.(position|rotation)\[(\d)\]")
 _ZERO = re.compile(r"(cables|hinge_motors)\[(\d+)\]\.offset")
 _REGULATOR = re.compile(r"cavities\[(\d+)\]\.pressure_(gain|offset)")
 POINTS = MARKERS, EFFECTORS = "markers", "effectors"
-OBSERVED = 1.25
+OBSERVED = 1.5
 """By so much more than markers are off do deviations of forces cover the model's own error; see
 `docs/observer.md`."""
 
@@ -749,11 +749,13 @@ class Calibration(NamedTuple):
     def systematic_error(self) -> float:
         """What an observer shall take the model to be off at the markers [m]; 0 without markers.
 
-        The root mean square distance at poses that were held back, less the noise of the markers where
-        the observer of the scene knows it, `OBSERVED` times.
+        The root mean square distance at poses that were held back, or that of the fit where it is larger
+        (few poses are held back, which may be good ones by luck), less the noise of the markers where the
+        observer of the scene knows it, `OBSERVED` times.
         """
         noise = (self.scene.observer and self.scene.observer.marker_noise) or 0.0
         after = self.validation.after.get(MARKERS, 0.0)
+        after = max(after, np.sqrt(3.0) * self.estimate.noise.get(MARKERS, 0.0))
         return OBSERVED * float(np.sqrt(max(0.0, after**2 - 3.0 * noise**2)))
 
     @property

@@ -181,25 +181,29 @@ def test_deviations_of_a_hundred_pushes_hold(observed, pushed, rng):
 
 @pytest.mark.exhaustive
 def test_on_another_robot_forces_are_found_after_a_calibration(small_scene_mapping, rng):
-    """Another mesh, E 15 % off, cables 1 mm off; 1.25 times the error at poses held back is told."""
+    """Another mesh, E 15 % off, cables 1 mm off, three calibrations of poses drawn anew."""
     device = coarse("diamond", "diamond_600")
     device["body"]["material"]["young_modulus"] = 0.85 * 180e3
     for cable, off in zip(device["cables"], ([1, 0, 0], [0, 0, 1], [0, 0, -1], [0, -1, 0])):
         cable["points"] = (np.array(cable["points"]) + 1e-3 * np.array([off])).tolist()
     device["touches"] = [{"name": "tip", "points": [TIP], "while_touched": "follow_targets"}]
-    real, model, poses = built(exact(device)), built(small_scene_mapping), []
-    for _ in range(20):
-        setpoints = pose(model, rng)
-        real.reset()
-        hold(real, setpoints, 40)
-        poses.append(RestPose(
-            setpoints, real.marker_positions() + rng.normal(0.0, NOISE, (8, 3)), np.full((1, 3), np.nan),
-            real.state.efforts + rng.normal(0.0, 0.02, 4), np.zeros((0, 3))))  # fmt: skip
-    found = calibrate(model.scene, poses, [])
+    real, model = built(exact(device)), built(small_scene_mapping)
     tip = ObservedForce(name="tip", points=(tuple(TIP),))
-    observer = Observer(forces=(tip,), systematic_error=found.systematic_error)
-    twin = Simulation(found.scene.changed(observer=observer))
-    error, inside, spread = pushes(warmed_up(twin), real, rng, 20, is_marred=False)
+    told = []
+    for _ in range(3):
+        poses = []
+        for _ in range(20):
+            setpoints = pose(model, rng)
+            real.reset()
+            hold(real, setpoints, 40)
+            poses.append(RestPose(
+                setpoints, real.marker_positions() + rng.normal(0.0, NOISE, (8, 3)), np.full((1, 3), np.nan),
+                real.state.efforts + rng.normal(0.0, 0.02, 4), np.zeros((0, 3))))  # fmt: skip
+        found = calibrate(model.scene, poses, [])
+        observer = Observer(forces=(tip,), systematic_error=found.systematic_error)
+        twin = Simulation(found.scene.changed(observer=observer))
+        told.append(pushes(warmed_up(twin), real, rng, 20, is_marred=False))
+    error, inside, spread = np.mean(told, axis=0)
     assert error < 0.25
     assert inside >= 0.88
     assert spread < 0.5

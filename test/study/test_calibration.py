@@ -163,6 +163,10 @@ def test_planted_numbers_are_found(bar, random):
     truth, shortenings = true_scene(bar), drawn(random, 12)
     poses = measured(truth, poses_at(bar, shortenings, 0.05 * (np.arange(12) % 2)), 1.0, random)
     found = calibrate(bar, poses, NUMBERS)
+    by_luck = found._replace(validation=found.validation._replace(after={MARKERS: 0.0}))
+    assert by_luck.systematic_error == pytest.approx(OBSERVED * np.sqrt(3.0) * found.estimate.noise[MARKERS])
+    worse = found._replace(validation=found.validation._replace(after={MARKERS: 0.01}))
+    assert worse.systematic_error == pytest.approx(0.01 * OBSERVED)
     assert found.is_accepted and found.not_told == ()
     wanted = np.array([one.parameter.read(truth) for one in found.estimate.unknowns])
     off = np.abs(found.estimate.values - wanted)
@@ -467,7 +471,7 @@ def test_the_proposal_tells_the_observer_what_the_model_is_off(files, capsys, se
     told = capsys.readouterr().out
     shown = float(re.search(r"systematic_error: (\S+)  # m", told)[1])
     held = float(re.search(r"markers +\S+ mm +(\S+) mm", told)[1])
-    assert shown == pytest.approx(1e-3 * OBSERVED * held, rel=0.06)
+    assert shown >= 0.94e-3 * OBSERVED * held
     assert load_scene(scene.with_name("bar_calibrated.yaml")).observer.systematic_error == shown
     # A modulus that is fitted too leaves less.
     assert run(scene, "--data", table, "--fit", E, "cables.*.offset") == 0
