@@ -28,15 +28,22 @@ class MountedBody(Entry):
 
 
 class MountedActuator(Entry):
-    """Brings an actuator to the displacement at which it is mounted."""
+    """Brings an actuator to the displacement or the tension at which it is mounted."""
 
-    told: ClassVar[tuple[str, ...]] = ("{actuator} to {displacement}",)
+    told: ClassVar[tuple[str, ...]] = ("{actuator}", "to {displacement}", "to {tension} N")
     placed: ClassVar[dict[str, str]] = {}
 
     actuator: Name
     """The cable or hinge motor."""
-    displacement: Annotated[float, unit("m or rad")]
+    displacement: Annotated[float | None, unit("m or rad")] = None
     """Its displacement from the drawn shape: the angle of a motor [rad], the shortening of a cable [m]."""
+    tension: Annotated[float | None, unit("N", gt=0.0)] = None
+    """Tension to which a cable is wound, in place of a displacement: it bears it from this stage on."""
+
+    def check(self) -> None:
+        """Refuse what is not exactly one of both."""
+        if (self.displacement is None) == (self.tension is None):
+            raise ValueError("goes to a displacement or to a tension: give one of both")
 
 
 class MountingStage(Entry):
@@ -77,5 +84,22 @@ def check_mounting(scene) -> None:
                               "moves by forces alone: only fixed and guided bodies are moved")
         for index, move in enumerate(stage.actuators):
             check_known(f"{key}.actuators[{index}].actuator", "mounting sets", move.actuator, known)
+            if move.tension is not None:
+                _check_tension(scene, f"{key}.actuators[{index}]", move)
     if scene.mounting and scene.slides:
         raise refusal("mounting", "(and slides)", "a scene with slides cannot be mounted yet")
+
+
+def _check_tension(scene, key: str, move: MountedActuator) -> None:
+    """Refuses a tension of what is no cable, above its limit, or beside other moves of the same cable."""
+    cables = {cable.name: cable for cable in scene.cables}
+    if move.actuator not in cables:
+        raise refusal(f"{key}.tension", move.tension, f"is for cables, and {move.actuator} is none: "
+                      "give a displacement")
+    most = cables[move.actuator].tension[1]
+    if move.tension > most:
+        raise refusal(f"{key}.tension", move.tension, f"is more than {move.actuator} bears, {most:g} N")
+    moves = [other for stage in scene.mounting for other in stage.actuators]
+    if sum(other.actuator == move.actuator for other in moves) > 1:
+        raise refusal(f"{key}.tension", move.tension, f"a cable that is wound to a tension is moved "
+                      f"once, and {move.actuator} is moved by other entries too")

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from softrobot_twin.constraints.cable import ROUNDED
 from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.kinematics import Nodes
@@ -30,6 +31,8 @@ MOST_SETTLING, SETTLED = 5, 1.0e-13
 # A step that takes more linearizations is halved, down to a share of the scene's; one that takes few
 # lets the next one be twice as long.
 MOST_TAKEN, FEW_TAKEN, SHORTEST, WHOLE = 7, 5, 1.0 / 256.0, 1.0 - 1.0e-9
+# A cable bears its tension if it is short of it by no more than this share.
+SHORT_OF = 1.0e-6
 # Limits of what moves on the way: none that could be met.
 UNLIMITED = 1.0e6
 # Angles and shortenings on the way stay within their limits by this margin [rad], [m].
@@ -85,10 +88,14 @@ def mount(scene: Scene, simulate: Callable, before: Mounted | None = None) -> Mo
     own = simulate(drawn_scene(scene), with_warnings=False)
     if before is None or not _settles_from(own, before, scene):
         own.reset()
+        supports = _Supports.of(own)
         for index, stage in enumerate(scene.mounting):
-            _make(own, stage, f"mounting[{index}]", scene)
+            _make(own, supports, stage, f"mounting[{index}]", scene)
+            supports = supports.moved(stage, 1.0)
     _settle(own)
     names = [entry.name for entries in scene.actuator_entries.values() for entry in entries]
+    for index, stage in enumerate(scene.mounting):
+        _check_tensions(own, stage, f"mounting[{index}]", scene)
     found = dict(zip(own.actuator_names, own.state.efforts, strict=True))
     efforts = np.array([found.get(name, 0.0) for name in names])
     return Mounted(own.state.positions.copy(), efforts, own.model.nodes)
@@ -104,9 +111,13 @@ def drawn_scene(scene: Scene) -> Scene:
     """
     moved = {move.body for stage in scene.mounting for move in stage.bodies}
     most: dict[str, list[float]] = {}
+    tensions = dict[str, float]()
     for stage in scene.mounting:
         for move in stage.actuators:
-            most.setdefault(move.actuator, [0.0]).append(move.displacement)
+            if move.tension is None:
+                most.setdefault(move.actuator, [0.0]).append(move.displacement)
+            else:
+                most[move.actuator], tensions[move.actuator] = [0.0, UNLIMITED], move.tension
 
     def guided(body):
         free = dict(motion="guided", speed=UNLIMITED, turn_rate=UNLIMITED)
@@ -119,7 +130,7 @@ def drawn_scene(scene: Scene) -> Scene:
             for entry in entries if entry.name in most
         )  # fmt: skip
 
-    cables = tuple(cable.changed(tension=(0.0, np.inf), pulley=None)
+    cables = tuple(cable.changed(tension=(0.0, tensions.get(cable.name, np.inf)), pulley=None)
                    for cable in wide("shortening", scene.cables))  # fmt: skip
     motors = tuple(motor.changed(torque=(-np.inf, np.inf))
                    for motor in wide("angle", scene.hinge_motors))  # fmt: skip
@@ -133,13 +144,13 @@ def drawn_scene(scene: Scene) -> Scene:
     )  # fmt: skip
 
 
-def _make(own, stage: MountingStage, key: str, scene: Scene) -> None:
-    """Make the moves of a stage, together and in steps.
+def _make(own, here: _Supports, stage: MountingStage, key: str, scene: Scene) -> None:
+    """Make the moves of a stage from where the supports are, together and in steps.
 
     A step after which Newton's method takes many linearizations may end on another branch than a
     shorter one, so it is halved.
     """
-    here, before, share, longest = _Supports.of(own), own.state, 0.0, 1.0 / stage.steps
+    before, share, longest = own.state, 0.0, 1.0 / stage.steps
     length = longest
     while share < 1.0:
         ahead = min(share + length, 1.0)
@@ -154,6 +165,21 @@ def _make(own, stage: MountingStage, key: str, scene: Scene) -> None:
         if length <= SHORTEST * longest:
             raise MountingError(scene, key, stage, share, own)
         length *= 0.5
+
+
+def _check_tensions(own, stage: MountingStage, key: str, scene: Scene) -> None:
+    """Refuses a stage whose cables are wound up before they bear their tensions [N]."""
+    efforts = dict(zip(own.actuator_names, own.state.efforts, strict=True))
+    before, now = map(own.actuators.path_lengths, (own.model.nodes.rest_positions, own.state.positions))
+    for index, move in enumerate(stage.actuators):
+        if move.tension is None:
+            continue
+        name = move.actuator
+        if now[name] < ROUNDED * before[name] or efforts[name] < (1.0 - SHORT_OF) * move.tension:
+            raise SceneError(
+                scene.path, f"{key}.actuators[{index}].tension", move.tension, "N",
+                f"{name} is wound up before it bears that: {1e3 * now[name]:.3g} mm are left "
+                f"of {1e3 * before[name]:.3g} mm")  # fmt: skip
 
 
 def _settle(own) -> None:
@@ -183,10 +209,12 @@ class _Supports(NamedTuple):
     Attributes:
         poses: Origin [m] and rotation of each body that moves, by its name.
         displacements: Of the actuators, by their names.
+        lengths: At rest, of the cables among them.
     """
 
     poses: dict[str, tuple[np.ndarray, Rotation]]
     displacements: dict[str, float]
+    lengths: dict[str, float]
 
     @classmethod
     def of(cls, own) -> _Supports:
@@ -196,7 +224,8 @@ class _Supports(NamedTuple):
             origin, quaternion = own.model.guides.pose(name, state.positions)
             poses[name] = origin, Rotation.from_quat(quaternion)
         drives = own.actuators.drives(state.setpoints)
-        return cls(poses, dict(zip(own.actuator_names, drives, strict=True)))
+        named = (dict(zip(own.actuator_names, values, strict=True)) for values in (drives, own.rest_setpoints))
+        return cls(poses, *named)
 
     def moved(self, stage: MountingStage, share: float) -> _Supports:
         """Those after a share of a stage."""
@@ -207,9 +236,11 @@ class _Supports(NamedTuple):
             poses[move.body] = (origin + share * np.array(move.translation),
                                 Rotation.from_rotvec(turn) * rotation)  # fmt: skip
         for move in stage.actuators:
-            start = self.displacements[move.actuator]
-            displacements[move.actuator] = start + share * (move.displacement - start)
-        return _Supports(poses, displacements)
+            start, end = self.displacements[move.actuator], move.displacement
+            # Wound as if its whole length could be, a cable stops at the tension that it may have at most.
+            end = self.lengths[move.actuator] if end is None else end
+            displacements[move.actuator] = start + share * (end - start)
+        return _Supports(poses, displacements, self.lengths)
 
     def command(self, own) -> CommandSetpoints:
         """Aims the bodies of a simulation, and commands its actuators."""

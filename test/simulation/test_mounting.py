@@ -8,6 +8,7 @@ import yaml
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene import load_scene, scene_from_mapping
+from softrobot_twin.scene.scene_parameters import changed_scene
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
 from softrobot_twin.simulation.mounting import MountingError, prestress
 from softrobot_twin.study.explain import explain
@@ -31,6 +32,10 @@ beams:
 rigid_bodies:
   - {{name: clamp, motion: fixed, position: [{LENGTH}, 0.0, 0.0], box: {{size: [0.01, 0.01, 0.01]}}}}
 """
+
+
+UP = {"name": "up", "body": "strip", "pull_point": [0.1, 0.0, 0.1], "points": [[0.1, 0.0, 0.0]],
+      "tension": [0.0, 50.0]}  # fmt: skip
 
 
 def strip(*stages, **changes):
@@ -134,15 +139,42 @@ def test_stages_are_made_one_after_the_other():
 
 
 def test_a_cable_is_pretensioned_and_its_length_counts_from_there():
-    cable = {"name": "up", "body": "strip", "pull_point": [0.1, 0.0, 0.1], "points": [[0.1, 0.0, 0.0]],
-             "tension": [0.0, 50.0]}  # fmt: skip
     stage = {"actuators": [{"actuator": "up", "displacement": 0.01}], "steps": 3}
-    simulation = Simulation(strip(stage, cables=[cable]))
+    simulation = Simulation(strip(stage, cables=[UP]))
     assert simulation.rest_setpoints[0] == pytest.approx(0.1 - 0.01, abs=1e-9)
     result = simulation.step(CommandSetpoints(simulation.rest_setpoints, 1.0))
     assert simulation.mounted.efforts[0] > 0.1
     assert result.efforts[0] == pytest.approx(simulation.mounted.efforts[0], rel=1e-6)
     np.testing.assert_allclose(simulation.state.positions, simulation.mounted.positions, atol=1e-9)
+
+
+@pytest.mark.parametrize("tension", [0.05, 2.0])
+def test_a_cable_is_wound_to_a_tension_that_it_bears_where_the_robot_is_mounted(tension):
+    simulation = Simulation(strip({"actuators": [{"actuator": "up", "tension": tension}]}, cables=[UP]))
+    assert simulation.mounted.efforts[0] == pytest.approx(tension, rel=1e-9)
+    by_length = {"actuators": [{"actuator": "up", "displacement": 0.1 - float(simulation.rest_setpoints[0])}]}
+    same = Simulation(strip(by_length, cables=[UP]))
+    np.testing.assert_allclose(simulation.state.positions, same.state.positions, atol=1e-9)
+    later = move((-0.01, 0.0, 0.005))
+    winding = {"actuators": [{"actuator": "up", "tension": tension}]}
+    after = Simulation(strip(winding, later, cables=[UP]))
+    assert after.mounted.efforts[0] == pytest.approx(tension, rel=1e-9)
+    at_once = Simulation(strip(later | winding, cables=[UP]))
+    np.testing.assert_allclose(after.state.positions, at_once.state.positions, atol=1e-9)
+    # Another number goes from the last mounted shape to its own.
+    key = "mounting[0].actuators[0].tension"
+    more = changed_scene(after.model.scene, {key: 1.1 * tension})
+    near, anew = Simulation(more, mounted=after.mounted), Simulation(more)
+    np.testing.assert_allclose(near.state.positions, anew.state.positions, atol=1e-9)
+    assert near.mounted.efforts[0] == pytest.approx(1.1 * tension, rel=1e-9)
+
+
+@pytest.mark.parametrize("tension", [1.0, 9e4])
+def test_a_cable_that_is_wound_up_before_its_tension_is_there_is_refused(tension):
+    short = UP | {"pull_point": [0.1, 0.0, 0.004], "tension": [0.0, 1e5]}
+    stage = {"actuators": [{"actuator": "up", "tension": tension}]}
+    with pytest.raises(SceneError, match=r"mounting\[0\].actuators\[0\].tension = .* N: up is wound up"):
+        Simulation(strip(stage, cables=[short]))
 
 
 def test_a_strip_that_may_snap_to_the_other_side_is_told():
@@ -175,13 +207,18 @@ def test_explain_draws_how_far_a_mounting_came_that_fails(tmp_path):
     ({}, "moves nothing"),
     ({"bodies": [{"body": "clmap", "translation": [0.0, 0.0, 0.0]}]}, "clmap.*clamp"),
     ({"actuators": [{"actuator": "motor", "displacement": 1.0}]}, "motor.*does not have"),
+    ({"actuators": [{"actuator": "up"}]}, "displacement or to a tension"),
+    ({"actuators": [{"actuator": "up", "tension": 0.0}]}, "tension = 0.0 N: must be above 0"),
+    ({"actuators": [{"actuator": "up", "tension": 1.0}, {"actuator": "up", "displacement": 0.01}]},
+     "up is moved by other entries"),
+    ({"actuators": [{"actuator": "up", "tension": 51.0}]}, "more than up bears, 50 N"),
     ({"bodies": [{"body": "ball", "translation": [0.0, 0.0, 0.0]}]}, "ball.*moves by forces alone"),
 ])
 def test_a_mounting_that_moves_what_it_cannot_is_refused_by_name(stage, message):
     ball = {"name": "ball", "mass": 0.01, "sphere": {"radius": 0.01}}
     bodies = [*yaml.safe_load(STRIP)["rigid_bodies"], ball]
     with pytest.raises(SceneError, match=message):
-        strip(stage, rigid_bodies=bodies)
+        strip(stage, rigid_bodies=bodies, cables=[UP])
 
 
 def test_a_scene_without_mounting_has_none():
