@@ -49,7 +49,7 @@ class TargetReading(NamedTuple):
 
     Attributes:
         targets: Target of each effector [m], shape (effector_count, 3); a row of NaN without one.
-        source: ``none``, ``point``, ``pose`` or ``velocity``: which kind of message moved a target last.
+        source: ``none``, ``point``, ``path``, ``pose`` or ``velocity``: which kind of message moved a target last.
         age: Time since the last target or velocity arrived [s]; infinite before the first.
         timed_out: True when that is longer than the timeout allows.
         orientations: Wanted turn of each effector from rest as a quaternion (x, y, z, w), shape
@@ -75,8 +75,24 @@ class TargetReading(NamedTuple):
         return cls(np.full((count, 3), np.nan), "none", math.inf, False, turns)
 
 
+class _Course(NamedTuple):
+    """A path of a target that is known ahead.
+
+    Attributes:
+        times: Increasing, on the clock of `Arrival.time` [s], shape (n,).
+        places: Where the target is at these times [m], shape (n, 3).
+    """
+
+    times: np.ndarray
+    places: np.ndarray
+
+    def at(self, times: np.ndarray | float) -> np.ndarray:
+        """Places at times [m], shape (..., 3), straight in between; the ends before and after."""
+        return np.stack([np.interp(times, self.times, one) for one in self.places.T], axis=-1)
+
+
 class TargetInput(Input):
-    """Target points, poses and velocities of the effectors.
+    """Target points, paths, poses and velocities of the effectors.
 
     A point or a velocity moves the position alone: the orientation that a pose gave stays wanted. The
     angular part of a twist turns it, of an effector that asks for an orientation.
@@ -105,12 +121,14 @@ class TargetInput(Input):
         self._velocity_effector = velocity_effector
         self._targets = np.full((effector_count, 3), np.nan)
         self._streams = [TargetStream() for _ in range(effector_count)]
+        self._courses: dict[int, _Course] = {}
         super().__init__(settings, frame_id, range(effector_count))
 
     def reset(self) -> None:
         """Forgets all targets and velocities; the counts stay."""
         super().reset()
         self._targets[:] = np.nan
+        self._courses.clear()
         for stream in self._streams:
             stream.forget()
         if self._orientations is not None:
@@ -161,10 +179,44 @@ class TargetInput(Input):
         self._orientations[effector] = quaternion / math.hypot(*quaternion)
         return None
 
+    @latched
+    def accept_path(
+        self, effector: int, times, positions, arrival: Arrival
+    ) -> Refusal | None:
+        """Checks a path that a target will take, and keeps it; it replaces what is left of another.
+
+        Args:
+            effector: Index of the effector.
+            times: When the target is where, after the stamp of the message [s], increasing, shape
+                (n,).
+            positions: Where it is [m], shape (n, 3); limited to the workspace.
+            arrival: Header and time of arrival of the message.
+
+        Returns:
+            The reason to refuse it, or None.
+        """
+        if times.ndim != 1 or not len(times) or positions.shape != (len(times), 3):
+            return Refusal.WRONG_SIZE
+        if not (np.isfinite(times).all() and np.isfinite(positions).all()):
+            return Refusal.NOT_FINITE
+        if not (np.diff(times) > 0.0).all():
+            return Refusal.OUT_OF_ORDER
+        inside = self.settings.in_workspace(positions)
+        self.clamped += bool((inside != positions).any())
+        begin = arrival.time - arrival.age
+        self._streams[effector].forget()
+        course = self._courses[effector] = _Course(begin + times, inside)
+        self._targets[effector] = course.at(arrival.time)
+        self._source = "path"
+        if effector == self._velocity_effector:
+            self._velocity_time = -math.inf
+        return None
+
     def _keep_position(
         self, effector: int, position: np.ndarray, source: str, arrival: Arrival
     ) -> None:
-        """Keeps a valid position [m], shape (3,); it replaces a velocity."""
+        """Keeps a valid position [m], shape (3,); it replaces a velocity or a path."""
+        self._courses.pop(effector, None)
         self._targets[effector] = self._inside(position)
         self._streams[effector].add(self._targets[effector].copy(), arrival)
         self._source = source
@@ -193,6 +245,7 @@ class TargetInput(Input):
         self._velocity, self._turn_rate, self._velocity_time = velocity, turn_rate, time
         self._newest, self._source = time, "velocity"
         self._streams[self._velocity_effector].forget()
+        self._courses.pop(self._velocity_effector, None)
         return None
 
     def stop(self) -> None:
@@ -200,11 +253,14 @@ class TargetInput(Input):
         self._velocity_time = -math.inf
 
     def is_moving(self, now: float) -> bool:
-        """Whether a velocity is still valid.
+        """Whether a velocity is still valid, or a path not at its end.
 
         Args:
             now: Time on the clock of `Arrival.time` [s].
         """
+        return self._has_velocity(now) or any(one.times[-1] >= now for one in self._courses.values())
+
+    def _has_velocity(self, now: float) -> bool:
         return now - self._velocity_time <= self.settings.velocity_timeout
 
     def read(
@@ -221,7 +277,10 @@ class TargetInput(Input):
             effector_turns: Turns of the effectors from rest (x, y, z, w), shape (effector_count, 4),
                 for the same; None where no effector asks for an orientation.
         """
-        if self.is_moving(now):
+        for effector, course in self._courses.items():
+            self._targets[effector] = course.at(now)
+            self._newest = max(self._newest, min(now, float(course.times[-1])))
+        if self._has_velocity(now):
             self._integrate_velocity(time_step, effector_positions[self._velocity_effector])
             if self._turn_rate.any() and self._lengths[self._velocity_effector]:
                 self._turn(time_step, effector_turns[self._velocity_effector])
@@ -246,7 +305,27 @@ class TargetInput(Input):
             way = stream.lead(now, delay, self.settings.lead_limit)
             if way is not None:
                 lead[:] = self.settings.in_workspace(target + way) - target
+        for effector, course in self._courses.items():
+            leads[effector] = course.at(now + delay) - self._targets[effector]
         return leads
+
+    def ahead(self, now: float, delays: np.ndarray) -> np.ndarray:
+        """Where the targets will be [m], shape (n, effector_count, 3); NaN without a target.
+
+        Of a path it is known. A stream of points is followed on its course as far as `lead_limit`,
+        and what is later stays there.
+
+        Args:
+            now: Time on the clock of `Arrival.time` [s].
+            delays: Times from now [s], increasing, shape (n,).
+        """
+        places = np.tile(self._targets, (len(delays), 1, 1))
+        for effector, stream in enumerate(self._streams):
+            if effector in self._courses:
+                places[:, effector] = self._courses[effector].at(now + delays)
+            elif (ways := stream.lead(now, delays, self.settings.lead_limit)) is not None:
+                places[:, effector] = self.settings.in_workspace(places[:, effector] + ways)
+        return places
 
     def _turn(self, time_step: float, start: np.ndarray) -> None:
         """Turns the wanted orientation, as fast as the speed limit allows to turn."""

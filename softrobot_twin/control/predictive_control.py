@@ -125,6 +125,7 @@ class PredictiveControl:
         horizon: Ticks over which it looks ahead.
         delay: Ticks from a command to its effect.
         tuning: How fast it reacts.
+        last_inputs: Inputs that were sent last, shape (input_count,).
         innovation: Measured minus expected outputs of the newest measurement [m], same shape.
     """
 
@@ -182,7 +183,7 @@ class PredictiveControl:
         # Inputs that take effect in the ticks from `_seen` on.
         self._sent: deque[np.ndarray] = deque(
             [before - self.model.input_values] * self.delay)  # fmt: skip
-        self._last = before.copy()
+        self.last_inputs = before.copy()
         self.innovation = np.zeros(len(self.outputs))
 
     def _standing(self, inputs: np.ndarray) -> np.ndarray:
@@ -245,9 +246,9 @@ class PredictiveControl:
         found, iterations = self._program.solve(x, targets - here)
         middle = self.model.input_values
         is_solved = found is not None
-        inputs = self._last if found is None else found + middle
+        inputs = self.last_inputs if found is None else found + middle
         low, high = self._allowed.low, self._allowed.high
-        low, high = np.maximum(low, self._last - self._reach), np.minimum(high, self._last + self._reach)
+        low, high = np.maximum(low, self.last_inputs - self._reach), np.minimum(high, self.last_inputs + self._reach)
         inputs = np.maximum(np.minimum(inputs, high), low)
         slack = 1.0e-6 * (self._allowed.high - self._allowed.low)
         is_limited = bool(((inputs <= low + slack) | (inputs >= high - slack)).any())
@@ -260,7 +261,7 @@ class PredictiveControl:
             inputs: Shape (input_count,).
         """
         self._sent.append(inputs - self.model.input_values)
-        self._last = np.array(inputs)
+        self.last_inputs = np.array(inputs)
         self._tick += 1
 
     def _noise_of_steps(self) -> np.ndarray:

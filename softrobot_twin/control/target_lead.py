@@ -50,10 +50,11 @@ class _Course(NamedTuple):
     place: np.ndarray
     scale: float
 
-    def at(self, time: float) -> np.ndarray:
-        """The expected place [m], shape (3,), at a time on the clock of the sender [s]."""
+    def at(self, time: float | np.ndarray) -> np.ndarray:
+        """The expected places [m], shape (..., 3), at times on the clock of the sender [s]."""
         share = (time - self.time) / self.scale
-        return self.place + np.array([1.0, share, share * share]) @ self.coefficients
+        powers = np.stack([np.ones_like(share), share, share * share], axis=-1)
+        return self.place + powers @ self.coefficients
 
 
 class TargetStream:
@@ -90,12 +91,12 @@ class TargetStream:
             self._messages.pop()
         self._messages.append((sent, arrival.time, *place.tolist()))
 
-    def lead(self, now: float, delay: float, limit: float) -> np.ndarray | None:
-        """From the newest place to where the target will be [m], shape (3,).
+    def lead(self, now: float, delay: float | np.ndarray, limit: float) -> np.ndarray | None:
+        """From the newest place to where the target will be [m], shape (3,), or (n, 3).
 
         Args:
             now: Time on the clock of `Arrival.time` [s].
-            delay: Time from now [s].
+            delay: Time from now [s], or several, the longest one last, shape (n,).
             limit: Longest time from the newest message for which a course is followed [s].
 
         Returns:
@@ -109,8 +110,8 @@ class TargetStream:
         interval = (sent[-1] - sent[-LEAST]) / (LEAST - 1)
         if interval > LONGEST_INTERVAL or now - arrived[-1] > SILENCE * interval:
             return None
-        ahead = min(max(now - sent[-1] - (arrived - sent).min() + delay, 0.0), limit)
-        scale = max(ahead, interval)
+        ahead = np.clip(now - sent[-1] - (arrived - sent).min() + delay, 0.0, limit)
+        scale = max(float(np.max(ahead)), interval)
         count = max(int((sent >= sent[-1] - BACK * scale).sum()), LEAST)
         times, offsets = (sent[-count:] - sent[-1]) / scale, places[-count:] - places[-1]
         if -times[0] < LEAST_BACK or not offsets.any():

@@ -18,6 +18,7 @@ from softrobot_twin.control.cavity_pressures import (
 )
 from softrobot_twin.control.command_gate import ActuatorCommand
 from softrobot_twin.control.device import DeviceWatch, MeasuredSetpoints
+from softrobot_twin.control.dynamic_control import DynamicControl
 from softrobot_twin.control.engagement import Activity, Engagement
 from softrobot_twin.control.force_observer import ForceObserver
 from softrobot_twin.control.guidance import Guidance
@@ -42,6 +43,7 @@ from softrobot_twin.control.loop_settings import (
     check_mode,
     check_settings,
 )
+from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.control.marker_checks import MarkerPlausibility
 from softrobot_twin.control.model_history import ModelHistory, Moment
 from softrobot_twin.control.target_correction import (
@@ -337,6 +339,7 @@ class TwinLoop:
         inputs: The inputs that its scene and mode call for, by name; each is an attribute of its
             name too, and the others are None.
         observer: Finds forces that nobody modelled; None in a scene without an observer.
+        dynamic: Commands a robot that vibrates; None in a scene without `control`, and in direct mode.
         is_repeating: True when the last tick repeated the outcome of the one before.
         listeners: Take the name, the arguments and the answer of each of its `calls`, after it was
             made.
@@ -386,6 +389,9 @@ class TwinLoop:
         self.lead = TargetLead(len(simulation.effector_names))
         limits = simulation.limits
         self.observer = None if simulation.scene.observer is None else ForceObserver(simulation)
+        self.dynamic: DynamicControl | None = None
+        if simulation.scene.control is not None and mode is Mode.INVERSE:
+            self.dynamic = DynamicControl(simulation, settings.period)
         self._history = ModelHistory(
             limits.travel(limits.drive_scale), len(simulation.marker_ids),
             len(simulation.effector_names),
@@ -394,6 +400,7 @@ class TwinLoop:
         self._is_lost = False
         self._aimed = self._no_targets.targets
         self._ticked = self._released = -math.inf
+        self._measured_stamp = 0
         self._contested: dict[str, tuple[str, float]] = {}
         self._watch = DeviceWatch(simulation.limits)
         self._engagement = Engagement(
@@ -440,6 +447,8 @@ class TwinLoop:
         self.settings = settings
         for one in self.inputs.values():
             one.apply(settings)
+        if self.dynamic is not None:
+            self.dynamic.apply(settings.period)
 
     @property
     def is_enabled(self) -> bool:
@@ -646,7 +655,9 @@ class TwinLoop:
         accepted = self._plausibility.without_left_out(seen)
         activity, cause = self._decide(now, aims.reading, accepted)
         self._guide(activity, now, time.reach)
-        command = self._command(activity, cause, aims, time)
+        if self.dynamic is not None:
+            self._measure_motion(accepted, seen, ros_time)
+        command = self._command(activity, cause, aims, time, now)
         felt = None if self.touches is None else self.touches.read(now)
         touched = [] if felt is None else [felt]
         if self.observer is not None:
@@ -655,6 +666,8 @@ class TwinLoop:
         result, released, violated = self._step(command, touched, time.reach, cause)
         if self.observer is not None and not result.report.is_resting:
             self.observer.balance(() if felt is None else (felt,))
+        if self.dynamic is not None:
+            self.dynamic.end(self.simulation.state, activity is Activity.FOLLOWING, now)
         predicted = self.simulation.marker_positions()
         self._remember(ros_time, predicted, result)
         measured, misfit = self._compare(seen, activity)
@@ -717,6 +730,7 @@ class TwinLoop:
         settings, targets = self.settings, self.targets
         return (
             (targets is not None and targets.is_moving(now))
+            or self.dynamic is not None
             or self.markers.age(now) <= settings.marker_timeout
             or (self.use_device and not self.device_is_lost(now))
             or self._is_disputed(now)
@@ -835,10 +849,31 @@ class TwinLoop:
         else:
             self._guidance.follow(now, self.settings.target_timeout, reach_time)
 
-    def _command(self, activity: Activity, cause: str, aims: Aims, time: TickTime):
+    def _measure_motion(self, accepted: np.ndarray, seen: np.ndarray, ros_time: int) -> None:
+        """Tells the control of vibrations where the effectors are, or else where the model has them.
+
+        Args:
+            accepted: Plausible measured markers [m], shape (marker_count, 3).
+            seen: All of them, same shape.
+            ros_time: Time on the clock of stamps [ns].
+        """
+        stamp = self.markers.stamp
+        if not self.settings.closed_loop or seen is self.markers.hidden:
+            self.dynamic.measure(self.simulation.effector_positions(), 0.0)
+        elif stamp != self._measured_stamp and self._history.is_any:
+            model = self._history.at(stamp)
+            found = model.effectors + self.measurement.misfit(accepted, model).positions
+            self.dynamic.measure(found, (ros_time - stamp) / NANOSECONDS)
+        self._measured_stamp = stamp
+
+    def _command(self, activity: Activity, cause: str, aims: Aims, time: TickTime, now: float):
         """The command of this tick's step."""
         if time.reach == 0.0 or cause in _PAUSES:
             return Hold(time.step)
+        if activity is Activity.FOLLOWING and self.dynamic is not None:
+            ahead = self.targets.ahead(now, self.dynamic.horizon)
+            return self.dynamic.command(
+                aims.wanted, ahead, self.settings.reach, time, self.selected.setpoints, now)
         if activity is Activity.FOLLOWING:
             stiffness = None if self.stiffness is None else self.stiffness.wanted
             return FollowTargets(
@@ -967,7 +1002,10 @@ class TwinLoop:
             # Nor is its distance while an effector approaches a far target.
             comparable = np.where(aims.arrived, effectors, np.nan)
             errors = self.measurement.differences(aims.reading.targets, comparable)
-            model = self._executed(stamp) if self.correction.is_new(stamp) else None
+            # Measured lengths do not tell which tensions were executed.
+            by_effort = self.dynamic is not None and self.dynamic.by_effort
+            is_new = self.correction.is_new(stamp) and not by_effort
+            model = self._executed(stamp) if is_new else None
             if model is not None:
                 self.lead.see(model.delay, stamp)
                 if self.observer is not None:

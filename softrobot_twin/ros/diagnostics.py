@@ -19,6 +19,7 @@ from softrobot_twin.control.loop_timing import TickClock
 from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
 from softrobot_twin.control.reduction_error_watch import ReductionErrorWatch
 from softrobot_twin.control.tracking_cause import tracking_cause, tracking_signs
+from softrobot_twin.control.dynamic_control import DynamicControl
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.ros.thread_priority import ThreadPriority
 from softrobot_twin.ros.ticking_node import Clash, publisher_names
@@ -209,6 +210,8 @@ class TwinDiagnostics:
             parts["touch"] = self._of_touches() if has_ticked else waits
         if loop.observer is not None:
             parts["observer"] = self._of_observer()
+        if loop.dynamic is not None:
+            parts["control"] = self._of_control(loop.dynamic)
         name = self._loop.simulation.scene.name
         return [status_message(f"{self._name}: {key}", name, part) for key, part in parts.items()]
 
@@ -365,6 +368,16 @@ class TwinDiagnostics:
             values, "no force beyond noise",
             (observer.is_blind, WARN, "the robot buckles in the model: forces stay what they were"),
             (found, OK, f"found: {found}"))
+
+    def _of_control(self, dynamic: DynamicControl) -> Part:
+        values: dict[str, object] = {
+            "frequencies_hz": " ".join(f"{one:.3g}" for one in dynamic.model.frequencies),
+            "fallbacks": dynamic.fallbacks, "surprise": dynamic.surprise,
+        }  # fmt: skip
+        if dynamic.margin is None:
+            return OK, "quasi-static", values
+        why, values["margin"] = dynamic.why_quasi_static, dynamic.margin.in_words()
+        return first_of(values, "by prediction", (why, WARN, f"quasi-static: {why}"))
 
     def _of_limits(self) -> Part:
         window = self._window

@@ -22,6 +22,7 @@ from geometry_msgs.msg import (
     Wrench,
     WrenchStamped,
 )
+from nav_msgs.msg import Path
 from sensor_msgs.msg import FluidPressure, JointState, PointCloud2, PointField
 from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension, MultiArrayLayout
 
@@ -58,8 +59,7 @@ def arrival_of(header: Header, ros_time: int, time: float) -> Arrival:
         ros_time: Time of arrival on the clock of stamps [ns].
         time: Time of arrival on the monotonic clock [s].
     """
-    stamp = header.stamp.sec * NANOSECONDS + header.stamp.nanosec
-    return Arrival(header.frame_id, stamp, ros_time, time)
+    return Arrival(header.frame_id, _nanoseconds(header), ros_time, time)
 
 
 def coordinates(kind: type, numbers: np.ndarray):
@@ -112,6 +112,21 @@ def read_pose(message: PoseStamped) -> tuple[tuple[float, ...], tuple[float, ...
     """
     p, q = message.pose.position, message.pose.orientation
     return (p.x, p.y, p.z), (q.x, q.y, q.z, q.w)
+
+
+def read_path(message: Path) -> tuple[list[float], list[tuple[float, ...]]]:
+    """Times after the stamp of a message [s], and the positions there [m]; turns are not read.
+
+    Args:
+        message: The message; each pose has a stamp.
+    """
+    begin = _nanoseconds(message.header)
+    times = [(_nanoseconds(pose.header) - begin) / NANOSECONDS for pose in message.poses]
+    return times, [_xyz_of(pose.pose.position) for pose in message.poses]
+
+
+def _nanoseconds(header: Header) -> int:
+    return header.stamp.sec * NANOSECONDS + header.stamp.nanosec
 
 
 def _xyz_of(point: Point | Vector3) -> tuple[float, float, float]:
@@ -295,6 +310,7 @@ def _marker_fields(message: PointCloud2) -> dict[str, tuple[str, int]] | None:
 READERS: dict[type, Callable[..., tuple | Refusal]] = {
     PointStamped: lambda message: (_xyz_of(message.point),),
     PoseStamped: read_pose,
+    Path: read_path,
     Vector3Stamped: lambda message: (_xyz_of(message.vector),),
     WrenchStamped: lambda message: (_xyz_of(message.wrench.force),),
     Twist: lambda message: (_twist_of(message),),

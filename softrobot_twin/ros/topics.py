@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PointStamped, PoseStamped, Twist, Vector3Stamped, WrenchStamped
+from nav_msgs.msg import Path
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -145,7 +146,7 @@ def open_publisher(node: Node, topic: Topic, name: str = "", twin: str = "") -> 
     return node.create_publisher(topic.kind, topic.full_name(name, twin), topic.quality)
 
 
-_LARGEST = {PointCloud2: 2**20}
+_LARGEST = {PointCloud2: 2**20, Path: 2**17}
 _LARGEST_OTHER = 4096
 _SIZE_OF_JOINT = 64
 """Most bytes of a joint's values and of the length of its name, twice as many as needed."""
@@ -189,6 +190,11 @@ TWIN_TOPICS = _by_name(
           "refused. A point or a velocity that follows moves the position, and the orientation "
           "stays wanted; with `directions: []` the position is checked, and not used",
           "targets.accept_pose"),
+    Topic("~/target_path/<effector>", IN, Path, NEWEST, "m",
+          "of scenes with `control`: where the target will be at the stamp of each pose, straight in "
+          "between; turns are not used. It replaces what is left of an earlier path, and a point, pose "
+          "or velocity replaces it. Refused as `~/target/<effector>`, and where stamps do not increase",
+          "targets.accept_path"),
     Topic("~/target_stiffness/<effector>", IN, Vector3Stamped, NEWEST, "N/m",
           "along x, y and z of the world, NaN where it is free; of effectors with `stiffness`, in "
           "place of its `target` until `~/reset` or `~/enable`; stale, out of order, infinite, in "

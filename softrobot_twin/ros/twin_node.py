@@ -368,6 +368,8 @@ class TwinNode(TickingNode):
             self._velocity_effector(simulation), self.loop_frame, float(values["ambient_pressure"]))
         for note in self.loop.cavities.notes:
             self.get_logger().warning(note)
+        if self.loop.dynamic is not None:
+            self.get_logger().info(self.loop.dynamic.words())
         if simulation.scene.markers:
             self.calibration = LiveCalibration(
                 simulation, RestWatch(simulation, simulation.scene.name),
@@ -477,6 +479,7 @@ class TwinNode(TickingNode):
             "~/target_pose/<effector>": simulation.oriented_effectors,
             "~/target_stiffness/<effector>": simulation.stiff_effectors,
             "~/target_velocity": [bool(simulation.effector_names)],
+            "~/target_path/<effector>": repeat(simulation.scene.control is not None),
         }  # fmt: skip
         for channel in measured():
             names = channel.names(simulation)

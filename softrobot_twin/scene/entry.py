@@ -1,7 +1,7 @@
 """What all entries of a scene share: checks of values, units, and short forms.
 
 A user may write a file name in place of a section with the key ``file``, one entry in place of a
-list with one entry, and ``xz`` in place of ``[x, z]``. These short forms are expanded before the
+list with one entry, ``xz`` in place of ``[x, z]``, and one word for some sections. These short forms are expanded before the
 entry is checked. A form that could mean two things is not accepted.
 """
 
@@ -45,6 +45,8 @@ class Entry(BaseModel):
     """Keys of which exactly one is given."""
     one_of_words: ClassVar[str] = "has exactly one of {}"
     """What is said where another number of them is."""
+    by_word: ClassVar[str] = ""
+    """Key whose value may stand in place of the whole section; empty for none."""
     placed: ClassVar[Mapping[str, str] | None] = None
     """How a copy of an entry in a pattern differs from it, for each key that has a place: it is a
     ``point`` or several, a ``direction``, ``angles``, a ``box``, ``letters`` of directions, a
@@ -317,6 +319,8 @@ def expanded(model: type[BaseModel], entry: Any) -> Any:
     """
     if isinstance(entry, str | Path) and "file" in model.model_fields:
         return {"file": entry}
+    if isinstance(entry, str) and getattr(model, "by_word", ""):
+        return {model.by_word: entry}
     if not isinstance(entry, Mapping):
         return entry
     forms = forms_of(model)

@@ -304,6 +304,39 @@ class Observer(Entry):
                               f"force {name} is given more than once")
 
 
+class Control(Entry):
+    """How a robot that vibrates is led to its targets; a single word is its `law`."""
+
+    told: ClassVar[tuple[str, ...]] = (
+        "{law:=}", "by {inputs:=}", "around {around}", "{modes} modes", "{horizon} s ahead",
+        "delay {delay} s", "shaping {shaping}",
+    )  # fmt: skip
+    by_word: ClassVar[str] = "law"
+
+    law: Literal["dynamic", "quasi_static"] = "dynamic"
+    """By prediction of its motion, where a linear model follows it; or as if it stood in each tick."""
+    inputs: Literal["setpoints", "efforts"] = "setpoints"
+    """What is commanded: lengths of cables, pressures and volumes; or tensions of cables, and
+    pressures."""
+    around: tuple[Annotated[float, unit("m, N, Pa or m³")], ...] = ()
+    """Inputs around which the robot moves, of each actuator in their order, in its unit: shortenings
+    or tensions, pressures, growths. By default zeros, of tensions a tenth of the greatest ones."""
+    modes: Annotated[int, Field(ge=1, le=50)] = 5
+    """Modes of the linear model: those through which the actuators move the effectors most."""
+    horizon: Annotated[float, unit("s", gt=0.0, le=5.0)] = 0.25
+    """Time for which motion is predicted."""
+    delay: Annotated[float, unit("s", ge=0.0, le=1.0)] = 0.0
+    """Time from a command to its effect on the real robot. The age of markers is known by stamps."""
+    shaping: Literal["none", "zv", "zvd"] = "none"
+    """Of `law: quasi_static`: targets are spread over time so that slow modes do not vibrate, without
+    feedback; zvd takes longer and bears a model that is less exact."""
+
+    def check(self) -> None:
+        """Refuse a shaping that has no effect."""
+        if self.law == "dynamic" and self.shaping != "none":
+            raise refusal("shaping", self.shaping, "is for law quasi_static: law dynamic predicts motion")
+
+
 class Solver(Entry):
     """How a step is solved, and its tolerances."""
 
@@ -362,6 +395,7 @@ class Scene(Entry):
     markers: tuple[Marker, ...] = ()
     marker_frame: MarkerFrame = MarkerFrame()
     observer: Observer | None = None
+    control: Control | None = None
     mounting: tuple[MountingStage, ...] = ()
     """How the robot is assembled, in this order. Without it, it rests as it is drawn."""
     solver: Solver = Solver()
@@ -375,6 +409,8 @@ class Scene(Entry):
         check_names(self)
         check_references(self)
         check_mounting(self)
+        if self.control is not None:
+            check_control(self)
 
     def _check_time_scheme(self) -> None:
         """Refuse a scheme, or its parameter, where it would have no effect."""
@@ -481,6 +517,40 @@ class Scene(Entry):
         if body.mesh.file is not None:
             return self.file_path(body.mesh.file).parent
         return Path() if self.path is None else self.path.resolve().parent
+
+
+def check_control(scene: Scene) -> None:
+    """Refuses `control` in a scene whose motion no control is built for.
+
+    Args:
+        scene: The scene.
+
+    Raises:
+        PydanticCustomError: It names the entry for which none is built.
+    """
+    if scene.integration != "dynamic":
+        raise refusal("control", scene.control.law,
+                      f"needs integration dynamic, not {scene.integration}: only motion in time has modes")
+    for section in ("contact", "slides", "touches", "observer", "mass_springs", "hinge_motors", "motors"):
+        if getattr(scene, section):
+            raise refusal("control", scene.control.law, f"is not built for a scene with {section}")
+    for key, body in scene.keyed("rigid_bodies"):
+        if body.motion != "fixed":
+            raise refusal("control", scene.control.law, f"is not built for rigid bodies that move, as {key} does")
+    for key, effector in scene.keyed("effectors"):
+        if effector.orientation is not None or effector.stiffness is not None:
+            raise refusal("control", scene.control.law,
+                          f"is built for positions alone, and {key} asks for more")
+    if not scene.effectors:
+        raise refusal("control", scene.control.law, "needs an effector, which follows targets")
+    if scene.control.inputs == "efforts":
+        for key, cable in scene.keyed("cables"):
+            if cable.rate is not None:
+                raise refusal("control.inputs", "efforts",
+                              f"commands tensions, whose rate is not limited by {key}.rate: leave it out")
+        for key, cavity in scene.keyed("cavities"):
+            if cavity.control == "volume":
+                raise refusal("control.inputs", "efforts", f"cannot command {key}, whose volume is given")
 
 
 ACTUATOR_SECTIONS: dict[str, type[ActuatorEntry]] = {

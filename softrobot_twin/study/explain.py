@@ -14,6 +14,7 @@ import numpy as np
 from rich.table import Table
 
 from softrobot_twin.constraints.contact import Contacts
+from softrobot_twin.control.dynamic_control import DynamicControl
 from softrobot_twin.control.force_observer import USUAL_NOISE, ForceObserver
 from softrobot_twin.geometry.wall_thickness import ThinnestPart, thinnest_part
 from softrobot_twin.mechanics.laws import law_named
@@ -27,6 +28,7 @@ from softrobot_twin.simulation.building.beam_bodies import BeamBody
 from softrobot_twin.simulation.building.cavity_actuator import wall_details
 from softrobot_twin.simulation.building.deformable_body import AtRest, MaterialPart, law_at_rest
 from softrobot_twin.simulation.building.scene_layout import build_shape
+from softrobot_twin.simulation.command import DEFAULT_TIME_STEP
 from softrobot_twin.simulation.effects.observed_forces import observed_term
 from softrobot_twin.simulation.effects.reduction_error import FullModelError
 from softrobot_twin.simulation.mesh_error import MeshError, MeshErrorEstimator, MeshErrorUnknown
@@ -245,6 +247,9 @@ def _effects(simulation: Simulation, names: list[str]) -> Iterator[Effect]:
     if scene.markers:
         yield Effect("markers", count(scene.markers, "marker"), "a mapping, evaluated after the step")
     yield from _observed_effects(simulation, names)
+    if (control := simulation.scene.control) is not None:
+        told = DynamicControl(simulation, DEFAULT_TIME_STEP).words()
+        yield Effect("control", control.describe(), f"{told}; with ticks of {DEFAULT_TIME_STEP:g} s")
     yield from _contact_effects(simulation, names)
     for key, stage in scene.keyed("mounting"):
         yield Effect(key, stage.describe(), "the shape at rest")

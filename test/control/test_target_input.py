@@ -276,3 +276,52 @@ def test_a_reset_forgets_the_orientations(posed):
 
 def test_without_oriented_effectors_there_are_no_orientations(targets):
     assert targets.read(0.0, STEP, REST).orientations is None
+
+
+def test_a_path_is_followed_by_its_own_times_and_ends_at_its_end(targets):
+    times, places = [0.1, 0.2, 0.4], [[0, 0, 0.12], [0.004, 0, 0.12], [0.004, 0.002, 0.12]]
+    assert targets.accept_path(0, times, places, at(1.0, stamp=at(0.95).stamp)) is None
+    for now, place in ((1.0, (0, 0)), (1.1, (0.002, 0)), (1.25, (0.004, 0.001)), (5.0, (0.004, 0.002))):
+        assert targets.is_moving(now) == (now <= 1.35)
+        reading = targets.read(now, STEP, REST)
+        assert reading.targets[0] == pytest.approx([*place, 0.12], abs=1e-9)
+        assert reading.source == "path"
+    # It counts as sent as long as it lasts.
+    assert reading.age == pytest.approx(5.0 - 1.35) and reading.timed_out
+    assert targets.read(1.3, STEP, REST).age <= 1.3 - 1.0
+    ahead = targets.ahead(1.1, np.array([0.0, 0.1, 9.0]))
+    assert ahead[:, 0] == pytest.approx(
+        np.array([[0.002, 0, 0.12], [0.004, 0.0005, 0.12], [0.004, 0.002, 0.12]]), abs=1e-9)
+    assert np.isnan(ahead[:, 1]).all()
+    targets.accept_point(0, (0.0, 0.0, 0.13), at(1.2))
+    assert targets.read(1.2, STEP, REST).targets[0].tolist() == [0.0, 0.0, 0.13]
+
+
+@pytest.mark.parametrize(("times", "places", "refusal"), [
+    ([0.0, 0.1], [[0, 0, 0.12]], Refusal.WRONG_SIZE),
+    ([], np.empty((0, 3)), Refusal.WRONG_SIZE),
+    ([0.0, 0.0], [[0, 0, 0.12]] * 2, Refusal.OUT_OF_ORDER),
+    ([0.0, math.nan], [[0, 0, 0.12]] * 2, Refusal.NOT_FINITE),
+    ([0.0, 0.1], [[0, 0, 0.12], [0, math.inf, 0.12]], Refusal.NOT_FINITE),
+])  # fmt: skip
+def test_an_invalid_path_changes_nothing_and_is_counted(targets, times, places, refusal):
+    targets.accept_point(0, (0.0, 0.0, 0.13), at(0.0))
+    assert targets.accept_path(0, times, places, at(0.1)) is refusal
+    assert targets.refusals.by_word() == {refusal.value: 1}
+    assert targets.read(0.2, STEP, REST).targets[0].tolist() == [0.0, 0.0, 0.13]
+
+
+def test_a_path_outside_the_workspace_is_limited_to_it(targets):
+    targets.accept_path(0, [0.0, 0.1], [[0, 0, 0.5], [0, 0, 0.12]], at(0.0))
+    assert targets.clamped == 1
+    assert targets.read(0.0, STEP, REST).targets[0].tolist() == [0.0, 0.0, 0.13]
+
+
+def test_the_course_of_a_stream_is_followed_ahead_as_far_as_leads_are_limited(targets):
+    targets.apply(replace(SETTINGS, lead_limit=0.1))
+    for tick in range(20):
+        time = 0.02 * tick
+        targets.accept_point(0, (0.01 * time, 0.0, 0.12), at(time))
+    now = 0.02 * 19
+    ahead = targets.ahead(now, np.array([0.0, 0.05, 0.1, 0.3]))[:, 0, 0]
+    assert ahead == pytest.approx(0.01 * (now + np.array([0.0, 0.05, 0.1, 0.1])), rel=1e-3)
