@@ -26,6 +26,10 @@ FIRST_ROOM = 64
 # Within a step, free motion may bring things together that are as far apart as this many times the
 # displacement of the fastest point.
 LOOK_AHEAD = 2.0
+# A contact with less than this share of the greatest normal force does not press.
+PRESSES = 1.0e-9
+# A contact with more than this share of the greatest friction slips.
+SLIPS = 1.0 - 1.0e-6
 # Tangents are square to the x axis; to the y axis where a normal has a greater x than this.
 STEEP = 0.617
 
@@ -336,6 +340,11 @@ class ContactMemory:
         self._row_starts = np.zeros(1, np.int64)
 
     @property
+    def at_start(self) -> np.ndarray:
+        """λ of the contacts recognised last where the step began [N], shape (row_count,)."""
+        return self._start
+
+    @property
     def known(self) -> list[tuple[int, int]]:
         """Pair and key of the contacts recognised last."""
         return list(zip(*self._known.tolist(), strict=True))
@@ -503,6 +512,24 @@ class Contacts(VaryingTerm):
     def friction(self) -> np.ndarray:
         """Coefficient µ of each contact, shape (count,)."""
         return self.friction_of_pair[self.pair[: self.count]]
+
+    def touch(self, multipliers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Which contacts press in a solution, and which of these slip.
+
+        Args:
+            multipliers: λ of all rows [N], shape (row_count,).
+
+        Returns:
+            Whether each presses, and whether it presses with all the friction that it may have;
+            both of shape (count,).
+        """
+        first = self.row_starts[:-1]
+        normal = multipliers[first]
+        presses = normal > PRESSES * np.abs(normal).max(initial=0.0)
+        slips, rub = presses.copy(), np.flatnonzero(np.diff(self.row_starts) == 3)
+        along = np.linalg.norm(multipliers[first[rub, None] + [1, 2]], axis=1)
+        slips[rub] &= ~(along < SLIPS * self.friction[rub] * normal[rub])
+        return presses, slips
 
     def begin_step(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:
         """Remember where a step begins, from where sliding is measured.

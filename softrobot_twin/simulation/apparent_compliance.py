@@ -41,10 +41,6 @@ from softrobot_twin.solvers.dense_stiffness import laid_out_alike
 from softrobot_twin.solvers.factorization import Factorization, NodeRows, laid_out_like
 from softrobot_twin.solvers.superlu import SuperLU
 
-# A contact with less than this share of the greatest force does not press.
-PRESSES = 1.0e-9
-# A contact with more than this share of the greatest friction slides.
-SLIDES = 1.0 - 1.0e-6
 # Stiffness of what nothing holds, as a share of the mean stiffness.
 FREE_SHARE = 1.0e-10
 
@@ -179,12 +175,9 @@ class HeldTangent:
             return np.empty(0, np.int64), 0
         contacts, forces = model.contacts, model.contacts.last_multipliers
         starts, row_counts = contacts.row_starts[:-1], np.diff(contacts.row_starts)
-        normal = forces[starts]
-        pressing = normal > PRESSES * np.abs(normal).max(initial=0.0)
-        holds = np.repeat(pressing, row_counts)
-        tangents = starts[row_counts == 3, None] + [1, 2]
-        limits = (SLIDES * contacts.friction * normal)[row_counts == 3]
-        holds[tangents] &= (np.linalg.norm(forces[tangents], axis=1) < limits)[:, None]
+        pressing, slipping = contacts.touch(forces)
+        holds = np.repeat(pressing & ~slipping, row_counts)
+        holds[starts] = pressing
         first = model.rows.groups.contacts.start
         return first + np.flatnonzero(holds), int(np.count_nonzero(pressing))
 

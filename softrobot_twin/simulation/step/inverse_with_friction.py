@@ -36,10 +36,6 @@ from softrobot_twin.simulation.step.inverse_actuation import InverseActuation, k
 from softrobot_twin.simulation.step.linearized import Linearized
 from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT, Bounds
 
-# A contact with less than this share of the greatest force does not press.
-PRESSES = 1.0e-9
-# A contact with more than this share of the greatest friction slips.
-SLIPS = 1.0 - 1.0e-6
 # Share of its own compliance that a sticking row yields by, where several rows hold the same.
 YIELDS = 1.0e-9
 # Times that an optimum is sought by what contacts do.
@@ -58,7 +54,7 @@ NO_MATTER = 1.0e-3
 
 
 @njit(**KERNEL)
-def tie(first, row_starts, friction, forces, slips, own, least, ties, held, yields):
+def tie(first, row_starts, friction, forces, presses, slips, slid, own, least, ties, held, yields):
     """T of contacts, and the directions along which they stick.
 
     Args:
@@ -66,7 +62,9 @@ def tie(first, row_starts, friction, forces, slips, own, least, ties, held, yiel
         row_starts: First row of each contact and the number of rows, shape (contact_count + 1,).
         friction: µ of each, shape (contact_count,).
         forces: λ of each row of a solution [N], shape (contact_row_count,).
-        slips: δ of each row in the same [m], same shape.
+        presses: Whether each contact presses in it, shape (contact_count,).
+        slips: Whether it slips, same shape.
+        slid: δ of each row [m], shape (contact_row_count,).
         own: Displacement of each row by its own force [m/N], same shape.
         least: Friction that displaces its contact by no more is none [m].
         ties: Takes T but for what sticks, identity before the contacts, zeros before, shape
@@ -80,23 +78,21 @@ def tie(first, row_starts, friction, forces, slips, own, least, ties, held, yiel
     """
     for i in range(first):
         ties[i, i] = 1.0
-    hardest, count = 0.0, 0
-    for c in range(len(friction)):
-        ties[first + row_starts[c], first + c] = 1.0
-        hardest = max(hardest, forces[row_starts[c]])
+    count = 0
     for c in range(len(friction)):
         r = row_starts[c]
+        ties[first + r, first + c] = 1.0
         limit = friction[c] * forces[r]
-        if row_starts[c + 1] - r == 3 and forces[r] > PRESSES * hardest:
+        if row_starts[c + 1] - r == 3 and presses[c]:
             if limit * max(own[r + 1], own[r + 2]) <= least:
                 continue
-            size = np.hypot(forces[r + 1], forces[r + 2])
-            if size > SLIPS * limit:
+            if slips[c]:
+                size = np.hypot(forces[r + 1], forces[r + 2])
                 along, across = forces[r + 1] / size, forces[r + 2] / size
                 ties[first + r + 1, first + c] = friction[c] * along
                 ties[first + r + 2, first + c] = friction[c] * across
                 held[count, first + r + 1], held[count, first + r + 2] = -across, along
-                yields[count] = np.hypot(slips[r + 1], slips[r + 2]) / limit
+                yields[count] = np.hypot(slid[r + 1], slid[r + 2]) / limit
                 count += 1
             else:
                 for k in range(2):
@@ -119,13 +115,14 @@ def tied_by_contacts(
     (a, _, c), n, count = linear.groups, len(linear.violation), contacts.count
     multipliers, forces = np.zeros(n), found.contact.multipliers
     multipliers[a], multipliers[c] = found.efforts[a], forces
-    slips = linear.compliance.motion(c, multipliers) + linear.violation[c]
+    slid = linear.compliance.motion(c, multipliers) + linear.violation[c]
     ties, held = np.zeros((n, c.start + count)), np.zeros((2 * count, n))
     yields = np.zeros(2 * count)
     own = linear.W.diagonal()[c].copy()
     sticking = tie(
-        c.start, contacts.row_starts, contacts.friction, forces, slips, own, least, ties, held, yields
-    )
+        c.start, contacts.row_starts, contacts.friction, forces, *contacts.touch(forces), slid, own,
+        least, ties, held, yields,
+    )  # fmt: skip
     offset, held = np.zeros(n), held[:sticking]
     if sticking:
         moved = held @ linear.W
@@ -205,8 +202,8 @@ class InverseWithFriction(InverseActuation):
         self._left_out = (1.0 - SHARE) * min(1.0, most / MUCH_FRICTION)
         self._rubs = most > LITTLE_FRICTION
         # Compiled now, not when the first contact presses.
-        none, matrix = np.zeros(0), np.zeros((0, 0))
-        tie(0, np.zeros(1, np.int64), none, none, none, none, 0.0, matrix, matrix, none)
+        none, no, matrix = np.zeros(0), np.zeros(0, bool), np.zeros((0, 0))
+        tie(0, np.zeros(1, np.int64), none, none, no, no, none, none, 0.0, matrix, matrix, none)
 
     def reset(self) -> None:
         """See `InverseActuation`."""

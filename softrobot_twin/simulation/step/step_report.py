@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.compilation import KERNEL, njit
+from softrobot_twin.constraints.contact import Contacts
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.schema import Solver
 from softrobot_twin.simulation.building.limits import ActuatorLimits
@@ -46,6 +47,8 @@ NEAR_BALANCE = 0.25
 REACH = "effectors.reach"
 # Named where less weight of the energy would bring an effector nearer.
 ENERGY = "solver.energy_weight"
+# What a pair with friction does, told where targets are missed.
+STICKS, SLIPS, LOST = "sticks", "slips", "lost"
 # A demand is met when a displacement is this near to it, as a share of the actuator's scale.
 DISPLACEMENT_MET = 1.0e-6
 # And an effort, as a share of the demand and of the actuator's scale.
@@ -234,6 +237,27 @@ def is_met(
     return isinstance(command, Hold)
 
 
+def what_touches(contacts: Contacts, multipliers: np.ndarray) -> tuple[str, ...]:
+    """What pairs with friction do, such as ``finger.rod.sticks``.
+
+    Args:
+        contacts: The contact term.
+        multipliers: λ of its rows [N], shape (contact_row_count,).
+
+    Returns:
+        One name for each pair that presses, or pressed where the step began.
+    """
+    presses, slips = contacts.touch(multipliers)
+    pressed, _ = contacts.touch(contacts.memory.at_start)
+    pair_of, found = contacts.pair[: contacts.count], []
+    for pair in np.unique(pair_of[(presses | pressed) & (contacts.friction > 0.0)]):
+        own = pair_of == pair
+        does = STICKS if presses[own].any() else LOST
+        does = SLIPS if slips[own].any() else does
+        found.append(".".join((*contacts.pair_names[pair], does)))
+    return tuple(found)
+
+
 class Outcome(NamedTuple):
     """Result of the linearizations of one step.
 
@@ -320,6 +344,8 @@ class StepResults:
         )
         if isinstance(command, CommandEfforts) and newton.projected_tangent:
             active = (*active, UNSTABLE)
+        if following and not met and model.contacts is not None and model.contacts.rubs:
+            active = (*active, *what_touches(model.contacts, actuation.contact.multipliers))
         figures, entries, readings = {}, {}, {}
         for part, own in zip(self._parts, told):
             active = (*active, *own.limits)
