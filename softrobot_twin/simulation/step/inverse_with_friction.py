@@ -41,7 +41,7 @@ YIELDS = 1.0e-9
 # Times that an optimum is sought by what contacts do.
 MOST_ROUNDS = 3
 # Where an optimum keeps this share of what it promised, it is not sought again.
-KEPT_PROMISE = 0.9
+KEPT_PROMISE = 0.8
 # Of the way to the targets each step goes this share where contacts press whose friction is the
 # second number or more; with less friction it goes further. With less than the third, friction makes no
 # kinks that would be worth a look.
@@ -198,6 +198,7 @@ class InverseWithFriction(InverseActuation):
         super().__init__(model, direct, qp_solvers)
         # Squares of misses that make no difference, of weight one.
         self._least, self._probed = NO_MATTER * self._tolerance, 0
+        self._turn, self._is_stalled = 0, False
         most = float(model.contacts.friction_of_pair.max())
         self._left_out = (1.0 - SHARE) * min(1.0, most / MUCH_FRICTION)
         self._rubs = most > LITTLE_FRICTION
@@ -257,9 +258,12 @@ class InverseWithFriction(InverseActuation):
             found = self._with_friction(linear, promised.drives(self._limits), bounds, promised)
             return found, aim.missed(promised, tied)
 
-        before, best, at = aim.missed(held), None, held
-        negligible = self._least**2 * weights.max(initial=0.0)
-        for _ in range(MOST_ROUNDS):
+        before, negligible = aim.missed(held), self._least**2 * weights.max(initial=0.0)
+        at, best, self._turn = held, None, self._turn + 1
+        if self._is_stalled and self._turn % 2:
+            reach = np.sqrt(before / weights.max())
+            best = at = self._probe(linear, held, bounds, commanded, reach) or held
+        for _ in range(1 if best else MOST_ROUNDS):
             at, promise = optimum(at)
             if at is None:
                 break
@@ -271,12 +275,7 @@ class InverseWithFriction(InverseActuation):
         if aim.missed(best) > before + negligible:
             half = 0.5 * (held.drives(self._limits) + best.drives(self._limits))
             best = self._with_friction(linear, half, bounds, best)
-        is_stalled = before > negligible and aim.missed(best) > (1.0 - PROGRESS) * before
-        if is_stalled:
-            reach = np.sqrt(before / weights.max())
-            probe = self._probe(linear, held, bounds, commanded, reach)
-            if probe is not None:
-                best = min(best, probe, optimum(probe)[0] or probe, key=aim.missed)
+        self._is_stalled = before > negligible and aim.missed(best) > (1.0 - PROGRESS) * before
         if aim.missed(best) > before + negligible:
             self.trust.tighten()
             best = held
