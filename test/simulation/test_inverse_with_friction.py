@@ -79,6 +79,46 @@ def test_places_that_lengths_lead_to_are_reached_in_contact(finger, rng):
     assert np.mean(np.array(near) < 2e-5) >= 0.5
 
 
+def test_a_place_on_the_way_back_is_reached_by_a_detour(finger):
+    """Straight to the same lengths, the tip ends 0.4 mm beside it; the cable is pulled further first."""
+    simulation = finger()
+    pull(simulation, BENT)
+    start, lengths = simulation.state, np.array([0.0101, -0.0073])
+    straight = pull(simulation, lengths).effector_positions[0]
+    simulation.restore(start)
+    pull(simulation, np.array([0.0165, -0.0146]))
+    target = pull(simulation, lengths).effector_positions[0]
+    assert np.linalg.norm(target - straight) > 2e-4
+    simulation.restore(start)
+    furthest = 0.0
+    for _ in range(100):
+        result = follow(simulation, target, 1)
+        furthest = max(furthest, (simulation.rest_setpoints - result.setpoints)[0])
+    assert result.status is Status.OK and result.effector_errors[0] < 1e-5
+    assert furthest > (simulation.rest_setpoints - result.setpoints)[0] + 1e-3
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("detours", [False, True])
+def test_of_100_places_in_contact_nearly_all_are_reached(finger, rng, detours):
+    simulation, near = finger(), []
+    pull(simulation, BENT)
+    start = simulation.state
+    while len(near) < 100:
+        simulation.restore(start)
+        ends = rng.uniform(0.006, 0.019, 2)
+        ends = np.column_stack([ends, -0.8 * ends + rng.uniform(-0.002, 0.002, 2)])
+        for end in ends if detours else ends[:1]:
+            reached = pull(simulation, end)
+        if reached.contacts.forces[:, 2].sum() > 0.2:
+            simulation.restore(start)
+            near.append(follow(simulation, reached.effector_positions, 150).effector_errors[0])
+    near = np.array(near)
+    print(f"{1e3 * np.sort(near)[-10:]} mm")
+    assert np.mean(near < 5e-4) >= 0.9 and np.mean(near < 1e-4) >= 0.8
+    assert detours or near.max() < 1e-4
+
+
 def test_with_hardly_any_friction_it_goes_as_near_as_without(finger, rng):
     """Where targets are out of reach, lengths rest within some 1e-5 m along which the miss is even."""
     smooth, rough = finger(0.0), finger(1e-9)

@@ -21,6 +21,7 @@ since friction turns.
 
 from __future__ import annotations
 
+from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
@@ -48,7 +49,10 @@ KEPT_PROMISE = 0.8
 SHARE, MUCH_FRICTION, LITTLE_FRICTION = 0.6, 0.2, 1.0e-3
 # Where squares of misses fall by less than this share, actuators are tried one by one, by moves that
 # would go so many times the way.
-PROGRESS, PROBED = 0.1, (0.25, 1.0, 4.0)
+PROGRESS, LENGTHS, FAR = 0.1, (0.25, 1.0, 4.0), (4.0, 16.0, 64.0)
+# A detour is made at once where squares of misses would fall below the first share, and else below the
+# second one. After so many that brought nothing, none is tried.
+NEARER, WORTH, MOST_IN_VAIN = 0.1, 0.5, 3
 # A share of the tolerance of targets that does not matter.
 NO_MATTER = 1.0e-3
 
@@ -184,6 +188,80 @@ class Aim(NamedTuple):
         return self._replace(errors=errors)
 
 
+class Turn(Enum):
+    """What a step tries."""
+
+    STRAIGHT = "the optimum by what contacts do now"
+    PROBE = "the optimum by what they do after a move of one actuator"
+    DETOUR = "whether it is nearer to go somewhere else first, and back"
+
+
+class Search:
+    """What is tried, one thing in each step, where the effectors come no nearer.
+
+    Attributes:
+        probe: Which move is tried.
+        detour: Which move is tried as a detour.
+        choices: Number of moves that may be tried.
+    """
+
+    def __init__(self):
+        """Begin with nothing tried."""
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew, with other targets."""
+        self.probe = self.detour = self.choices = self._turn = self._vain = self._count = 0
+        self._is_stalled, self._least, self._goal, self._before = False, np.inf, None, np.inf
+
+    def next(self) -> Turn:
+        """What the next step tries."""
+        if not self._is_stalled:
+            return Turn.STRAIGHT
+        self._turn = (self._turn + 1) % 3
+        turn = tuple(Turn)[self._turn]
+        if turn is Turn.PROBE:
+            self.probe += 1
+        if turn is Turn.DETOUR:
+            if self._vain >= MOST_IN_VAIN:
+                return Turn.STRAIGHT
+            self.detour += 1
+        return turn
+
+    def note(self, is_stalled: bool) -> None:
+        """Note whether a step brought effectors hardly nearer.
+
+        Args:
+            is_stalled: Whether it did.
+        """
+        self._is_stalled = is_stalled
+
+    def judge(self, goal: np.ndarray, left: float, before: float) -> np.ndarray | None:
+        """Choose a detour, at once where it leads much nearer, else when all were tried.
+
+        Args:
+            goal: Where it leads, displacements of the actuators, shape (actuator_count,).
+            left: What is missed after it, by the linearization [m²].
+            before: What is missed now [m²].
+
+        Returns:
+            Where to go; None to stay.
+        """
+        if left < self._least:
+            self._least, self._goal = left, goal
+        is_tried = self.choices and self.detour % self.choices == 0
+        if self._least > NEARER * before and not is_tried:
+            return None
+        least, goal = self._least, self._goal
+        self._least, self._goal = np.inf, None
+        if least > WORTH * before:
+            self._vain += MOST_IN_VAIN if is_tried else 0
+            return None
+        self._vain += before > WORTH * self._before
+        self._before, self._is_stalled = before, False
+        return goal
+
+
 class InverseWithFriction(InverseActuation):
     """Finds actuation and contact forces that bring effectors to their targets, with friction."""
 
@@ -197,8 +275,7 @@ class InverseWithFriction(InverseActuation):
         """
         super().__init__(model, direct, qp_solvers)
         # Squares of misses that make no difference, of weight one.
-        self._least, self._probed = NO_MATTER * self._tolerance, 0
-        self._turn, self._is_stalled = 0, False
+        self._least = NO_MATTER * self._tolerance
         most = float(model.contacts.friction_of_pair.max())
         self._left_out = (1.0 - SHARE) * min(1.0, most / MUCH_FRICTION)
         self._rubs = most > LITTLE_FRICTION
@@ -209,6 +286,7 @@ class InverseWithFriction(InverseActuation):
     def reset(self) -> None:
         """See `InverseActuation`."""
         super().reset()
+        self._search = Search()
         self._targets = self._moved = None
 
     def solve(
@@ -227,6 +305,8 @@ class InverseWithFriction(InverseActuation):
         moved = np.zeros(len(target_rows))
         if self._targets is not None:
             moved = np.nan_to_num(target_rows - self._targets)
+        if moved.any():
+            self._search.forget()
         before = np.zeros(len(moved)) if self._moved is None else np.abs(self._moved)
         self._motion = np.clip(moved, -before, before)
         self._targets, self._moved = target_rows.copy(), moved
@@ -245,9 +325,11 @@ class InverseWithFriction(InverseActuation):
         self._last_solution = self._direct.last_solution(linear)
         aim = Aim(linear, errors, weights).short_of_targets(held, self._left_out, self._motion)
 
-        def optimum(at: Actuation) -> tuple[Actuation | None, float]:
+        def optimum(
+            at: Actuation, system: Linearized = linear, bounds: Bounds = bounds
+        ) -> tuple[Actuation | None, float]:
             """What is best while contacts do the same, done with friction, and its promise."""
-            tied = tied_by_contacts(linear, self._contacts, at, self._least)
+            tied = tied_by_contacts(system, self._contacts, at, self._least)
             errors = aim.errors.copy()
             errors[: len(linear.effectors)] += tied.effectors - linear.effectors
             promised = super(InverseWithFriction, self)._over_branches(
@@ -255,38 +337,59 @@ class InverseWithFriction(InverseActuation):
             )
             if promised is None:
                 return None, np.inf
-            found = self._with_friction(linear, promised.drives(self._limits), bounds, promised)
+            found = self._with_friction(system, promised.drives(self._limits), bounds, promised)
             return found, aim.missed(promised, tied)
 
+        def nearest(
+            at: Actuation, rounds: int = MOST_ROUNDS, system: Linearized = linear,
+            bounds: Bounds = bounds,
+        ) -> Actuation | None:  # fmt: skip
+            """The nearest of what is best by what contacts do, there and in what came of it."""
+            best = None
+            for _ in range(rounds):
+                at, promise = optimum(at, system, bounds)
+                if at is None:
+                    break
+                best = at if best is None else min(best, at, key=aim.missed)
+                if before - aim.missed(at) >= KEPT_PROMISE * (before - promise) - negligible:
+                    break
+            return best
+
         before, negligible = aim.missed(held), self._least**2 * weights.max(initial=0.0)
-        at, best, self._turn = held, None, self._turn + 1
-        if self._is_stalled and self._turn % 2:
-            reach = np.sqrt(before / weights.max())
-            best = at = self._probe(linear, held, bounds, commanded, reach) or held
-        for _ in range(1 if best else MOST_ROUNDS):
-            at, promise = optimum(at)
-            if at is None:
-                break
-            best = at if best is None else min(best, at, key=aim.missed)
-            if before - aim.missed(at) >= KEPT_PROMISE * (before - promise) - negligible:
-                break
+        turn, best, reach = self._search.next(), None, np.sqrt(before / weights.max())
+        if turn is Turn.PROBE:
+            probe = self._displaced(linear, held, bounds, commanded, self._search.probe, LENGTHS, reach)
+            best = None if probe is None else nearest(probe, 1)
+            best = probe if best is None else min(best, probe, key=aim.missed)
+        elif turn is Turn.DETOUR:
+            wide = self._limits.bounds(held.drives(self._limits), np.inf)
+            far = self._displaced(linear, held, wide, commanded, self._search.detour, FAR, reach)
+            if far is not None:
+                back = nearest(far, MOST_ROUNDS, self._from(linear, far), wide)
+                left = np.inf if back is None else aim.missed(back)
+                goal = self._search.judge(far.drives(self._limits), left, before)
+                if goal is not None:
+                    self.trust.go_to(goal)
+            best = held
+        if best is None:
+            best = nearest(held)
         if best is None or not self._rubs:
             return best
         if aim.missed(best) > before + negligible:
             half = 0.5 * (held.drives(self._limits) + best.drives(self._limits))
             best = self._with_friction(linear, half, bounds, best)
-        self._is_stalled = before > negligible and aim.missed(best) > (1.0 - PROGRESS) * before
+        self._search.note(before > negligible and aim.missed(best) > (1.0 - PROGRESS) * before)
         if aim.missed(best) > before + negligible:
             self.trust.tighten()
             best = held
         self._direct.remember(best.efforts)
         return best
 
-    def _probe(
+    def _displaced(
         self, linear: Linearized, held: Actuation, bounds: Bounds, commanded: np.ndarray,
-        reach: float,
+        choice: int, lengths: tuple[float, ...], reach: float,
     ) -> Actuation | None:  # fmt: skip
-        """What comes of moving one actuator that bears; in each step another one, side, or length.
+        """What comes of moving one actuator that bears to one side; None where there is none.
 
         But for contacts, effectors would be displaced by a multiple of a distance [m].
         """
@@ -295,16 +398,26 @@ class InverseWithFriction(InverseActuation):
         free = np.flatnonzero(~commanded[a] & (bears | ~self._one_sided[a]))
         if not len(free):
             return None
-        self._probed = (self._probed + 1) % (2 * len(free) * len(PROBED))
-        side, rest = self._probed % 2, self._probed // 2
-        probed, length = free[rest % len(free)], PROBED[rest // len(free)]
-        own = 1.0 if self._by_effort[probed] else linear.W[probed, probed]
-        farther = np.linalg.norm(linear.W[e, probed]) / own
-        most = self.trust.move_limit * self._scales[probed]
+        side, choice = choice % 2, choice // 2
+        moved, length = free[choice % len(free)], lengths[(choice // len(free)) % len(lengths)]
+        self._search.choices = 2 * len(free) * len(lengths)
+        own = 1.0 if self._by_effort[moved] else linear.W[moved, moved]
+        farther = np.linalg.norm(linear.W[e, moved]) / own
+        most = 2.0*self.trust.move_limit * self._scales[moved]
         move = min(length * reach / farther, most) if farther > 0.0 else most
         drives = held.drives(self._limits).copy()
-        drives[probed] += move if side else -move
+        drives[moved] += move if side else -move
         return self._with_friction(linear, self._limits.drives_within(drives, bounds), bounds, held)
+
+    def _from(self, linear: Linearized, found: Actuation) -> Linearized:
+        """The system of a later step, whose contacts slip from where they are in a solution."""
+        (a, _, c), violation = linear.groups, linear.violation.copy()
+        multipliers = np.zeros(len(violation))
+        multipliers[a], multipliers[c] = found.efforts[a], found.contact.multipliers
+        slid = linear.compliance.motion(c, multipliers) + violation[c]
+        slid[self._contacts.row_starts[:-1]] = 0.0
+        violation[c] -= slid
+        return linear.with_violation(violation)
 
     def _with_friction(
         self, linear: Linearized, drives: np.ndarray, bounds: Bounds, promised: Actuation

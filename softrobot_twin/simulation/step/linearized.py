@@ -394,6 +394,16 @@ class Linearized:
         np.add.at(gaps, contact[H.row_index[entries]], moved)
         return gaps
 
+    def with_violation(self, violation: np.ndarray) -> Linearized:
+        """The same system, whose rows begin elsewhere.
+
+        Args:
+            violation: δ_free of the condensed rows [m], shape (n,).
+        """
+        other = copy(self)
+        other.violation, other._placed_by = violation, None
+        return other
+
     def tied(self, rows: np.ndarray, ties: np.ndarray, offset: np.ndarray) -> Linearized:
         """The same system in fewer multipliers z, from which all follow: λ = T z + t.
 

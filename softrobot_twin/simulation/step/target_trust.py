@@ -431,7 +431,7 @@ class TargetTrust:
             self._start_again()
         if self._departure is not None:
             goal, holds_until, self._rests_below = self._departure
-            self._go_to(goal, holds_until)
+            self.go_to(goal, holds_until)
             self._departure = None
         last = self._last
         if last is not None and not (
@@ -474,8 +474,13 @@ class TargetTrust:
             self.path.add(situation.displacements, situation.places[self._positions])
         self._last, self._promised = situation, None
 
-    def _go_to(self, goal: np.ndarray, holds_until: float) -> None:
-        """Go to a place, and stay there where T is no more than `holds_until` [m²]; else follow."""
+    def go_to(self, goal: np.ndarray, holds_until: float = -math.inf) -> None:
+        """Let the actuators go to a place, and stay there where T is small; else follow.
+
+        Args:
+            goal: Their displacements there, shape (actuator_count,).
+            holds_until: T up to which they stay [m²].
+        """
         self.approach, self.goal, self._holds_until = Approach.DEPART, goal, holds_until
         self._wait_count, self._distance, self._is_trial = 0, np.inf, True
 
@@ -496,7 +501,7 @@ class TargetTrust:
             self._stable = situation if is_free else None
         elif now > reached or (is_balanced and not situation.is_stable):
             if self._stable is not None:
-                self._go_to(self._stable.displacements, reached)
+                self.go_to(self._stable.displacements, reached)
                 self._stable = None
 
     def _shorten(self, longest: float) -> None:
@@ -648,7 +653,7 @@ class TargetTrust:
         if self._free_count == 2 or not (is_free and self._is_caught(situation, now)):
             return False
         if self._free_count == 0:
-            self._go_to(self._at_rest, -math.inf)
+            self.go_to(self._at_rest)
             self._is_trial = False
         else:
             self.approach, self._has_led = Approach.RETRACE, False
