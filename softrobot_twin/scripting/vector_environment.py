@@ -11,13 +11,13 @@ does depends on its seed and its actions alone, not on the number of workers.
 from __future__ import annotations
 
 import multiprocessing
-import os
 import signal
-import threading
 import warnings
 from collections.abc import Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future
+from contextlib import suppress
 from functools import partial
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -298,17 +298,50 @@ class _Here:
 
 
 class _Process:
-    """A worker in a process of its own, which ends with this one, however that ends."""
+    """A worker in a process of its own, which ends when its pipe is closed, or this process ends."""
 
     def __init__(self, *robots: Any):
-        spawn = multiprocessing.get_context("spawn")
-        self._pool = ProcessPoolExecutor(1, spawn, _begin_process, robots)
+        context = multiprocessing.get_context("spawn")
+        self._pipe, other = context.Pipe()
+        self._process = context.Process(target=_serve, args=(other, robots), daemon=True)
+        self._process.start()
+        other.close()
 
     def ask(self, what: str, *arguments: Any) -> _Answer:
-        return self._pool.submit(_answer, what, *arguments)
+        with suppress(BrokenPipeError):  # It has ended, which is noticed when its answer is read.
+            self._pipe.send((what, arguments))
+        return self
+
+    def result(self) -> Any:
+        """The answer to what was asked last."""
+        try:
+            answer, error = self._pipe.recv()
+        except (EOFError, ConnectionResetError):
+            self._process.join()
+            raise RuntimeError(f"its process ended with code {self._process.exitcode}") from None
+        if error:
+            raise RuntimeError(error)
+        return answer
 
     def close(self) -> None:
-        self._pool.shutdown(cancel_futures=True)
+        self._process.terminate()
+        self._process.join()
+        self._pipe.close()
+
+
+def _serve(pipe: Connection, robots: tuple[Any, ...]) -> None:
+    """Answers what comes through a pipe, until it is closed."""
+    # Ctrl-C reaches the parent too, which ends this process.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    own = _Robots(*robots)
+    with suppress(EOFError, BrokenPipeError, ConnectionResetError):
+        while True:
+            what, arguments = pipe.recv()
+            try:
+                answer = own.answer(what, *arguments), ""
+            except RuntimeError as error:
+                answer = None, str(error)
+            pipe.send(answer)
 
 
 class _OnCluster:
@@ -323,30 +356,6 @@ class _OnCluster:
 
     def close(self) -> None:
         self._robots.cancel()
-
-
-_robots: _Robots | None = None
-"""Those of this process, where it is a worker."""
-
-
-def _begin_process(*robots: Any) -> None:
-    global _robots
-    _robots = _Robots(*robots)
-    # Ctrl-C reaches the parent too, which ends this process.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
-
-
-def _answer(what: str, *arguments: Any) -> Any:
-    assert _robots is not None
-    return _robots.answer(what, *arguments)
 
 
 def _starts_of(workers: Any) -> list[Any]:
