@@ -174,6 +174,7 @@ LONG = {
     "docs": ("site::test_every_page_of_docs_is_in_the_site",),
     "examples": (
         "examples::test_a_camera_cuts_the_error_of_the_finger_to_less_than_a_half",
+        "examples::test_a_policy_learned_on_many_reduced_robots_serves_the_full_model_and_the_device",
         "examples::test_a_policy_learns_within_a_few_generations",
         "examples::test_calibration_finds_the_modulus_of_the_real_finger",
         "examples::test_the_gripper_lifts_the_ball_with_its_palm",

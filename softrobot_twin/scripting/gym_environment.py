@@ -310,7 +310,11 @@ class ReachingEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
         changes = dict[str, float]()
         for one, _ in self._draws:
             changes |= one.changes(self.parameters[one.key])
-        self.robot.change(changes)
+        try:
+            self.robot.change(changes)
+        except CommandError as error:
+            raise CommandError(", ".join(self.parameters), "cannot be drawn: the robot would have "
+                               f"other unknowns ({error}); draw from the full model") from None
         self._take()
 
     def _stand_at(self, state: State | None) -> bool:

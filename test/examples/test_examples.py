@@ -28,10 +28,10 @@ def run(tmp_path, monkeypatch):
     pyplot.close("all")
 
 
-def test_there_are_ten_scripts_and_a_notebook():
+def test_there_are_twelve_scripts_and_a_notebook():
     assert [path.stem for path in SCRIPTS] == [
         "calibration", "closed_loop", "design", "external_force", "finger", "gradients_jax", "gradients_torch", "learning",
-        "pneumatic_gripper", "trunk_in_contact"]
+        "many_robots", "pneumatic_gripper", "policy_on_device", "trunk_in_contact"]
     assert [path.name for path in EXAMPLES.glob("*.ipynb")] == ["finger.ipynb"]
 
 
@@ -109,6 +109,18 @@ def test_a_policy_learns_within_a_few_generations(run, tmp_path):
     assert seen["history"][-1] < 0.7 * before
     assert np.isfinite(finger.target).all()
     assert (tmp_path / "learning.png").is_file()
+
+
+def test_a_policy_learned_on_many_reduced_robots_serves_the_full_model_and_the_device(run, tmp_path):
+    pytest.importorskip("gymnasium")
+    far = run("many_robots", "25")["far"]
+    assert np.mean(far[-3:]) < 0.5 * far[0], "it learns while it explores"
+    found = {name: one.mean() for name, one in run("policy_on_device")["found"].items()}
+    assert found["reduced model"] < 0.5 * found["no policy"]
+    for other in ("full model", "device"):
+        assert found[other] < found["reduced model"] + 1.5, f"the {other} [mm]"
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "many_robots.png", "policy.csv", "policy_on_device.png"}
 
 
 def test_a_cable_is_led_so_that_the_tip_passes_four_places(run, tmp_path, capsys):

@@ -165,6 +165,12 @@ def test_what_a_reduced_model_cannot_take_is_refused_before_any_worker_starts():
                       randomize={"body.material.young_modulus": (150e3, 210e3)})
 
 
+def test_numbers_that_give_a_reduced_model_other_unknowns_are_refused_before_any_worker_starts():
+    with pytest.raises(CommandError, match=r"cables\[0\].points.*cannot be drawn: .*draw from the full"):
+        st.vector_env(SCENES / "diamond_reduced.yaml", 2, 2, travel=0.3,
+                      randomize={"cables[0].points[0][0]": (0.004, 0.005)})
+
+
 def test_what_it_cannot_use_is_refused_by_name(built, entries):
     for name, value in (("count", 0), ("count", 2.5), ("workers", 0), ("workers", "two")):
         with pytest.raises(CommandError, match=f"{name}: .*must be a whole number"):
