@@ -136,7 +136,13 @@ def tied_by_contacts(
         bearing = -held.T @ np.linalg.solve(yielding, given)
         ties, offset = ties + bearing[:, :-1], bearing[:, -1]
     rows = np.concatenate([np.arange(c.start), c.start + contacts.row_starts[:-1]])
-    return linear.tied(rows, ties, offset)
+    tied, normals = linear.tied(rows, ties, offset), multipliers[rows]
+    # Gaps of more contacts that stick than the body can move apart depend on each other: they are
+    # zero together only without what the solution left of them.
+    left = tied.compliance.motion(slice(0, len(rows)), normals) + tied.violation
+    presses = (normals > 0.0) & (np.arange(len(rows)) >= c.start)
+    tied.violation[presses] -= left[presses]
+    return tied
 
 
 class Aim(NamedTuple):
