@@ -156,6 +156,10 @@ def test_what_contacts_do_tells_how_effectors_follow_lengths(finger):
     assert (used[forces[:, 0] > 0.0] < 0.999).any() or (used > 0.999).any()
     tied = tied_by_contacts(linear, model.contacts, found)
     e, pressing = tied.groups.effectors, np.flatnonzero(forces[:, 0] > 0.0)
+    # Contacts that press are closed wholly, not only to the tolerance of the solution.
+    gaps = tied.W[:, tied.W.shape[1] - len(forces):] @ forces[:, 0] + tied.W[:, :2] @ found.efforts
+    gaps = (gaps + tied.violation)[tied.groups.contacts][pressing]
+    np.testing.assert_allclose(gaps, 0.0, atol=1e-14)
     kept = np.concatenate([np.arange(2), tied.groups.contacts.start + pressing])
     by_paths = tied.W[e][:, kept] @ np.linalg.inv(tied.W[np.ix_(kept, kept)])[:, :2]
     step = 1e-7
