@@ -2,11 +2,12 @@
 
 Both are measured in rounds, one after the other, so that other programs disturb all alike:
 
-- processor time of a step of a robot in one worker, divided by that of the same steps, to the bit,
-  of its simulation alone, whose status is read;
-- robots' steps per second in two workers, divided by those in one. Where other programs need the
-  cores, their processor times say what free ones would give: all time of one worker, divided by that
-  of the busier of two and of what the main process does between its steps.
+- processor time of a step of a robot in one worker, divided by that of its simulation alone with the
+  same commands, whose status is read;
+- robots' steps per second in two workers, divided by those in one; and the same of two processes of
+  simulations alone, which is what the machine gives meanwhile. Where other programs need the cores,
+  processor times say what free ones would give: all time of one worker, divided by that of the
+  busier of two and of what the main process does between its steps.
 
     python tools/measure_learning.py [SCENE ...] [--robots 32] [--steps 25] [--rounds 7]
 """
@@ -15,6 +16,7 @@ import argparse
 import multiprocessing
 import time
 import warnings
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -63,10 +65,34 @@ def alone(simulations, setpoints):
     return (time.process_time() - begin) / setpoints[..., 0].size
 
 
-def worker_times():
-    """Processor time of each worker process [s]."""
+kept: list = []
+
+
+def keep(scene, setpoints):
+    """Builds simulations in a process of their own; see `alone_in`."""
+    kept[:] = [Simulation(scene) for _ in setpoints], setpoints
+    for simulation in kept[0]:
+        simulation.warm_up()
+
+
+def run_kept():
+    """Steps the simulations of this process."""
+    return alone(*kept)
+
+
+def alone_in(processes):
+    """Wall time in which processes step their simulations, all at once [s]."""
+    begin = time.perf_counter()
+    for running in [process.submit(run_kept) for process in processes]:
+        running.result()
+    return time.perf_counter() - begin
+
+
+def worker_times(count=2):
+    """Processor time of each worker, the newest processes [s], shape (count,)."""
+    newest = sorted(multiprocessing.active_children(), key=lambda one: one.pid)[-count:]
     return np.array([1e-9 * int(Path(f"/proc/{one.pid}/schedstat").read_text().split()[0])
-                     for one in sorted(multiprocessing.active_children(), key=lambda one: one.pid)])
+                     for one in newest])
 
 
 def together(robots, actions):
@@ -84,24 +110,30 @@ def measure(path, count, steps, rounds):
     """Prints the figures of a scene."""
     scene = load_scene(path)
     actions, setpoints = commands_of(scene, count, steps)
-    simulations = [Simulation(scene) for _ in range(count)]
-    for simulation in simulations:
-        simulation.warm_up()
+    keep(scene, setpoints)
+    spawn, half = multiprocessing.get_context("spawn"), count // 2
+    one_alone, *two_alone = (ProcessPoolExecutor(1, spawn, keep, (scene, part)) for part in (
+        setpoints, setpoints[:half], setpoints[half:]))
+    alone_in([one_alone, *two_alone])
     one, two = (st.vector_env(scene, count, workers, **ENDLESS) for workers in (1, 2))
-    costs, gains, free_gains, bare = [], [], [], []
+    costs, gains, free_gains, bare, machine = [], [], [], [], []
     for _ in range(rounds):
-        bare.append(alone(simulations, setpoints))
+        bare.append(run_kept())
+        machine.append(alone_in([one_alone]) / alone_in(two_alone))
         wall, busy, _ = together(one, actions)
         wall_of_two, own, workers = together(two, actions)
         costs.append(busy / bare[-1])
         gains.append(wall / wall_of_two)
         free_gains.append(busy / (workers.max() + own))
     two.close()
+    for process in (one_alone, *two_alone):
+        process.shutdown()
     print(f"{scene.name}: {count} robots, {one.model}")
     for name, values, unit in (
         ("simulation alone, processor time of a step", 1e3 * np.array(bare), " ms"),
         ("a step / the simulation alone", costs, ""),
         ("two workers / one, by the clock", gains, ""),
+        ("two processes of simulations alone / one, by the clock", machine, ""),
         ("two workers / one, by processor time", free_gains, ""),
     ):
         print(f"  {name}: median {np.median(values):.3f}{unit}, "
