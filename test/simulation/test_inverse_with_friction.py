@@ -17,6 +17,7 @@ from test.builder import builder
 from test.scene_changes import change_scene, repeat_step
 
 FINGER = Path(__file__).resolve().parents[2] / "config" / "scenes" / "finger.yaml"
+OCTOLEG = FINGER.with_name("octoleg.yaml")
 TICK, MU = 0.05, 0.5
 BENT = np.array([0.009, -0.006])
 
@@ -185,26 +186,65 @@ def test_at_a_reached_target_lengths_rest(finger, shortenings):
         before = result.setpoints
 
 
-def test_no_tick_leaves_rates_lengths_and_tensions(finger, rng):
-    simulation = finger()
-    limits, size = simulation.limits, 0.1
+@pytest.mark.parametrize("friction", [MU, 10.0])
+@pytest.mark.parametrize("ticks", [150, pytest.param(50_000, marks=pytest.mark.exhaustive)])
+@pytest.mark.timeout(900)
+def test_no_tick_leaves_rates_lengths_tensions_and_the_cone(finger, rng, ticks, friction):
+    """Row 30; targets jump anywhere, rest, or are those of another robot's state."""
+    simulation = finger(friction)
+    limits, contacts = simulation.limits, simulation.model.contacts
     pull(simulation, BENT)
-    for _ in range(300):
-        way = rng.normal(size=(1, 3)) * size * rng.choice([0.01, 1.0])
-        target = simulation.effector_positions() + way
-        tick = rng.choice([0.0, 1e-3, 0.02, 0.1])
+    start, target = simulation.state, simulation.effector_positions()
+    for tick in range(ticks):
+        way = rng.normal(size=(1, 3)) * rng.choice([0.0, 1e-4, 1e-3, 0.1])
+        target = (target if rng.random() < 0.5 else simulation.effector_positions()) + way
+        if tick % 500 == 499:
+            simulation.restore(start)
+            target = simulation.effector_positions()
+        duration = rng.choice([0.0, 1e-3, 0.02, 0.1])
         before = simulation.state.setpoints
-        result = simulation.step(FollowTargets(target, tick))
+        result = simulation.step(FollowTargets(target, duration))
         after = result.setpoints
         assert np.isfinite(after).all() and np.isfinite(result.state.positions).all()
         drives = simulation.rest_setpoints - after
         assert (drives >= limits.displacement_min - 1e-12).all()
         assert (drives <= limits.displacement_max + 1e-12).all()
-        assert (np.abs(after - before) <= limits.rate * tick + 1e-12).all()
+        assert (np.abs(after - before) <= limits.rate * duration + 1e-12).all()
+        assert (result.efforts >= limits.effort_min).all()
         assert (result.efforts <= limits.effort_max * (1.0 + 1e-9)).all()
-        forces = simulation.model.contacts.last_multipliers.reshape(-1, 3)
+        forces = contacts.last_multipliers.reshape(-1, 3)
         along = np.linalg.norm(forces[:, 1:], axis=1)
-        assert (along <= MU * forces[:, 0] * (1.0 + 1e-6) + 1e-9).all()
+        assert (along <= friction * forces[:, 0] * (1.0 + 1e-6) + 1e-9).all()
+
+
+def test_at_the_edge_of_touch_lengths_and_forces_rest(beam, rod):
+    """Row 32: the target is where touch begins, and some nanometres to either side."""
+    simulation = beam(lambda m: rod(m, friction=MU))
+    home = simulation.effector_positions()[0]
+    touched = follow(simulation, home + [0.02, 0.0, -0.006], 80).effector_positions[0]
+    for beyond in (-1e-5, -1e-8, 0.0, 1e-8, 1e-5):
+        result = follow(simulation, touched + [beyond, 0.0, 0.0], 60)
+        lengths, forces = result.setpoints, result.contacts.forces.sum(axis=0)
+        for _ in range(40):
+            result = follow(simulation, touched + [beyond, 0.0, 0.0], 1)
+            np.testing.assert_allclose(result.setpoints, lengths, atol=1e-7)
+            np.testing.assert_allclose(result.contacts.forces.sum(axis=0), forces, atol=1e-4)
+        assert result.effector_errors[0] < 1e-4
+
+
+def test_redundant_lengths_rest_on_a_reached_target(eight, rod, rng):
+    """Row 44: eight cables, one wanted direction, in touch."""
+    simulation = eight(("x",), lambda m: rod(m, friction=0.3))
+    for _ in range(3):
+        reached = pull(simulation, np.append(rng.uniform([0.012, 0, 0, 0], [0.016, 0.003, 0, 0.003]), [0, 0, 0, 0]))
+        target = reached.effector_positions[0]
+        simulation.reset()
+        before = follow(simulation, target, 300).setpoints
+        for _ in range(20):
+            result = follow(simulation, target, 1)
+            assert result.status is Status.OK
+            np.testing.assert_allclose(result.setpoints, before, atol=1e-6 * 0.1)
+            before = result.setpoints
 
 
 @pytest.mark.parametrize("friction", [0.2, 1.0])
@@ -217,3 +257,31 @@ def test_a_beam_is_led_along_a_rod(beam, rod, friction):
         simulation.reset()
         result = follow(simulation, reached.effector_positions, 60)
         assert result.effector_errors[0] < 1e-4 and result.report.contact_count
+
+
+def test_the_octoleg_curls_to_where_its_tip_shall_be():
+    simulation = Simulation.from_scene_file(OCTOLEG)
+    rest, step = simulation.rest_setpoints, 0.02
+    for shortening in np.linspace(0.0, 0.03, 76)[1:]:
+        simulation.step(CommandSetpoints(rest - shortening, step))
+    curled = repeat_step(simulation, CommandSetpoints(rest - shortening, step), 60)
+    target = curled.effector_positions
+    assert curled.report.contact_count == 7
+    simulation.reset()
+    assert np.linalg.norm(simulation.effector_positions() - target) > 0.15
+    result = repeat_step(simulation, FollowTargets(target, step), 140)
+    assert result.status is Status.OK and result.effector_errors[0] < 2e-5
+    assert result.report.contact_count == 7
+
+
+def test_a_missed_target_tells_whether_contacts_stick_slip_or_were_lost(finger):
+    simulation, told = finger(), set()
+    pull(simulation, np.array([0.013, -0.01]))
+    touched = simulation.effector_positions()
+    for way in ([0.0, 0.0, -0.004], [0.0, 0.0, 0.02], [0.003, 0.0, 0.03]):
+        for _ in range(40):
+            result = follow(simulation, touched + way, 1)
+            own = {name for name in result.report.active_limits if name.startswith("body.rod.")}
+            assert not (own and result.status.is_success)
+            told |= own
+    assert told == {"body.rod.sticks", "body.rod.slips", "body.rod.lost"}

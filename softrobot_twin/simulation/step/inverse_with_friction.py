@@ -211,8 +211,13 @@ class Search:
         choices: Number of moves that may be tried.
     """
 
-    def __init__(self):
-        """Begin with nothing tried."""
+    def __init__(self, looks: bool):
+        """Begin with nothing tried.
+
+        Args:
+            looks: Whether anything but the optimum by what contacts do now is tried.
+        """
+        self._looks = looks
         self.forget()
 
     def forget(self) -> None:
@@ -222,7 +227,7 @@ class Search:
 
     def next(self) -> Turn:
         """What the next step tries."""
-        if not self._is_stalled:
+        if not (self._looks and self._is_stalled):
             return Turn.STRAIGHT
         self._turn = (self._turn + 1) % 3
         turn = tuple(Turn)[self._turn]
@@ -292,7 +297,8 @@ class InverseWithFriction(InverseActuation):
     def reset(self) -> None:
         """See `InverseActuation`."""
         super().reset()
-        self._search = Search()
+        # In motion, a linearization sees no further than its step.
+        self._search = Search(self._learns)
         self._targets = self._moved = None
 
     def solve(
