@@ -53,6 +53,8 @@ PROGRESS, LENGTHS, FAR = 0.1, (0.25, 1.0, 4.0), (4.0, 16.0, 64.0)
 # A detour is made at once where squares of misses would fall below the first share, and else below the
 # second one. After so many that brought nothing, none is tried.
 NEARER, WORTH, MOST_IN_VAIN = 0.1, 0.5, 3
+# Weight of forces beyond their limit, against that of effectors.
+FORCES_FIRST = 1.0e2
 # A share of the tolerance of targets that does not matter.
 NO_MATTER = 1.0e-3
 
@@ -152,11 +154,15 @@ class Aim(NamedTuple):
         linear: The condensed system.
         errors: δ_free of effectors less where they shall be, then of further rows [m].
         weights: Weight of each of these rows.
+        force_limit: Greatest normal force of a contact [N].
+        normals: Rows of the normals among those of all contacts, shape (contact_count,).
     """
 
     linear: Linearized
     errors: np.ndarray
     weights: np.ndarray
+    force_limit: float
+    normals: np.ndarray
 
     def left(self, found: Actuation, system: Linearized | None = None) -> np.ndarray:
         """How far effectors are from there in a solution [m], shape (effector_row_count,).
@@ -170,14 +176,31 @@ class Aim(NamedTuple):
         return self.errors[: len(places)] + places - self.linear.effectors
 
     def missed(self, found: Actuation, system: Linearized | None = None) -> float:
-        """Weighted sum of the squares of `left` [m²].
+        """Weighted sum of the squares of `left`, and of forces beyond their limit [m²].
+
+        Such a force counts by how far it presses its contact in, before any distance of an effector.
 
         Args:
             found: See `left`.
             system: See `left`.
         """
         left = self.left(found, system)
-        return float(self.weights[: len(left)] @ (left * left))
+        return float(self.weights[: len(left)] @ (left * left)) + self.pressed_too_hard(found)
+
+    def pressed_too_hard(self, found: Actuation) -> float:
+        """What forces beyond their limit count in `missed` [m²].
+
+        Args:
+            found: See `left`.
+        """
+        if self.force_limit == np.inf:
+            return 0.0
+        forces = found.contact.multipliers
+        if len(forces) != len(self.normals):
+            forces = forces[self.normals]
+        rows = self.linear.groups.contacts.start + self.normals
+        beyond = np.maximum(forces - self.force_limit, 0.0) * self.linear.W[rows, rows]
+        return FORCES_FIRST * self.weights.max(initial=0.0) * float(beyond @ beyond)
 
     def short_of_targets(self, held: Actuation, share: float, motion: np.ndarray) -> Aim:
         """Aims short of the targets, where contacts press: what goes too far does not come back.
@@ -335,7 +358,9 @@ class InverseWithFriction(InverseActuation):
                 linear, errors, weights, held, bounds, commanded, extra, chosen
             )
         self._last_solution = self._direct.last_solution(linear)
-        aim = Aim(linear, errors, weights).short_of_targets(held, self._left_out, self._motion)
+        normals = self._contacts.row_starts[:-1]
+        aim = Aim(linear, errors, weights, self.force_limit, normals)
+        aim = aim.short_of_targets(held, self._left_out, self._motion)
 
         def optimum(
             at: Actuation, system: Linearized = linear, bounds: Bounds = bounds
@@ -376,7 +401,7 @@ class InverseWithFriction(InverseActuation):
         elif turn is Turn.DETOUR:
             wide = self._limits.bounds(held.drives(self._limits), np.inf)
             far = self._displaced(linear, held, wide, commanded, self._search.detour, FAR, reach)
-            if far is not None:
+            if far is not None and not aim.pressed_too_hard(far):
                 back = nearest(far, MOST_ROUNDS, self._from(linear, far), wide)
                 left = np.inf if back is None else aim.missed(back)
                 goal = self._search.judge(far.drives(self._limits), left, before)
