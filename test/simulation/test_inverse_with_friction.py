@@ -14,7 +14,7 @@ from softrobot_twin.simulation.step.inverse_with_friction import tied_by_contact
 from softrobot_twin.simulation.step.time_budget import StageClock
 from softrobot_twin.solvers.inverse_problem import Bounds
 from test.builder import builder
-from test.scene_changes import change_scene, repeat_step
+from test.scene_changes import LEFT_OUT, change_scene, repeat_step
 
 FINGER = Path(__file__).resolve().parents[2] / "config" / "scenes" / "finger.yaml"
 OCTOLEG = FINGER.with_name("octoleg.yaml")
@@ -78,6 +78,50 @@ def test_places_that_lengths_lead_to_are_reached_in_contact(finger, rng):
         near.append(result.effector_errors[0])
     assert max(near) < 1e-4
     assert np.mean(np.array(near) < 2e-5) >= 0.5
+
+
+ROD = {"rigid_bodies": [{
+    "name": "rod", "motion": "guided", "position": [0.055, 0.0, -0.02],
+    "cylinder": {"ends": [[0.0, -0.05, 0.0], [0.0, 0.05, 0.0]], "radius": 0.01},
+}], "obstacles": LEFT_OUT}  # fmt: skip
+MIDDLE = {"name": "middle", "points": [[0.08, 0.0, 0.0]], "directions": ["z"]}
+TURN = {
+    "effectors.0.orientation": {"pointing": [1.0, 0.0, 0.0]}, "effectors.0.directions": ["x"],
+    "effectors.0.points": [[0.1, -0.009, -0.009], [0.1, 0.009, -0.009], [0.1, 0.0, 0.009]],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("change", [
+    ROD, lambda mapping: mapping["effectors"].append(MIDDLE), TURN, {"contact.force_limit": 1.0},
+], ids=["guided rod", "two effectors", "orientation", "force limit"])  # fmt: skip
+def test_all_that_targets_may_ask_for_is_asked_with_friction(finger, rng, change):
+    simulation = finger(MU, change)
+    pull(simulation, BENT)
+    start = simulation.state
+    for _ in range(3):
+        simulation.restore(start)
+        bend = rng.uniform(0.011, 0.015)
+        reached = pull(simulation, np.array([bend, -0.8 * bend]))
+        simulation.restore(start)
+        targets = FollowTargets(
+            reached.effector_positions, TICK, None, reached.effector_orientations,
+        )
+        result = repeat_step(simulation, targets, 40)
+        assert result.status is Status.OK and result.report.contact_count
+        assert np.nanmax(result.effector_errors) < 2e-5
+        if result.orientation_errors is not None:
+            assert result.orientation_errors[0] < 1e-3
+
+
+def test_forces_of_contacts_that_rub_are_kept_to_their_limit(finger):
+    limit = 0.2
+    simulation = finger(MU, {"contact.force_limit": limit})
+    for target in ([0.086, 0.0, -0.02], [0.09, 0.0, -0.04], [0.1, 0.0, 0.0]):
+        result = follow(simulation, target, 60)
+        forces = simulation.model.contacts.last_multipliers[::3]
+        assert forces.max(initial=0.0) < 1.05 * limit
+        if forces.max(initial=0.0) > 0.999 * limit:
+            assert any("body.rod.force_limit" in name for name in result.report.active_limits)
 
 
 def test_a_place_on_the_way_back_is_reached_by_a_detour(finger):
@@ -205,6 +249,7 @@ def test_no_tick_leaves_rates_lengths_tensions_and_the_cone(finger, rng, ticks, 
         before = simulation.state.setpoints
         result = simulation.step(FollowTargets(target, duration))
         after = result.setpoints
+        assert not result.status.is_failure
         assert np.isfinite(after).all() and np.isfinite(result.state.positions).all()
         drives = simulation.rest_setpoints - after
         assert (drives >= limits.displacement_min - 1e-12).all()

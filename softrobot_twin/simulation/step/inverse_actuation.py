@@ -538,7 +538,8 @@ class InverseActuation:
                 drives, np.where(commanded, most, np.nan) if any_commanded else self._nowhere,
                 self._is_balanced, self._loads, self._load, self._guided, self._is_stable,
             )  # fmt: skip
-            self.trust.begin(_with_stiffness(situation, stiffness, held.efforts))
+            situation = _with_stiffness(situation, stiffness, held.efforts)
+            self.trust.begin(self._with_forces(situation, linear, held))
         bounds = self._near(drives, commanded, bounds)
         if any_commanded:
             held = self._direct.at_drives(linear, np.where(commanded, most, drives), bounds)
@@ -586,7 +587,7 @@ class InverseActuation:
         if found is None:
             return held._replace(solved=False), held
         if self._learns and self.trust.approach is Approach.FOLLOW:
-            places = _places(linear, found, stiffness)
+            places = self._places(linear, found, stiffness)
             is_watched = self.trust.is_careful or self.trust.is_late
             is_hindered = is_watched and any(
                 name.endswith(RATE)
@@ -594,6 +595,21 @@ class InverseActuation:
             )
             self.trust.expect(places, is_hindered)
         return found, held
+
+    def _places(
+        self, linear: Linearized, found: Actuation, stiffness: StiffnessRows | None
+    ) -> np.ndarray:
+        """Coordinates of effectors, then of stiffnesses, that an actuation promises [m]."""
+        places = linear.effector_places(found.efforts, found.contact.multipliers)
+        if stiffness is not None:
+            places = np.concatenate([places, stiffness.places(found.efforts)])
+        return places
+
+    def _with_forces(
+        self, situation: Situation, linear: Linearized, held: Actuation
+    ) -> Situation:
+        """A situation with what else is judged; forces within their limits need not be."""
+        return situation
 
     def _near(self, drives: np.ndarray, commanded: np.ndarray, bounds: Bounds) -> Bounds:
         """Bounds in which no winch, slide or motor moves further than a linearization is trusted."""
@@ -651,7 +667,7 @@ class InverseActuation:
         self._solver.active, self._touching, self._wait, self._next_wait = remembered
         self._direct.remember(held.efforts)
         if found is not None:
-            trust.offer(branch, _places(linear, found, rows))
+            trust.offer(branch, self._places(linear, found, rows))
 
     def _in_branch(
         self, stiffness: StiffnessRows | None, branch: np.ndarray | None
@@ -1170,16 +1186,6 @@ def _rows_to_track(
         np.concatenate([errors, stiffness.free - stiffness.now - stiffness.asked]),
         np.concatenate([weights, stiffness.weights]), stiffness.motion,
     )  # fmt: skip
-
-
-def _places(
-    linear: Linearized, found: Actuation, stiffness: StiffnessRows | None
-) -> np.ndarray:
-    """Coordinates of effectors, then of stiffnesses, that an actuation promises [m]."""
-    places = linear.effector_places(found.efforts, found.contact.multipliers)
-    if stiffness is not None:
-        places = np.concatenate([places, stiffness.places(found.efforts)])
-    return places
 
 
 def _with_stiffness(

@@ -21,6 +21,7 @@ since friction turns.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from enum import Enum
 from typing import NamedTuple
 
@@ -35,6 +36,7 @@ from softrobot_twin.simulation.step.direct_actuation import DirectActuation
 from softrobot_twin.simulation.step.interpretation import why_not_followed
 from softrobot_twin.simulation.step.inverse_actuation import InverseActuation, keep_within
 from softrobot_twin.simulation.step.linearized import Linearized
+from softrobot_twin.simulation.step.target_trust import Situation
 from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT, Bounds
 
 # Share of its own compliance that a sticking row yields by, where several rows hold the same.
@@ -124,10 +126,10 @@ def tied_by_contacts(
     slid = linear.compliance.motion(c, multipliers) + linear.violation[c]
     ties, held = np.zeros((n, c.start + count)), np.zeros((2 * count, n))
     yields = np.zeros(2 * count)
-    own = linear.W.diagonal()[c].copy()
+    own, (presses, slips) = linear.W.diagonal()[c].copy(), contacts.touch(forces)
     sticking = tie(
-        c.start, contacts.row_starts, contacts.friction, forces, *contacts.touch(forces), slid, own,
-        least, ties, held, yields,
+        c.start, contacts.row_starts, contacts.friction, forces, presses, slips, slid, own, least,
+        ties, held, yields,
     )  # fmt: skip
     offset, held = np.zeros(n), held[:sticking]
     if sticking:
@@ -138,12 +140,11 @@ def tied_by_contacts(
         bearing = -held.T @ np.linalg.solve(yielding, given)
         ties, offset = ties + bearing[:, :-1], bearing[:, -1]
     rows = np.concatenate([np.arange(c.start), c.start + contacts.row_starts[:-1]])
-    tied, normals = linear.tied(rows, ties, offset), multipliers[rows]
-    # Gaps of more contacts that stick than the body can move apart depend on each other: they are
-    # zero together only without what the solution left of them.
-    left = tied.compliance.motion(slice(0, len(rows)), normals) + tied.violation
-    presses = (normals > 0.0) & (np.arange(len(rows)) >= c.start)
-    tied.violation[presses] -= left[presses]
+    tied = linear.tied(rows, ties, offset)
+    # Gaps are solved to a tolerance. Here the solution is exact, else no optimum may start from it.
+    gaps = tied.compliance.motion(tied.groups.contacts, multipliers[rows])
+    gaps += tied.violation[c.start :]
+    tied.violation[c.start :] -= np.where(presses, gaps, np.minimum(gaps, 0.0))
     return tied
 
 
@@ -154,15 +155,13 @@ class Aim(NamedTuple):
         linear: The condensed system.
         errors: δ_free of effectors less where they shall be, then of further rows [m].
         weights: Weight of each of these rows.
-        force_limit: Greatest normal force of a contact [N].
-        normals: Rows of the normals among those of all contacts, shape (contact_count,).
+        beyond: How far forces beyond their limit press contacts in [m]; None without a limit.
     """
 
     linear: Linearized
     errors: np.ndarray
     weights: np.ndarray
-    force_limit: float
-    normals: np.ndarray
+    beyond: Callable[[Linearized, Actuation], np.ndarray] | None
 
     def left(self, found: Actuation, system: Linearized | None = None) -> np.ndarray:
         """How far effectors are from there in a solution [m], shape (effector_row_count,).
@@ -193,13 +192,9 @@ class Aim(NamedTuple):
         Args:
             found: See `left`.
         """
-        if self.force_limit == np.inf:
+        if self.beyond is None:
             return 0.0
-        forces = found.contact.multipliers
-        if len(forces) != len(self.normals):
-            forces = forces[self.normals]
-        rows = self.linear.groups.contacts.start + self.normals
-        beyond = np.maximum(forces - self.force_limit, 0.0) * self.linear.W[rows, rows]
+        beyond = self.beyond(self.linear, found)
         return FORCES_FIRST * self.weights.max(initial=0.0) * float(beyond @ beyond)
 
     def short_of_targets(self, held: Actuation, share: float, motion: np.ndarray) -> Aim:
@@ -358,8 +353,8 @@ class InverseWithFriction(InverseActuation):
                 linear, errors, weights, held, bounds, commanded, extra, chosen
             )
         self._last_solution = self._direct.last_solution(linear)
-        normals = self._contacts.row_starts[:-1]
-        aim = Aim(linear, errors, weights, self.force_limit, normals)
+        beyond = None if self.force_limit == np.inf else self._beyond
+        aim = Aim(linear, errors, weights, beyond)
         aim = aim.short_of_targets(held, self._left_out, self._motion)
 
         def optimum(
@@ -488,6 +483,38 @@ class InverseWithFriction(InverseActuation):
             return super()._last(linear)
         efforts, forces = self._last_solution
         return efforts, forces[self._contacts.row_starts[:-1]]
+
+    def _places(
+        self, linear: Linearized, found: Actuation, stiffness: StiffnessRows | None
+    ) -> np.ndarray:
+        """The same, then how far forces beyond their limit press contacts in [m]."""
+        places = super()._places(linear, found, stiffness)
+        if self.force_limit == np.inf:
+            return places
+        return np.append(places, np.linalg.norm(self._beyond(linear, found)))
+
+    def _with_forces(
+        self, situation: Situation, linear: Linearized, held: Actuation
+    ) -> Situation:
+        """A situation in which forces beyond their limit are judged too."""
+        if self.force_limit == np.inf:
+            return situation
+        weight = FORCES_FIRST * situation.weights.max(initial=0.0)
+        return situation._replace(
+            targets=np.append(situation.targets, 0.0),
+            weights=np.append(situation.weights, weight),
+            places=np.append(situation.places, np.linalg.norm(self._beyond(linear, held))),
+        )
+
+    def _beyond(self, linear: Linearized, found: Actuation) -> np.ndarray:
+        """How far forces beyond their limit press contacts in [m], shape (contact_count,)."""
+        forces, normals = found.contact.multipliers, self._contacts.row_starts[:-1]
+        if not len(forces):
+            return np.zeros(0)
+        if len(forces) != len(normals):
+            forces = forces[normals]
+        rows = linear.groups.contacts.start + normals
+        return np.maximum(forces - self.force_limit, 0.0) * linear.W[rows, rows]
 
     def _limits_met(self, forces: np.ndarray) -> tuple[str, ...]:
         """The same of the forces of all rows, or of normal forces alone."""
