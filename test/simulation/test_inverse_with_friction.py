@@ -98,7 +98,7 @@ def test_all_that_targets_may_ask_for_is_asked_with_friction(finger, change):
     simulation = finger(MU, change)
     pull(simulation, BENT)
     start = simulation.state
-    for bend in (0.0118, 0.0131, 0.0146):
+    for bend in (0.0116, 0.0121, 0.0130):
         simulation.restore(start)
         reached = pull(simulation, np.array([bend, -0.8 * bend]))
         simulation.restore(start)
