@@ -261,18 +261,22 @@ class ModalTangent(Sensitivities):
     def _of_motion(self, inertia: bool) -> sp.csc_array:
         """M [kg], or else the damping matrix C [N s/m], where nothing moves."""
         model, positions = self._model, self._simulation.state.positions
-        still = np.zeros((model.nodes.free_node_count, 3))
-        self._storage[:] = 0.0
+        still, total = np.zeros((model.nodes.free_node_count, 3)), np.zeros_like(self._storage)
         for term in model.forces:
-            if term.remembers_start and getattr(term, "is_inertia", False) == inertia:
-                weight = getattr(term, "weight", None)
-                if inertia:
-                    term.weight = 1.0
-                term.begin_step(positions, still, 1.0)
+            if not term.remembers_start or getattr(term, "is_inertia", False) != inertia:
+                continue
+            weight = getattr(term, "weight", None)
+            if inertia:
+                term.weight = 1.0
+            # What is elastic is the same in a step that takes infinitely long.
+            for sign, time_step in ((1.0, 1.0), (-1.0, np.inf)):
+                self._storage[:] = 0.0
+                term.begin_step(positions, still, time_step)
                 term.add(positions, still.copy(), self._storage, False)
-                if inertia:
-                    term.weight = weight
-        self._sparse.storage[:] = self._storage[self._places]
+                total += sign * self._storage
+            if inertia:
+                term.weight = weight
+        self._sparse.storage[:] = total[self._places]
         found = sp.csc_array(self._sparse.matrix(), copy=True)
         found.eliminate_zeros()
         return found

@@ -61,7 +61,11 @@ def deviations(simulation, model, changes):
     return np.array(found), np.array(predicted)
 
 
-@pytest.mark.parametrize("scheme", [{}, ALPHA])
+SPRING = {"name": "damper", "stiffness": 20.0, "damping": 0.2, "rest_length": 0.08,
+          "ends": [{"point": [0.05, 0.0, 0.1]}, {"on": "body", "point": [0.1, 0.0, 0.009]}]}  # fmt: skip
+
+
+@pytest.mark.parametrize("scheme", [{}, ALPHA, ALPHA | {"springs": [SPRING]}])
 @pytest.mark.parametrize("driven_by", ["tensions", "lengths"])
 def test_steps_of_small_changes_are_those_of_the_simulation(scheme, driven_by):
     by_tension = driven_by == "tensions"
