@@ -42,7 +42,7 @@ RMS. A model that knows nothing of the motion has 1."""
 SURPRISING_NOISE = 10.0
 """Smaller errors than so many standard deviations of the noise are no surprise."""
 MEMORY = 0.5
-"""Time over which these are averaged [s]."""
+"""Time over which these are averaged, and from the begin of which on [s]."""
 PAUSE, LONGEST_PAUSE = 1.0, 60.0
 """Time after which prediction is tried again, doubled each time, and the longest one [s]."""
 NOISE = 1.0e-4
@@ -180,9 +180,10 @@ class DynamicControl:
         moved = np.nan_to_num(outputs - (outputs if self._before is None else self._before))
         self._before = outputs
         share, error = min(1.0, self._period / MEMORY), self._control.innovation
-        self._motion += share * (float(moved @ moved) - self._motion)
-        self._errors += share * (float(error @ error) - self._errors)
         self._seen += 1
+        if self._seen * self._period > MEMORY:  # Before, the filter learns where the robot is.
+            self._motion += share * (float(moved @ moved) - self._motion)
+            self._errors += share * (float(error @ error) - self._errors)
 
     def command(
         self, wanted: np.ndarray, ahead: np.ndarray, reach: float, time, single: np.ndarray | None,
@@ -258,7 +259,7 @@ class DynamicControl:
         if single is not None and np.isfinite(single).any():
             return SINGLE_ACTUATORS
         least = SURPRISING_NOISE * NOISE
-        if self._seen * self._period > MEMORY and self._errors > MOST_SURPRISE**2 * self._motion + least**2:
+        if self._seen * self._period > 2.0 * MEMORY and self._errors > MOST_SURPRISE**2 * self._motion + least**2:
             return TOO_FAR
         return self._why_slack(self._simulation.state)
 
@@ -297,8 +298,9 @@ class DynamicControl:
         """The command of the copy in statics, which goes on from the present inputs."""
         statics = self.statics
         if not self._is_of_statics:
-            self._is_of_statics = True
-            self._settle(self._inputs(self._simulation.state), 10)
+            self._is_of_statics, state = True, self._simulation.state
+            statics.restore(replace(statics.state, positions=state.positions,
+                                    setpoints=state.setpoints, efforts=state.efforts))  # fmt: skip
         if self.shaper is not None:
             wanted = self.shaper.shaped(wanted)
         if np.isfinite(reach):
@@ -314,12 +316,12 @@ class DynamicControl:
 
     # --- the linear model ------------------------------------------------------------------------
 
-    def _settle(self, inputs: np.ndarray, most: int) -> StepResult:
+    def _settle(self, inputs: np.ndarray) -> StepResult:
         """Brings the copy in statics to rest under inputs."""
         statics = self.statics
         command = CommandEfforts(inputs, LONG) if self.by_effort else CommandSetpoints(
             statics.actuators.setpoints(inputs), LONG)  # fmt: skip
-        for _ in range(most):
+        for _ in range(MOST_STEPS):
             result = statics.step(command)
             if result.status.is_success and statics.stay(command) is not None:
                 break
@@ -342,7 +344,7 @@ class DynamicControl:
         """The model around the state at rest that the scene names."""
         simulation, before = self._simulation, self._simulation.state
         around = self._around()
-        result = self._settle(around, MOST_STEPS)
+        result = self._settle(around)
         if not result.status.is_success:
             raise simulation.scene.error(
                 "control.around", around.tolist(), f"has no state at rest: {result.status.value}")

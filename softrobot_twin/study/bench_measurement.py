@@ -541,6 +541,7 @@ def _column_case(diamond: Scene, cells: tuple[int, int, int]) -> BenchCase:
 WHOLE_STEP = "whole step"
 SUPERLU = "one SuperLU factorization"
 OBSERVER = "observer, beside the step"
+CONTROL = "control, beside the step"
 OUTSIDE = "outside the stages"
 """Time outside the stages: checks of commands, copies of states, reports."""
 # SuperLU takes much longer than a step, so it runs only between some of the timed steps.
@@ -570,7 +571,7 @@ class SizeMeasurement:
         row_count: Rows of H, median.
         contact_count: Contacts with force, median.
         stages: Time of each stage [s], of what is outside them, of the whole step, and of an observer
-            beside it.
+            and of `control` beside it.
         step_count: Steps timed.
         superlu: Time of one SuperLU factorization of the same matrices [s]; NaN for a reduced
             model, whose matrix is dense and small.
@@ -665,6 +666,7 @@ def measure(case: BenchCase, steps: int) -> SizeMeasurement:
         kernel_share = _share_of_kernels(simulation, commands)
         beside = _time_beside_steps(simulation, commands)
         stages = _stages(record.steps, simulation.stages) | _observed(simulation, commands)
+        stages |= _controlled(simulation)
     factorization = without_rows(model.factorization)
     reductions = [body.reduction.reduction for body in model.bodies if body.reduction is not None]
     reports = [step.report for step in record.steps]
@@ -827,6 +829,25 @@ def _observed(simulation: Simulation, commands) -> dict[str, Spread]:
         observer.update(model.markers, model, USUAL_NOISE, number * NANOSECONDS)
         times.append(perf_counter() - start)
     return {OBSERVER: spread(times)}
+
+
+def _controlled(simulation: Simulation) -> dict[str, Spread]:
+    """Time in a tick of what predicts and commands motion; nothing in a scene without `control`."""
+    if simulation.scene.control is None:
+        return {}
+    loop, within, times = TwinLoop(simulation, LoopSettings()), _TimeWithin(), []
+    for method in ("measure", "command", "end"):
+        setattr(loop.dynamic, method, within.of(getattr(loop.dynamic, method)))
+    places = simulation.effector_positions()
+    for number in range(COUNTED_STEPS):
+        now = number / loop.settings.rate
+        arrival = Arrival("base_link", 0, round(NANOSECONDS * now), now)
+        for effector, place in enumerate(places):
+            loop.targets.accept_point(effector, place, arrival)
+        within.total = 0.0
+        loop.tick(now, arrival.ros_time)
+        times.append(within.total)
+    return {CONTROL: spread(times)}
 
 
 def _factor_bytes(factorization) -> int | None:

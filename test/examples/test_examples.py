@@ -28,9 +28,10 @@ def run(tmp_path, monkeypatch):
     pyplot.close("all")
 
 
-def test_there_are_twelve_scripts_and_a_notebook():
+def test_there_are_thirteen_scripts_and_a_notebook():
     assert [path.stem for path in SCRIPTS] == [
-        "calibration", "closed_loop", "design", "external_force", "finger", "gradients_jax", "gradients_torch", "learning",
+        "calibration", "closed_loop", "design", "external_force", "fast_trunk", "finger", "gradients_jax",
+        "gradients_torch", "learning",
         "many_robots", "pneumatic_gripper", "policy_on_device", "trunk_in_contact"]
     assert [path.name for path in EXAMPLES.glob("*.ipynb")] == ["finger.ipynb"]
 
@@ -98,6 +99,15 @@ def test_a_camera_cuts_the_error_of_the_finger_to_less_than_a_half(run, tmp_path
     closed_error = seen["errors"][seen["is_closed"]].mean()
     assert closed_error < 0.5 * open_error and open_error > 0.3  # mm
     assert (tmp_path / "closed_loop.png").is_file()
+
+
+@pytest.mark.exhaustive
+def test_a_trunk_is_led_faster_by_prediction(run, tmp_path):
+    paths = run("fast_trunk")["paths"]
+    errors = {law: np.sqrt(((real - wanted)[:, 50:] ** 2).sum(axis=0).mean())
+              for law, (real, wanted) in paths.items()}  # fmt: skip
+    assert errors["dynamic"] < 0.2 * errors["quasi_static"] and errors["dynamic"] < 2.0  # mm
+    assert (tmp_path / "fast_trunk.png").is_file()
 
 
 def test_a_policy_learns_within_a_few_generations(run, tmp_path):

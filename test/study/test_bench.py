@@ -9,12 +9,13 @@ from specimens import column_mesh
 
 from softrobot_twin.geometry.quality import radius_ratios
 from softrobot_twin.scene import load_scene
-from softrobot_twin.scene.schema import Observer
+from softrobot_twin.scene.schema import Control, Observer
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.solvers.superlu import SuperLU
 from softrobot_twin.study import bench
 from softrobot_twin.study.bench import SOFA_RATIOS
 from softrobot_twin.study.bench_measurement import (
+    CONTROL,
     OBSERVER,
     OUTSIDE,
     WHOLE_STEP,
@@ -62,6 +63,15 @@ def test_an_observer_is_a_stage_beside_the_step(measured):
     case = given_cases([default_scene_path()])[0]._replace(scene=scene)
     assert measure(case, 5).stages[OBSERVER].median > 0.0
     assert OBSERVER not in measured.stages
+
+
+def test_control_is_a_stage_beside_the_step(measured):
+    path = default_scene_path().with_name("finger.yaml")
+    scene = load_scene(path).changed(
+        integration="dynamic", cables={"rate": None}, control=Control(inputs="efforts"))
+    case = given_cases([path])[0]._replace(scene=scene)
+    assert measure(case, 5).stages[CONTROL].median > 0.0
+    assert CONTROL not in measured.stages
 
 
 def test_several_scenes_are_fitted_together(column, tmp_path, call):
