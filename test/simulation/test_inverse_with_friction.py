@@ -17,7 +17,7 @@ from test.builder import builder
 from test.scene_changes import LEFT_OUT, change_scene, repeat_step
 
 FINGER = Path(__file__).resolve().parents[2] / "config" / "scenes" / "finger.yaml"
-OCTOLEG = FINGER.with_name("octoleg.yaml")
+OCTOLEG, TRUNK = FINGER.with_name("octoleg.yaml"), FINGER.with_name("trunk_cylinders.yaml")
 TICK, MU = 0.05, 0.5
 BENT = np.array([0.009, -0.006])
 
@@ -316,6 +316,23 @@ def test_the_octoleg_curls_to_where_its_tip_shall_be():
     result = repeat_step(simulation, FollowTargets(target, step), 140)
     assert result.status is Status.OK and result.effector_errors[0] < 2e-5
     assert result.report.contact_count == 7
+
+
+@pytest.mark.parametrize("friction", [0.5, pytest.param(0.1, marks=pytest.mark.exhaustive)])
+def test_the_trunk_goes_between_cylinders_that_rub(friction):
+    """Its platform is at its rate on the way in; without friction it lags by up to 1.6 mm in contact."""
+    mapping = written_out(yaml.safe_load(TRUNK.read_text()))
+    mapping["contact"]["friction"] = friction
+    simulation = Simulation(scene_from_mapping(mapping, TRUNK))
+    targets = np.loadtxt(TRUNK.parents[1] / "targets" / "trunk_path.csv", delimiter=",", skiprows=1)
+    missed = []
+    for target in targets[:, 1:]:
+        result = simulation.step(FollowTargets(target[None], 0.02))
+        if result.report.contact_count:
+            missed.append(result.effector_errors[0])
+    assert len(missed) > 60 and np.mean(missed) < 6e-4 and max(missed) < 4e-3
+    missed = follow(simulation, targets[-1, 1:], 40).effector_errors[0]
+    assert missed < 1e-5
 
 
 def test_a_missed_target_tells_whether_contacts_stick_slip_or_were_lost(finger):
