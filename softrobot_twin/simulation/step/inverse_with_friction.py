@@ -52,6 +52,8 @@ SHARE, MUCH_FRICTION, LITTLE_FRICTION = 0.6, 0.2, 1.0e-3
 # Where squares of misses fall by less than this share, actuators are tried one by one, by moves that
 # would go so many times the way.
 PROGRESS, LENGTHS, FAR = 0.1, (0.25, 1.0, 4.0), (4.0, 16.0, 64.0)
+# No such move is longer than this multiple of the longest move of a linearization.
+LONGEST = 2.0
 # A detour is made at once where squares of misses would fall below the first share, and else below the
 # second one. After so many that brought nothing, none is tried.
 NEARER, WORTH, MOST_IN_VAIN = 0.1, 0.5, 3
@@ -212,6 +214,30 @@ class Aim(NamedTuple):
         return self._replace(errors=errors)
 
 
+class Task(NamedTuple):
+    """What a step is to find.
+
+    Attributes:
+        linear: The condensed system.
+        aim: Where effectors shall be.
+        held: What the actuators do when they stay.
+        bounds: Bounds of the step.
+        is_free: Whether each actuator is not commanded, shape (actuator_count,).
+        optimise: Finds the optimum of a system, of errors, from a solution, within bounds.
+        before: What is missed when the actuators stay [m²].
+        negligible: Squares of misses that make no difference [m²].
+    """
+
+    linear: Linearized
+    aim: Aim
+    held: Actuation
+    bounds: Bounds
+    is_free: np.ndarray
+    optimise: Callable[[Linearized, np.ndarray, Actuation, Bounds], Actuation | None]
+    before: float
+    negligible: float
+
+
 class Turn(Enum):
     """What a step tries."""
 
@@ -240,7 +266,7 @@ class Search:
 
     def forget(self) -> None:
         """Begin anew, with other targets."""
-        self.probe = self.detour = self.choices = self._turn = self._vain = self._count = 0
+        self.probe = self.detour = self.choices = self._turn = self._vain = 0
         self._is_stalled, self._least, self._goal, self._before = False, np.inf, None, np.inf
 
     def next(self) -> Turn:
@@ -353,58 +379,18 @@ class InverseWithFriction(InverseActuation):
                 linear, errors, weights, held, bounds, commanded, extra, chosen
             )
         self._last_solution = self._direct.last_solution(linear)
+
+        def optimise(tied: Linearized, errors: np.ndarray, at: Actuation, bounds: Bounds):
+            return super(InverseWithFriction, self)._over_branches(
+                tied, errors, weights, at, bounds, commanded, extra, chosen
+            )
+
         beyond = None if self.force_limit == np.inf else self._beyond
         aim = Aim(linear, errors, weights, beyond)
         aim = aim.short_of_targets(held, self._left_out, self._motion)
-
-        def optimum(
-            at: Actuation, system: Linearized = linear, bounds: Bounds = bounds
-        ) -> tuple[Actuation | None, float]:
-            """What is best while contacts do the same, done with friction, and its promise."""
-            tied = tied_by_contacts(system, self._contacts, at, self._least)
-            errors = aim.errors.copy()
-            errors[: len(linear.effectors)] += tied.effectors - linear.effectors
-            promised = super(InverseWithFriction, self)._over_branches(
-                tied, errors, weights, self._on_normals(at), bounds, commanded, extra, chosen
-            )
-            if promised is None:
-                return None, np.inf
-            found = self._with_friction(system, promised.drives(self._limits), bounds, promised)
-            return found, aim.missed(promised, tied)
-
-        def nearest(
-            at: Actuation, rounds: int = MOST_ROUNDS, system: Linearized = linear,
-            bounds: Bounds = bounds,
-        ) -> Actuation | None:  # fmt: skip
-            """The nearest of what is best by what contacts do, there and in what came of it."""
-            best = None
-            for _ in range(rounds):
-                at, promise = optimum(at, system, bounds)
-                if at is None:
-                    break
-                best = at if best is None else min(best, at, key=aim.missed)
-                if before - aim.missed(at) >= KEPT_PROMISE * (before - promise) - negligible:
-                    break
-            return best
-
         before, negligible = aim.missed(held), self._least**2 * weights.max(initial=0.0)
-        turn, best, reach = self._search.next(), None, np.sqrt(before / weights.max())
-        if turn is Turn.PROBE:
-            probe = self._displaced(linear, held, bounds, commanded, self._search.probe, LENGTHS, reach)
-            best = None if probe is None else nearest(probe, 1)
-            best = probe if best is None else min(best, probe, key=aim.missed)
-        elif turn is Turn.DETOUR:
-            wide = self._limits.bounds(held.drives(self._limits), np.inf)
-            far = self._displaced(linear, held, wide, commanded, self._search.detour, FAR, reach)
-            if far is not None and not aim.pressed_too_hard(far):
-                back = nearest(far, MOST_ROUNDS, self._from(linear, far), wide)
-                left = np.inf if back is None else aim.missed(back)
-                goal = self._search.judge(far.drives(self._limits), left, before)
-                if goal is not None:
-                    self.trust.go_to(goal)
-            best = held
-        if best is None:
-            best = nearest(held)
+        task = Task(linear, aim, held, bounds, ~commanded, optimise, before, negligible)
+        best = self._tried(task)
         if best is None or not self._rubs:
             return best
         if aim.missed(best) > before + negligible:
@@ -417,17 +403,61 @@ class InverseWithFriction(InverseActuation):
         self._direct.remember(best.efforts)
         return best
 
+    def _tried(self, task: Task) -> Actuation | None:
+        """What this step tries; None where the problem has no solution."""
+        turn, aim = self._search.next(), task.aim
+        if turn is Turn.PROBE:
+            probe = self._displaced(task, task.bounds, self._search.probe, LENGTHS)
+            if probe is not None:
+                found = self._nearest(task, probe, task.linear, task.bounds, 1)
+                return min(probe, found or probe, key=aim.missed)
+        if turn is Turn.DETOUR:
+            self._look_for_detour(task)
+            return task.held
+        return self._nearest(task, task.held, task.linear, task.bounds, MOST_ROUNDS)
+
+    def _look_for_detour(self, task: Task) -> None:
+        """Look whether it is nearer to go somewhere else first; the actuators go if it is."""
+        wide = self._limits.bounds(task.held.drives(self._limits), np.inf)
+        far, left = self._displaced(task, wide, self._search.detour, FAR), np.inf
+        if far is None:
+            return
+        if not task.aim.pressed_too_hard(far):
+            back = self._nearest(task, far, self._from(task.linear, far), wide, MOST_ROUNDS)
+            left = np.inf if back is None else task.aim.missed(back)
+        goal = self._search.judge(far.drives(self._limits), left, task.before)
+        if goal is not None:
+            self.trust.go_to(goal)
+
+    def _nearest(
+        self, task: Task, at: Actuation, system: Linearized, bounds: Bounds, rounds: int
+    ) -> Actuation | None:
+        """The nearest of what is best by what contacts do in a solution, and in what came of it."""
+        best, before = None, task.before
+        for _ in range(rounds):
+            tied = tied_by_contacts(system, self._contacts, at, self._least)
+            errors = task.aim.errors.copy()
+            errors[: len(tied.effectors)] += tied.effectors - task.linear.effectors
+            promised = task.optimise(tied, errors, self._on_normals(at), bounds)
+            if promised is None:
+                break
+            at = self._with_friction(system, promised.drives(self._limits), bounds, promised)
+            now, promise = task.aim.missed(at), task.aim.missed(promised, tied)
+            best = at if best is None else min(best, at, key=task.aim.missed)
+            if before - now >= KEPT_PROMISE * (before - promise) - task.negligible:
+                break
+        return best
+
     def _displaced(
-        self, linear: Linearized, held: Actuation, bounds: Bounds, commanded: np.ndarray,
-        choice: int, lengths: tuple[float, ...], reach: float,
-    ) -> Actuation | None:  # fmt: skip
+        self, task: Task, bounds: Bounds, choice: int, lengths: tuple[float, ...]
+    ) -> Actuation | None:
         """What comes of moving one actuator that bears to one side; None where there is none.
 
-        But for contacts, effectors would be displaced by a multiple of a distance [m].
+        But for contacts, effectors would be displaced by a multiple of what is missed.
         """
-        a, e, _ = linear.groups
+        linear, held, (a, e, _) = task.linear, task.held, task.linear.groups
         bears = np.abs(held.efforts[a]) > NO_EFFORT * np.abs(held.efforts[a]).max(initial=0.0)
-        free = np.flatnonzero(~commanded[a] & (bears | ~self._one_sided[a]))
+        free = np.flatnonzero(task.is_free[a] & (bears | ~self._one_sided[a]))
         if not len(free):
             return None
         side, choice = choice % 2, choice // 2
@@ -435,8 +465,10 @@ class InverseWithFriction(InverseActuation):
         self._search.choices = 2 * len(free) * len(lengths)
         own = 1.0 if self._by_effort[moved] else linear.W[moved, moved]
         farther = np.linalg.norm(linear.W[e, moved]) / own
-        most = 2.0*self.trust.move_limit * self._scales[moved]
-        move = min(length * reach / farther, most) if farther > 0.0 else most
+        reach = length * np.sqrt(task.before / task.aim.weights.max())
+        move = LONGEST * self.trust.move_limit * self._scales[moved]
+        if farther > 0.0:
+            move = min(move, reach / farther)
         drives = held.drives(self._limits).copy()
         drives[moved] += move if side else -move
         return self._with_friction(linear, self._limits.drives_within(drives, bounds), bounds, held)
@@ -536,7 +568,8 @@ class InverseWithFriction(InverseActuation):
             tolerance: See `InverseActuation`.
         """
         if linear.contact_row_count:
-            linear, held = tied_by_contacts(linear, self._contacts, held, self._least), self._on_normals(held)
+            linear = tied_by_contacts(linear, self._contacts, held, self._least)
+            held = self._on_normals(held)
         return super().is_held_by_energy(linear, target_rows, held, bounds, tolerance)
 
 
