@@ -103,10 +103,12 @@ def test_the_first_grip_and_the_first_lift_compile_nothing(late):
     assert late == []
 
 
-def test_the_first_contact_in_the_inverse_compiles_nothing(late):
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_the_first_contact_in_the_inverse_compiles_nothing(late, friction):
     file = ROOT / "config" / "scenes" / "trunk_cylinders.yaml"
     mapping = written_out(read_yaml(file.read_text()))
     mapping["body"]["mesh"]["file"] = "../../meshes/trunk_700.vtk"
+    mapping["contact"]["friction"] = friction
     path = np.genfromtxt(
         ROOT / "config" / "targets" / "trunk_path.csv", delimiter=",", skip_header=1
     )

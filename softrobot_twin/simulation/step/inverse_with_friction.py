@@ -8,15 +8,18 @@ the normal forces: λ = T z + t. So the problem is that without friction in othe
                 across d it yields by |v| / (µ λ_n), as the direction of the slip v turns
     is open     λ_t = 0
 
-which is the derivative of the solution with friction (implicit differentiation of Coulomb's law). What
-the optimum asks of the actuators is then done with friction, in the same linearization. Where contacts
-switch between sticking and slipping on the way, effectors do not go where the optimum promised. Then it
-is sought again by what the contacts do there, and the nearest of all is made. Where these come hardly
-nearer, a kink is in the way, and the contacts do something else beyond it: single actuators are moved
-to either side, one in each step, and the optimum is sought by what contacts do there.
+which is the derivative of the solution with friction (implicit differentiation of Coulomb's law).
+What the optimum asks of the actuators is then done with friction, in the same linearization. Where
+contacts switch between sticking and slipping on the way, effectors do not go where the optimum
+promised. Then it is sought again by what the contacts do there, and the nearest of all is made.
 
-Each step goes a part of the way to targets that stay. Effectors that went too far come back another way,
-since friction turns.
+Where these come hardly nearer, a kink is in the way, and contacts do something else beyond it. Single
+actuators are moved to either side, one in each step, and the optimum is sought by what contacts do
+there. Where an effector comes to depends on the way, too: steps look whether it is nearer to go
+somewhere else first, and back from where contacts slipped to.
+
+Each step goes a part of the way to targets that stay. Effectors that went too far come back another
+way, since friction turns.
 """
 
 from __future__ import annotations
@@ -45,17 +48,17 @@ YIELDS = 1.0e-9
 MOST_ROUNDS = 3
 # Where an optimum keeps this share of what it promised, it is not sought again.
 KEPT_PROMISE = 0.8
-# Of the way to the targets each step goes this share where contacts press whose friction is the
-# second number or more; with less friction it goes further. With less than the third, friction makes no
-# kinks that would be worth a look.
+# Of the way to the targets each step goes this share where contacts press whose friction is the second
+# number or more; with less friction it goes further. With less than the third, friction makes no kinks
+# that would be worth a look.
 SHARE, MUCH_FRICTION, LITTLE_FRICTION = 0.6, 0.2, 1.0e-3
 # Where squares of misses fall by less than this share, actuators are tried one by one, by moves that
-# would go so many times the way.
+# would go so many times the way; as detours, by longer ones.
 PROGRESS, LENGTHS, FAR = 0.1, (0.25, 1.0, 4.0), (4.0, 16.0, 64.0)
 # No such move is longer than this multiple of the longest move of a linearization.
 LONGEST = 2.0
-# A detour is made at once where squares of misses would fall below the first share, and else below the
-# second one. After so many that brought nothing, none is tried.
+# A detour is made at once where squares of misses would fall below the first share, else where they
+# would fall below the second one. After so many in vain, none is tried.
 NEARER, WORTH, MOST_IN_VAIN = 0.1, 0.5, 3
 # Weight of forces beyond their limit, against that of effectors.
 FORCES_FIRST = 1.0e2
@@ -179,7 +182,7 @@ class Aim(NamedTuple):
     def missed(self, found: Actuation, system: Linearized | None = None) -> float:
         """Weighted sum of the squares of `left`, and of forces beyond their limit [m²].
 
-        Such a force counts by how far it presses its contact in, before any distance of an effector.
+        Such a force counts by how far it presses its contact in, more than a distance of an effector.
 
         Args:
             found: See `left`.
@@ -329,6 +332,7 @@ class InverseWithFriction(InverseActuation):
             qp_solvers: See there.
         """
         super().__init__(model, direct, qp_solvers)
+        self._place_count = model.effectors.position_row_count
         # Squares of misses that make no difference, of weight one.
         self._least = NO_MATTER * self._tolerance
         most = float(model.contacts.friction_of_pair.max())
@@ -360,7 +364,9 @@ class InverseWithFriction(InverseActuation):
         """
         moved = np.zeros(len(target_rows))
         if self._targets is not None:
-            moved = np.nan_to_num(target_rows - self._targets)
+            # Coordinates of orientations change while their targets stay.
+            places = slice(self._place_count)
+            moved[places] = np.nan_to_num(target_rows - self._targets)[places]
         if moved.any():
             self._search.forget()
         before = np.zeros(len(moved)) if self._moved is None else np.abs(self._moved)
