@@ -345,6 +345,11 @@ class ContactMemory:
         return self._start
 
     @property
+    def forces(self) -> np.ndarray:
+        """λ of each contact in the last solution [N], shape (count, most rows)."""
+        return self._tables[0]
+
+    @property
     def known(self) -> list[tuple[int, int]]:
         """Pair and key of the contacts recognised last."""
         return list(zip(*self._known.tolist(), strict=True))

@@ -59,6 +59,9 @@ class Touching(Entry):
     """Names of the two; of a body with itself the same name twice."""
     friction: Annotated[float | None, unit("", ge=0.0)] = None
     """Coefficient µ of Coulomb's law; by default that of the contact section."""
+    least_grip_margin: Annotated[float | None, unit("", gt=0.0, lt=1.0)] = None
+    """Share of the pair's friction that shall be left, 1 - Σ |λ_t| / Σ µ λ_n: it is told of every step,
+    and a step with less names `<first>.<second>.grip_margin`."""
 
 
 class TouchingPoint(Entry):
@@ -108,6 +111,11 @@ class Contact(Entry):
             raise ValueError("has no pairs: between or points is required")
         if self.contact_distance >= self.alarm_distance:
             raise ValueError("contact_distance must be below alarm_distance")
+        for index, entry in enumerate(self.between):
+            friction = self.friction if entry.friction is None else entry.friction
+            if entry.least_grip_margin is not None and not friction:
+                raise refusal(f"between[{index}].least_grip_margin", entry.least_grip_margin,
+                              "the pair has no friction that could be left")
 
 
 class Marker(Entry):

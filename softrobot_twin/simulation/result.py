@@ -31,6 +31,8 @@ STRAINED = "strain_range"
 # Ending of the name that tells that a cavity is near the pressure at which it bursts, such as
 # ``air.near_burst``.
 BURST = "near_burst"
+# Ending of the name that tells that a grip is near slipping, such as ``finger.cube.grip_margin``.
+GRIP = "grip_margin"
 # Tells that the state is unstable where the commanded efforts are held, as hardware without a position
 # loop would: a little more effort leads far away.
 UNSTABLE = "unstable_at_efforts"

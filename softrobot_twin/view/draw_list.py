@@ -39,6 +39,7 @@ _FRAME_SHARE, _OWN_SHARE = 0.09, 0.7
 _AXIS_COLOURS = ((214, 80, 70), (80, 170, 90), (70, 120, 214))
 """Of the axes x, y and z of an orientation, and of a target's."""
 _TARGET_AXIS_COLOURS = ((250, 190, 185), (190, 235, 195), (185, 205, 250))
+_CONTACT_COLOUR, _GRIPS_COLOUR = (230, 60, 60), np.array((40, 190, 90))
 _FIXED_COLOUR, _FORCE_COLOUR = (110, 110, 120), (255, 110, 70)
 _SPRING_COLOUR, _AXIS_COLOUR = (165, 165, 178), (205, 205, 212)
 # Least size of lines and marks, as a share of that of the whole scene.
@@ -76,7 +77,8 @@ class Shown(NamedTuple):
 
     Attributes:
         efforts: Efforts of the actuators, such as tensions [N], shape (actuator_count,).
-        contacts: Contact points [m] and forces [N], shape (contact_count, 3) each.
+        contacts: Contact points [m] and forces [N], shape (contact_count, 3) each, and the grip margin
+            of the pair of each, NaN where none is asked for, shape (contact_count,), or None.
         effectors: Positions of the effectors [m], shape (effector_count, 3).
         turned: Their turns from rest (x, y, z, w), shape (effector_count, 4), or None.
         targets: Targets of the effectors [m], NaN for none, shape (effector_count, 3).
@@ -86,7 +88,7 @@ class Shown(NamedTuple):
     """
 
     efforts: np.ndarray
-    contacts: tuple[np.ndarray, np.ndarray]
+    contacts: tuple[np.ndarray, np.ndarray, np.ndarray | None]
     effectors: np.ndarray
     turned: np.ndarray | None
     targets: np.ndarray
@@ -103,7 +105,7 @@ class Shown(NamedTuple):
         """
         places, markers = simulation.effector_positions(), simulation.marker_positions()
         return cls(
-            simulation.state.efforts, (_NOWHERE, _NOWHERE), places,
+            simulation.state.efforts, (_NOWHERE, _NOWHERE, None), places,
             simulation.effector_orientations(), np.full_like(places, np.nan),
             np.full((len(places), 4), np.nan), markers, np.full_like(markers, np.nan),
         )  # fmt: skip
@@ -259,7 +261,8 @@ class DrawList:
         if self._simulation.scene.contact is None:
             return (), None
         return [
-            Entity("/contacts/points", "points", (230, 60, 60), 3.0, kind="contact"),
+            Entity("/contacts/points", "points", _CONTACT_COLOUR, 3.0, kind="contact",
+                   colours_of=_grip_colours),
             Entity("/contacts/forces", "arrows", _FORCE_COLOUR, 1.5, kind="force"),
         ], lambda shown: self._acting(*shown.contacts)
 
@@ -296,9 +299,11 @@ class DrawList:
         return (Drawn(places), Drawn(places, forces),
                 Drawn(places + forces - spread * along, 2.0 * spread * along))
 
-    def _acting(self, points: np.ndarray, forces: np.ndarray) -> tuple[Drawn, Drawn]:
-        """Points and arrows of forces [N]."""
-        return Drawn(points), Drawn(points, self._force_scale * forces)
+    def _acting(
+        self, points: np.ndarray, forces: np.ndarray, values: np.ndarray | None = None
+    ) -> tuple[Drawn, Drawn]:
+        """Points, perhaps with values that colour them, and arrows of forces [N]."""
+        return Drawn(points, values=values), Drawn(points, self._force_scale * forces)
 
     def _axes(self) -> Effect:
         """Axes of effectors with orientations and of their targets; of one that points, it alone."""
@@ -365,6 +370,12 @@ def _solid(path: str, colour: Sequence[int], skin: SolidSkin, noun: str, kind: s
     """A rigid body or an obstacle."""
     return Entity(f"{path}/{skin.name}", "solid", colour, labels=[skin.name],
                   triangles=skin.triangles, points=skin.points, kind=kind, noun=noun)  # fmt: skip
+
+
+def _grip_colours(margins: np.ndarray) -> np.ndarray:
+    """From red, where a pair slips, to green, where it bears no load along its surfaces."""
+    share = np.nan_to_num(margins)[:, None]
+    return ((1.0 - share) * _CONTACT_COLOUR + share * _GRIPS_COLOUR).astype(int)
 
 
 def _frames(path: str, kind: str, colours: tuple) -> Entity:

@@ -9,6 +9,7 @@ import numpy as np
 
 from softrobot_twin.simulation import Simulation, StepResult
 from softrobot_twin.simulation.colours import pressure_legend
+from softrobot_twin.simulation.result import GRIP
 from softrobot_twin.view.draw_list import DrawList, Shown, pressure_range
 from softrobot_twin.view.frame import Frame, Plot, Stage, ViewError
 
@@ -22,10 +23,16 @@ Curves = tuple[str, str, Sequence[str], Callable[[StepResult, tuple[float, ...]]
 effectors: to the target, of linearizing, of the mesh [m]."""
 
 
-def _contacts(result: StepResult) -> tuple[np.ndarray, np.ndarray]:
-    """Points of contacts [m] and forces [N], shape (contact_count, 3) each."""
+def _contacts(result: StepResult) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Points of contacts [m], forces [N] and margins of their pairs; see `Shown`."""
     contacts, none = result.contacts, np.empty((0, 3))
-    return (none, none) if contacts is None else (contacts.positions, contacts.forces)
+    if contacts is None:
+        return none, none, None
+    margins, figures = None, result.report.figures
+    if any(name.startswith(GRIP) for name in figures):
+        told = [figures.get(f"{GRIP}.{'.'.join(names)}", np.nan) for names in contacts.names]
+        margins = np.array(told)[contacts.pairs]
+    return contacts.positions, contacts.forces, margins
 
 
 class SimulationFrames:

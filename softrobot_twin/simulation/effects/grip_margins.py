@@ -1,0 +1,68 @@
+"""How much more friction the pairs of a grasp could have: their distance to the friction cone.
+
+Of all contacts of a pair,
+
+    margin = 1 - Σ |λ_t| / Σ µ λ_n
+
+is one where nothing pulls along the surfaces, and zero where every contact slips. Single contacts at the
+rim slip long before; what they give up the others bear, so that the bodies move against each other only
+where the sum is used up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from softrobot_twin.constraints.contact import Contacts
+from softrobot_twin.simulation.building.model import Model
+from softrobot_twin.simulation.result import GRIP
+from softrobot_twin.simulation.state import State
+from softrobot_twin.simulation.step.step_part import PartReport, StepPart
+
+
+class GripMargins(StepPart):
+    """Tells the margins of pairs, and which are below what the scene asks for."""
+
+    name = "grip_margin"
+
+    def __init__(self, contacts: Contacts, least: dict[tuple[str, str], float]):
+        """Take the pairs.
+
+        Args:
+            contacts: The contact term.
+            least: Least margin of each pair, by its names.
+        """
+        self._contacts, self._least = contacts, np.array([*least.values()])
+        self.figures = tuple(map(".".join, least))
+        names = list(least)
+        self._place = np.array([
+            names.index(pair) if pair in least else -1 for pair in contacts.pair_names
+        ])  # fmt: skip
+
+    def report(self, state: State) -> PartReport:
+        """See `StepPart`; NaN of pairs that do not press."""
+        contacts, forces = self._contacts, self._contacts.memory.forces
+        place = self._place[contacts.pair[: contacts.count]]
+        chosen = np.flatnonzero(place >= 0)
+        place, sums = place[chosen], np.zeros((2, len(self._least)))
+        np.add.at(sums[0], place, np.hypot(forces[chosen, 1], forces[chosen, 2]))
+        np.add.at(sums[1], place, contacts.friction[chosen] * forces[chosen, 0])
+        margins = np.full(len(self._least), np.nan)
+        np.divide(sums[1] - sums[0], sums[1], out=margins, where=sums[1] > 0.0)
+        low = tuple(f"{name}.{GRIP}" for name, few in zip(self.figures, margins < self._least) if few)
+        return PartReport(low, dict(zip(self.figures, margins.tolist())))
+
+
+def grip_margins_of(model: Model) -> Iterator[StepPart]:
+    """The part of a scene that asks for the margin of a pair.
+
+    Args:
+        model: The model of a simulation.
+    """
+    pairs = () if model.scene.contact is None else model.scene.contact.between
+    least = {entry.pair: entry.least_grip_margin for entry in pairs
+             if entry.least_grip_margin is not None}  # fmt: skip
+    if least:
+        yield GripMargins(model.contacts, least)
