@@ -202,17 +202,23 @@ class Aim(NamedTuple):
         beyond = self.beyond(self.linear, found)
         return FORCES_FIRST * self.weights.max(initial=0.0) * float(beyond @ beyond)
 
-    def short_of_targets(self, held: Actuation, share: float, motion: np.ndarray) -> Aim:
+    def short_of_targets(
+        self, held: Actuation, share: float, motion: np.ndarray, brakes: bool
+    ) -> Aim:  # fmt: skip
         """Aims short of the targets, where contacts press: what goes too far does not come back.
 
         Args:
             held: What the actuators do when they stay.
             share: Share of the way that is left out, but for the motion of the targets.
             motion: Steady motion of the targets in a step [m], shape (effector_row_count,).
+            brakes: Whether the way counts from where effectors are, not from where they go when the
+                actuators stay: by inertia they would go on, and swing about the targets.
         """
         if not (held.contact.multipliers > 0.0).any():
             return self
         left, errors = self.left(held), self.errors.copy()
+        if brakes:
+            left = errors[: len(left)] + self.linear.effectors_now - self.linear.effectors
         errors[: len(left)] -= share * (left + motion)
         return self._replace(errors=errors)
 
@@ -336,6 +342,7 @@ class InverseWithFriction(InverseActuation):
         # Squares of misses that make no difference, of weight one.
         self._least = NO_MATTER * self._tolerance
         most = float(model.contacts.friction_of_pair.max())
+        self._brakes = model.is_dynamic
         self._left_out = (1.0 - SHARE) * min(1.0, most / MUCH_FRICTION)
         self._rubs = most > LITTLE_FRICTION
         # Compiled now, not when the first contact presses.
@@ -393,7 +400,7 @@ class InverseWithFriction(InverseActuation):
 
         beyond = None if self.force_limit == np.inf else self._beyond
         aim = Aim(linear, errors, weights, beyond)
-        aim = aim.short_of_targets(held, self._left_out, self._motion)
+        aim = aim.short_of_targets(held, self._left_out, self._motion, self._brakes)
         before, negligible = aim.missed(held), self._least**2 * weights.max(initial=0.0)
         task = Task(linear, aim, held, bounds, ~commanded, optimise, before, negligible)
         best = self._tried(task)
