@@ -60,6 +60,9 @@ LONGEST = 2.0
 # A detour is made at once where squares of misses would fall below the first share, else where they
 # would fall below the second one. After so many in vain, none is tried.
 NEARER, WORTH, MOST_IN_VAIN = 0.1, 0.5, 3
+# Where targets are reached, actuators that moved by no more than a share of their scales in so many
+# steps stay, until effectors leave from there.
+CALM, CALM_STEPS = 1.0e-6, 10
 # Weight of forces beyond their limit, against that of effectors.
 FORCES_FIRST = 1.0e2
 # A share of the tolerance of targets that does not matter.
@@ -355,6 +358,7 @@ class InverseWithFriction(InverseActuation):
         # In motion, a linearization sees no further than its step.
         self._search = Search(self._learns)
         self._targets = self._moved = None
+        self._calm_count, self._calm = 0, 0.0
 
     def solve(
         self, linear: Linearized, target_rows: np.ndarray, held: Actuation, bounds: Bounds,
@@ -376,6 +380,7 @@ class InverseWithFriction(InverseActuation):
             moved[places] = np.nan_to_num(target_rows - self._targets)[places]
         if moved.any():
             self._search.forget()
+            self._calm_count = 0
         before = np.zeros(len(moved)) if self._moved is None else np.abs(self._moved)
         self._motion = np.clip(moved, -before, before)
         self._targets, self._moved = target_rows.copy(), moved
@@ -402,6 +407,9 @@ class InverseWithFriction(InverseActuation):
         aim = Aim(linear, errors, weights, beyond)
         aim = aim.short_of_targets(held, self._left_out, self._motion, self._brakes)
         before, negligible = aim.missed(held), self._least**2 * weights.max(initial=0.0)
+        is_reached = before <= self._tolerance**2 * weights.max(initial=0.0)
+        if is_reached and self._calm_count >= CALM_STEPS and before <= 1.01 * self._calm + negligible:
+            return held
         task = Task(linear, aim, held, bounds, ~commanded, optimise, before, negligible)
         best = self._tried(task)
         if best is None or not self._rubs:
@@ -414,6 +422,10 @@ class InverseWithFriction(InverseActuation):
             self.trust.tighten()
             best = held
         self._direct.remember(best.efforts)
+        moves = np.abs(best.drives(self._limits) - held.drives(self._limits)) / self._scales
+        self._calm_count = self._calm_count + 1 if moves.max() <= CALM else 0
+        if self._calm_count <= 1:
+            self._calm = before
         return best
 
     def _tried(self, task: Task) -> Actuation | None:
