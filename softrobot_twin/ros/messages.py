@@ -114,6 +114,21 @@ def read_pose(message: PoseStamped) -> tuple[tuple[float, ...], tuple[float, ...
     return (p.x, p.y, p.z), (q.x, q.y, q.z, q.w)
 
 
+def path_message(times: np.ndarray, positions: np.ndarray, header: Header) -> Path:
+    """Positions [m], shape (n, 3), at times after the stamp of a header [s] as a message.
+
+    Args:
+        times: The times [s], shape (n,).
+        positions: The positions [m], shape (n, 3).
+        header: Header of the message.
+    """
+    begin, turn = _nanoseconds(header), np.array([0.0, 0.0, 0.0, 1.0])
+    return Path(header=header, poses=[
+        pose_message(position, turn, Header(
+            stamp=stamp_of(begin + round(time * NANOSECONDS)), frame_id=header.frame_id))
+        for time, position in zip(times, positions, strict=True)])  # fmt: skip
+
+
 def read_path(message: Path) -> tuple[list[float], list[tuple[float, ...]]]:
     """Times after the stamp of a message [s], and the positions there [m]; turns are not read.
 

@@ -336,6 +336,8 @@ TARGET = _fixed(
     Entry("target_period", 10.0, "Time for the whole circle or lemniscate.", "s", 0.001, 86400.0),
     Entry("target_plane", "xy", "Plane of circle and lemniscate.", choices=("xy", "xz", "yz")),
     Entry("target_ramp_time", 2.0, "Duration of the smooth transition onto a path.", "s", 0.0, 3600.0),
+    Entry("target_ahead", 0.0, "Time for which the path is told ahead, on `target_path/<effector>`, to a "
+          "twin whose scene has `control`; 0 sends its present point.", "s", 0.0, 10.0),
     Entry("target_rate", 50.0, "Targets per second.", "Hz", 0.1, 2000.0),
     Entry("target_actuator", "", "Actuator or motor that is commanded meanwhile, to and fro, such as "
           "that of a hand; empty for none."),

@@ -25,6 +25,7 @@ from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.messages import (
     READERS,
     cables_message,
+    path_message,
     point_message,
     pose_message,
     stamp_of,
@@ -104,6 +105,10 @@ class TargetNode(TickingNode):
         self._turn = _UNTURNED
         self._turns = has_orientations(self.path)
         topic = "<twin>/target_pose/<effector>" if self._turns else "<twin>/target/<effector>"
+        rate, self._ahead = values["target_rate"], np.empty(0)
+        if values["target_ahead"]:
+            self._ahead = np.arange(round(values["target_ahead"] * rate) + 1) / rate
+            topic = "<twin>/target_path/<effector>"
         self.targets = open_publisher(self, TOPICS[topic], effector, self._twin)
         self._actuator = str(values["target_actuator"])
         if self._actuator:
@@ -189,6 +194,10 @@ class TargetNode(TickingNode):
             setpoint = self._setpoints.value(since)
             self._commands.publish(cables_message([self._actuator], [setpoint], (), header))
         self._publish_stiffness(since, header)
+        if len(self._ahead):
+            places = [self._ramped.position(since + time) for time in self._ahead]
+            self.targets.publish(path_message(self._ahead, np.array(places), header))
+            return
         position = self._ramped.position(since)
         if not self._turns:
             self.targets.publish(point_message(position, header))

@@ -406,6 +406,7 @@ TARGET_TOPICS = _by_name(
     _of_twin("target/<effector>", OUT, NEWEST, "present point of the path"),
     _of_twin("target_pose/<effector>", OUT, NEWEST,
              "in place of it, along a path with orientations"),
+    _of_twin("target_path/<effector>", OUT, NEWEST, "in place of both, with `target_ahead`"),
     _of_twin("target_stiffness/<effector>", OUT, NEWEST,
              "wanted stiffness, NaN along the other axes; with `target_stiffness`"),
     _of_twin("command/cables", OUT, NEWEST,
