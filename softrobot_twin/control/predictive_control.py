@@ -35,6 +35,8 @@ LEAST_GAIN = 1.0e-3
 """Inputs that move the outputs by less than this share of the greatest gain move none."""
 DRIFT = 0.14
 """Drift of the disturbance in a tick, as a standard deviation, by the noise of the outputs."""
+MODE_DRIFT = 0.1
+"""What the model misses of each mode in a tick, by the noise of the outputs."""
 MOST_UNKNOWNS = 50
 """Unknowns of the program, so that it is solved in a part of a millisecond."""
 LONGEST_PREDICTION = 200
@@ -43,6 +45,8 @@ SCANNED, MOST_DELAY = np.geomspace(1.0, 4.0, 29)[1:], 30
 """Factors of the stiffness, and their inverses, and ticks of delay that a margin is looked for in."""
 LEAST_MARGIN = 0.1
 """A control is used where it bears a stiffness that is wrong by this share."""
+FARTHEST = 0.1
+"""Inputs are scaled by their ranges, or by a motion of this size [m]: their units differ."""
 KILO = 1.0e3
 """Lengths of the program are in millimetres, of which the solver's tolerances are for."""
 
@@ -154,8 +158,11 @@ class PredictiveControl:
         self._allowed, self._reach = allowed, allowed.rates * period
         self._gain = model.static_gain[outputs]
         middle = model.input_values
-        around = InputRange(allowed.low - middle, allowed.high - middle, allowed.rates)
-        self._program = Program(plant, self._gain, around, horizon, period, tuning.move_share)
+        self._scales = scales = _scales(self._gain, allowed)
+        around = InputRange((allowed.low - middle) / scales, (allowed.high - middle) / scales,
+                            allowed.rates / scales)  # fmt: skip
+        scaled = plant._replace(B=plant.B * scales)
+        self._program = Program(scaled, self._gain * scales, around, horizon, period, tuning.move_share)
         self._process_noise = self._noise_of_steps()
         self._settled = self._settled_covariance()
         self.reset()
@@ -243,10 +250,11 @@ class PredictiveControl:
         for inputs in self._sent:
             x = self._A @ x + self._B @ inputs
         here = self.model.output_values[self.outputs]
-        found, iterations = self._program.solve(x, targets - here)
+        last = (self.last_inputs - self.model.input_values) / self._scales
+        found, iterations = self._program.solve(x, last, targets - here)
         middle = self.model.input_values
         is_solved = found is not None
-        inputs = self.last_inputs if found is None else found + middle
+        inputs = self.last_inputs if found is None else self._scales * found + middle
         low, high = self._allowed.low, self._allowed.high
         low, high = np.maximum(low, self.last_inputs - self._reach), np.minimum(high, self.last_inputs + self._reach)
         inputs = np.maximum(np.minimum(inputs, high), low)
@@ -266,12 +274,13 @@ class PredictiveControl:
 
     def _noise_of_steps(self) -> np.ndarray:
         """Covariance of what the model misses in a tick, shape (state_count, state_count)."""
-        gains = np.linalg.norm(self._gain, axis=0)
-        gains = np.maximum(gains, LEAST_GAIN * gains.max(initial=0.0))
-        by_inputs = self._B * (self.tuning.model_error * self._noise / gains)
-        drift = np.zeros(self._size)
+        gains = _gains(self._gain * self._scales)
+        by_inputs = self._B * (self.tuning.model_error * self._noise * self._scales / gains)
+        drift = 1.0e-8 * (by_inputs**2).max(axis=1)  # Units of the states differ.
         drift[-len(self.outputs) :] = (DRIFT * self._noise) ** 2
-        drift[: -len(self.outputs)] = 1.0e-8 * (by_inputs**2).max(initial=0.0)
+        seen = np.linalg.norm(self.model.E[self.outputs], axis=0)
+        seen = np.maximum(seen, LEAST_GAIN * seen.max(initial=0.0))
+        drift[: len(seen)] += (MODE_DRIFT * self._noise / seen) ** 2
         return by_inputs @ by_inputs.T + np.diag(drift)
 
     def _settled_covariance(self) -> np.ndarray:
@@ -291,7 +300,10 @@ class PredictiveControl:
 
     def feedback(self) -> np.ndarray:
         """Inputs by the states while no limit holds, shape (input_count, state_count)."""
-        return self._program.feedback()
+        on_states, on_last = self._program.feedback()
+        first = self._size - len(self.outputs) - self._input_count
+        on_states[:, first : first + self._input_count] += on_last / self._scales
+        return self._scales[:, None] * on_states
 
 
 def plant_of(model: LinearModel, period: float, outputs: np.ndarray) -> StateSpace:
@@ -318,7 +330,7 @@ class Program:
         """Condense the horizon.
 
         Args:
-            plant: A step of the model.
+            plant: A step of the model, by scaled inputs.
             gain: Outputs at rest by the inputs, shape (controlled_count, input_count).
             allowed: Limits of the inputs, as deviations.
             horizon: Ticks.
@@ -342,16 +354,14 @@ class Program:
             for j in range(i + 1):
                 forced[i * p : (i + 1) * p, j * k : (j + 1) * k] = answers[i - j]
         forced, self._free = KILO * forced @ spread, KILO * np.vstack(free)
-        gains = KILO * np.linalg.norm(gain, axis=0)
-        by_move = move_share * np.maximum(gains, LEAST_GAIN * gains.max(initial=0.0))
+        by_move = move_share * _gains(KILO * gain)
         moves = np.kron(np.eye(horizon) - np.eye(horizon, k=-1), np.diag(by_move)) @ spread
         idle = IDLE_SHARE * np.kron(np.eye(len(self._knots)), _idle(KILO * gain))
         self._hessian = np.ascontiguousarray(forced.T @ forced + moves.T @ moves + idle.T @ idle)
-        before = np.zeros((size, horizon * k))  # The inputs before the first tick are among the states.
-        first = size - p - k
-        before[first : first + k, :k] = np.diag(by_move)
-        self._by_state = forced.T @ self._free - moves.T @ before.T
-        self._forced, self._before = forced, slice(first, first + k)
+        self._by_state = forced.T @ self._free
+        # The first move is from the inputs of the tick before.
+        self._by_last = -moves.T[:, :k] * by_move
+        self._forced = forced
         count = len(self._knots)
         self._low, self._high = np.tile(allowed.low, count), np.tile(allowed.high, count)
         spans = np.diff(self._knots, prepend=-1)
@@ -363,18 +373,22 @@ class Program:
         self._sense = np.zeros(len(self._low) + len(self._reach), dtype=c_int)
         self._k, self._is_first = k, np.arange(count * k) < k
 
-    def solve(self, x: np.ndarray, targets: np.ndarray) -> tuple[np.ndarray | None, int]:
+    def solve(
+        self, x: np.ndarray, last: np.ndarray, targets: np.ndarray
+    ) -> tuple[np.ndarray | None, int]:
         """The inputs of the first tick, as deviations; None where the program is not solved.
 
         Args:
             x: States, shape (state_count,).
+            last: Inputs of the tick before, shape (input_count,).
             targets: From where outputs are counted [m], shape (horizon, controlled_count).
 
         Returns:
             Shape (input_count,), and the iterations of the solver.
         """
-        gradient = self._by_state @ x - self._forced.T @ (KILO * targets.ravel())
-        held = np.where(self._is_first, np.tile(x[self._before], len(self._knots)), 0.0)[self._limited]
+        gradient = self._by_state @ x + self._by_last @ last
+        gradient -= self._forced.T @ (KILO * targets.ravel())
+        held = np.where(self._is_first, np.tile(last, len(self._knots)), 0.0)[self._limited]
         upper = np.concatenate([self._high, held + self._reach])
         lower = np.concatenate([self._low, held - self._reach])
         found, _, flag, info = daqp.solve(
@@ -382,9 +396,28 @@ class Program:
         is_solved = flag >= 1 and bool(np.isfinite(found).all())
         return (np.array(found[: self._k]) if is_solved else None), info["iterations"]
 
-    def feedback(self) -> np.ndarray:
-        """Inputs of the first tick by the states, without limits, shape (input_count, state_count)."""
-        return -np.linalg.solve(self._hessian, self._by_state)[: self._k]
+    def feedback(self) -> tuple[np.ndarray, np.ndarray]:
+        """Inputs of the first tick by the states, and by the last inputs, without limits.
+
+        Returns:
+            Shapes (input_count, state_count) and (input_count, input_count).
+        """
+        return tuple(-np.linalg.solve(self._hessian, one)[: self._k]
+                     for one in (self._by_state, self._by_last))  # fmt: skip
+
+
+def _gains(gain: np.ndarray) -> np.ndarray:
+    """Motion of the outputs at rest by each input over its range, at least a share of the greatest."""
+    gains = np.linalg.norm(gain, axis=0)
+    return np.maximum(gains, LEAST_GAIN * gains.max(initial=0.0))
+
+
+def _scales(gain: np.ndarray, allowed: InputRange) -> np.ndarray:
+    """Range of each input, or what moves the outputs by `FARTHEST` where it is wider, shape (k,)."""
+    gains = np.linalg.norm(gain, axis=0)
+    moves = np.divide(FARTHEST, gains, out=np.full_like(gains, np.inf), where=gains > 0.0)
+    scales = np.minimum(allowed.high - allowed.low, moves)
+    return np.where(np.isfinite(scales) & (scales > 0.0), scales, 1.0)
 
 
 def _idle(gain: np.ndarray) -> np.ndarray:

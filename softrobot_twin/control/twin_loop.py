@@ -859,7 +859,9 @@ class TwinLoop:
         """
         stamp = self.markers.stamp
         if not self.settings.closed_loop or seen is self.markers.hidden:
-            self.dynamic.measure(self.simulation.effector_positions(), 0.0)
+            # In a step of the twin efforts grow, which jump in the robot: half a step earlier.
+            late = 0.5 * self.settings.period if self.dynamic.by_effort else 0.0
+            self.dynamic.measure(self.simulation.effector_positions(), late)
         elif stamp != self._measured_stamp and self._history.is_any:
             model = self._history.at(stamp)
             found = model.effectors + self.measurement.misfit(accepted, model).positions

@@ -342,3 +342,76 @@ def test_a_shaped_step_of_the_target_leaves_a_few_percent_of_the_vibration(curve
     shaper = shaped[1].shaper
     assert shaper.parts.sum() == pytest.approx(1.0) and shaper.frequencies[0] == pytest.approx(6.7, abs=0.1)
     assert "spread over" in shaped[1].words()
+
+
+# --- other inputs ------------------------------------------------------------------------------------
+
+
+def led_along(twin, robot, path, ticks):
+    """Errors of a robot that takes setpoints, and the setpoints sent."""
+    loop = TwinLoop(twin, LoopSettings(rate=1.0 / PERIOD, closed_loop=False))
+    loop.continue_from(twin.state.setpoints, twin.state.efforts, {})
+    apart, sent, whys = [], [], []
+    for tick in range(ticks):
+        now = tick * PERIOD
+        header = Arrival("base_link", START + round(now * NANOSECONDS), START + round(now * NANOSECONDS), now)
+        ahead = np.arange(40) * PERIOD
+        loop.targets.accept_path(0, ahead, [path(now + one) for one in ahead], header)
+        outcome = loop.tick(now, header.ros_time)
+        assert not outcome.violated
+        for _ in range(2):
+            robot.step(CommandSetpoints(outcome.command.setpoints, PERIOD / 2))
+        sent.append(outcome.command.setpoints)
+        whys.append(loop.dynamic.why_quasi_static)
+        apart.append(robot.effector_positions()[0] - path(now + PERIOD))
+    return np.array(apart), np.array(sent), whys
+
+
+def test_lengths_lead_a_finger_whose_cables_stay_taut():
+    statics = built(moves=False)
+    stand(statics, np.array([5.0, 4.0]))
+    around = statics.actuators.drives(statics.state.setpoints)
+    control = {"law": "dynamic", "around": around.tolist()}
+    robot, twin = built(), built(control=control)
+    for one in (robot, twin):
+        for _ in range(200):
+            one.step(CommandSetpoints(one.actuators.setpoints(around), 0.5))
+        for _ in range(10):
+            one.step(CommandSetpoints(one.actuators.setpoints(around), PERIOD))
+    begin = robot.effector_positions()[0]
+    assert np.linalg.norm(begin - twin.effector_positions()[0]) < 1e-4
+
+    def path(time):
+        return begin + [0, 0, 2e-3 * min(1.0, 7.0 * time) * np.sin(2 * np.pi * 7.0 * time)]
+
+    apart, _, whys = led_along(twin, robot, path, 100)
+    assert set(whys) == {""}
+    # 7 Hz are 60 % of its first mode at held lengths.
+    assert rms(np.abs(apart[:, 2])) < 0.15 * 2e-3
+
+
+def test_pressures_a_volume_and_a_cable_lead_a_block_within_their_rates(air_scene):
+    mapping = copy.deepcopy(air_scene)
+    mapping |= {"integration": "dynamic", "time_scheme": "generalized_alpha"}
+    mapping["body"]["damping"] = {"stiffness": 2e-3}
+    around = [0.003, 5e3, 2e3, 2e-7]
+    robot = Simulation(scene_from_mapping(mapping), with_warnings=False)
+    twin = Simulation(scene_from_mapping(mapping | {"control": {"around": around}}), with_warnings=False)
+    for one in (robot, twin):
+        one.warm_up()
+        for _ in range(200):
+            one.step(CommandSetpoints(one.actuators.setpoints(np.array(around)), 0.5))
+        for _ in range(10):
+            one.step(CommandSetpoints(one.actuators.setpoints(np.array(around)), PERIOD))
+    begin = robot.effector_positions()[0]
+
+    def path(time):
+        return begin + [0, 0, 1e-4 * min(1.0, 3.0 * time) * np.sin(2 * np.pi * 3.0 * time)]
+
+    apart, sent, whys = led_along(twin, robot, path, 150)
+    assert set(whys) == {""}
+    assert rms(np.abs(apart[:, 2])) < 0.2 * 1e-4
+    steps = np.abs(np.diff(sent, axis=0)).max(axis=0)
+    assert (steps <= twin.limits.rate * PERIOD * (1 + 1e-3) + 1e-9).all()
+    # Pressures take part.
+    assert steps[1] > 1.0
