@@ -1,8 +1,7 @@
 """A policy learns on 32 robots in two processes.
 
-Natural policy gradient: what exploration gained, as a linear function of what was seen, moves a
-linear policy. The Diamonds are reduced models whose cables leave the base up to 1 mm aside. One
-sees the distance to targets fall; writes ``many_robots.png`` and ``policy.csv``. One minute:
+Natural policy gradient: what exploration gained moves a linear policy. The Diamonds are reduced
+models, their cables up to 1 mm aside. Writes ``many_robots.png`` and ``policy.csv``. One minute:
 
     python examples/many_robots.py [ROUNDS]
 """
@@ -46,6 +45,7 @@ if __name__ == "__main__":  # the two processes import this file
     robots = st.vector_env(SCENE, COUNT, 2, most_steps=STEPS + 1, reached_within=0.0, travel=0.35,
                            states=64, randomize=aside, redraw_every=20)
     print(robots)
+    robots.reset(seed=0)
     policy, far, random = np.zeros((11, 4)), [], np.random.default_rng(0)
     for _ in range(int(sys.argv[1]) if len(sys.argv) > 1 else 40):
         policy, missed = improved(policy, robots, random)

@@ -54,6 +54,6 @@ if __name__ == "__main__":
              "device": missed(load_scene(DEVICE), policy, targets, delay=0.02, marker_noise=1e-4)}
     for name, far in found.items():
         print(f"{name}: {far.mean():.2f} mm from 20 targets, {far.max():.2f} at most")
-    plt.bar(list(found), [far.mean() for far in found.values()])
+    plt.figure().subplots().bar(list(found), [far.mean() for far in found.values()])
     plt.ylabel("distance to targets in the end [mm]")
     plt.savefig("policy_on_device.png", dpi=100)
