@@ -61,8 +61,9 @@ LONGEST = 2.0
 # would fall below the second one. After so many in vain, none is tried.
 NEARER, WORTH, MOST_IN_VAIN = 0.1, 0.5, 3
 # Where targets are reached, actuators that moved by no more than a share of their scales in so many
-# steps stay, until effectors leave from there.
-CALM, CALM_STEPS = 1.0e-6, 10
+# steps stay, until effectors leave by a share of the tolerance: where contacts creep by what their
+# solution leaves, a new optimum in each step would never rest.
+CALM, CALM_STEPS, LEFT = 1.0e-6, 10, 0.05
 # Weight of forces beyond their limit, against that of effectors.
 FORCES_FIRST = 1.0e2
 # A share of the tolerance of targets that does not matter.
@@ -407,8 +408,8 @@ class InverseWithFriction(InverseActuation):
         aim = Aim(linear, errors, weights, beyond)
         aim = aim.short_of_targets(held, self._left_out, self._motion, self._brakes)
         before, negligible = aim.missed(held), self._least**2 * weights.max(initial=0.0)
-        is_reached = before <= self._tolerance**2 * weights.max(initial=0.0)
-        if is_reached and self._calm_count >= CALM_STEPS and before <= 1.01 * self._calm + negligible:
+        reached = self._tolerance**2 * weights.max(initial=0.0)
+        if self._calm_count >= CALM_STEPS and before <= min(self._calm + LEFT**2 * reached, reached):
             return held
         task = Task(linear, aim, held, bounds, ~commanded, optimise, before, negligible)
         best = self._tried(task)
