@@ -16,7 +16,6 @@ from softrobot_twin.control.input_shaping import Shaper
 from softrobot_twin.control.predictive_control import (
     InputRange,
     StabilityMargin,
-    stability_margin,
     with_margin,
 )
 from softrobot_twin.control.target_correction import approach
@@ -155,14 +154,6 @@ class DynamicControl:
         if self.shaper is not None:
             return f"{law}; targets are spread over {self.shaper.duration:.3g} s"
         return law if self.margin is None else f"{law}; {self.margin.in_words()}"
-
-    def margin_at(self, age: float) -> StabilityMargin:
-        """The margin of stability where measurements are old [s].
-
-        Args:
-            age: Their age [s].
-        """
-        return stability_margin(self._control, round(age / self._period))
 
     # --- a tick ----------------------------------------------------------------------------------
 

@@ -167,11 +167,6 @@ class PredictiveControl:
         self._settled = self._settled_covariance()
         self.reset()
 
-    @property
-    def state_count(self) -> int:
-        """States of the model, the last inputs and the disturbances."""
-        return self._size
-
     def reset(self, inputs: np.ndarray | None = None, at: np.ndarray | None = None) -> None:
         """Begins anew, at rest.
 
