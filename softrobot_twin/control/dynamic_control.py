@@ -85,7 +85,8 @@ class DynamicControl:
         controlled = [axis in effector.directions for effector in simulation.scene.effectors
                       for axis in "xyz"]  # fmt: skip
         self._outputs = np.flatnonzero(controlled)
-        self.fallbacks, self.margin, self.shaper = 0, None, None
+        self.fallbacks, self.shaper = 0, None
+        self.margin: StabilityMargin | None = None
         self._build(period)
 
     def _build(self, period: float) -> None:
