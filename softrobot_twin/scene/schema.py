@@ -59,6 +59,9 @@ class Touching(Entry):
     """Names of the two; of a body with itself the same name twice."""
     friction: Annotated[float | None, unit("", ge=0.0)] = None
     """Coefficient µ of Coulomb's law; by default that of the contact section."""
+    least_force: Annotated[float | None, unit("N", gt=0.0)] = None
+    """What the normal forces of the pair shall at least sum up to, where effectors follow targets and
+    the pair has friction: missed only where limits of the hardware do not allow it."""
     least_grip_margin: Annotated[float | None, unit("", gt=0.0, lt=1.0)] = None
     """Share of the pair's friction that shall be left, 1 - Σ |λ_t| / Σ µ λ_n: it is told of every step,
     and a step with less names `<first>.<second>.grip_margin`."""
@@ -116,6 +119,9 @@ class Contact(Entry):
             if entry.least_grip_margin is not None and not friction:
                 raise refusal(f"between[{index}].least_grip_margin", entry.least_grip_margin,
                               "the pair has no friction that could be left")
+            if entry.least_force is not None and not friction:
+                raise refusal(f"between[{index}].least_force", entry.least_force,
+                              "is not built for a pair without friction")
 
 
 class Marker(Entry):

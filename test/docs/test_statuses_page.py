@@ -47,7 +47,8 @@ def test_the_page_names_limits_that_are_not_those_of_one_object(name):
 
 
 @pytest.mark.parametrize("ending", [RATE.lstrip("."), SAMPLED, STRAINED, BURST, ENRICH, FULL_MODEL,
-                                    "force_limit", "force_limit_exceeded", GRIP])  # fmt: skip
+                                    "force_limit", "force_limit_exceeded",
+                                    "least_force", "least_force_missed", GRIP])  # fmt: skip
 def test_the_page_names_limits_of_bodies_and_pairs(ending):
     assert ending in LAST_PARTS
 

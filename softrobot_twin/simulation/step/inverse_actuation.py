@@ -1156,15 +1156,17 @@ def inverse_system(
 def with_effector_rows(
     system: InverseSystem, extra: np.ndarray, commanded: np.ndarray
 ) -> InverseSystem:
-    """Add rows below those of the effectors, which no contacts change.
+    """Add rows below those of the effectors.
 
     Args:
         system: See `inverse_system`; its effectors contain the errors of these rows already.
-        extra: Change of the rows by the multipliers of the actuators, shape (n, actuator_count).
+        extra: Change of the rows by the multipliers of the actuators, and perhaps by those of the
+            contacts, shape (n, actuator_count or more).
         commanded: Which actuators are commanded, shape (actuator_count,).
     """
-    more = np.zeros((len(extra), system.W_e.shape[1]))
-    more[:, : len(commanded)] = np.concatenate([extra[:, ~commanded], extra[:, commanded]], axis=1)
+    more, count = np.zeros((len(extra), system.W_e.shape[1])), len(commanded)
+    own, more[:, count : extra.shape[1]] = extra[:, :count], extra[:, count:]
+    more[:, :count] = np.concatenate([own[:, ~commanded], own[:, commanded]], axis=1)
     return system._replace(W_e=np.concatenate([system.W_e, more]))
 
 

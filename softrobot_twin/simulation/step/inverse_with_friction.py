@@ -18,6 +18,8 @@ actuators are moved to either side, one in each step, and the optimum is sought 
 there. Where an effector comes to depends on the way, too: steps look whether it is nearer to go
 somewhere else first, and back from where contacts slipped to.
 
+Least forces of pairs are rows of the problem where an optimum would fall below them.
+
 Each step goes a part of the way to targets that stay. Effectors that went too far come back another
 way, since friction turns.
 """
@@ -26,7 +28,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from enum import Enum
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -66,6 +68,8 @@ NEARER, WORTH, MOST_IN_VAIN = 0.1, 0.5, 3
 CALM, CALM_STEPS, LEFT = 1.0e-6, 10, 0.05
 # Weight of forces beyond their limit, against that of effectors.
 FORCES_FIRST = 1.0e2
+# What a pair lacks of its least force counts so many times that distance; a share of it that is none.
+LEAST_FIRST, LACKS = 10.0, 1.0e-2
 # A share of the tolerance of targets that does not matter.
 NO_MATTER = 1.0e-3
 
@@ -227,6 +231,69 @@ class Aim(NamedTuple):
         return self._replace(errors=errors)
 
 
+class LeastForces(NamedTuple):
+    """Normal forces that pairs shall at least press with, each as a whole.
+
+    Attributes:
+        names: Names of the limits, see `StepReport`.
+        grip_of: Which of them each pair of the contact term has, -1 for none, shape (pair_count,).
+        least: The forces [N], shape (count,).
+    """
+
+    names: tuple[str, ...]
+    grip_of: np.ndarray
+    least: np.ndarray
+
+    @classmethod
+    def of(cls, model: Model) -> Self | None:
+        """Those of a scene; None without any.
+
+        Args:
+            model: A scene with friction.
+        """
+        least = {one.pair: one.least_force for one in model.scene.contact.between if one.least_force}
+        names = list(least)
+        place = [names.index(pair) if pair in least else -1 for pair in model.contacts.pair_names]
+        limits = tuple(f"{'.'.join(pair)}.least_force" for pair in names)
+        return cls(limits, np.array(place), np.array([*least.values()])) if least else None
+
+    def members(self, contacts: Contacts) -> np.ndarray:
+        """Which contacts each sums, shape (count, contact_count).
+
+        Args:
+            contacts: The contact term.
+        """
+        return self.grip_of[contacts.pair[: contacts.count]] == np.arange(len(self.least))[:, None]
+
+    def rows(self, linear: Linearized, contacts: Contacts) -> tuple[np.ndarray, np.ndarray]:
+        """Forces as distances: by how much they would press in the mean contact of a pair.
+
+        Args:
+            linear: The condensed system.
+            contacts: The contact term.
+
+        Returns:
+            Distances by normal forces [m/N], shape (count, contact_count), and those of the least
+            forces [m], shape (count,).
+        """
+        members = self.members(contacts)
+        normals = linear.groups.contacts.start + contacts.row_starts[:-1]
+        sums = members @ linear.W[normals, normals]
+        yields = LEAST_FIRST * sums / np.maximum(members.sum(axis=1), 1)
+        return yields[:, None] * members, yields * self.least
+
+    def met(self, forces: np.ndarray, contacts: Contacts) -> tuple[str, ...]:
+        """Names of pairs that press no harder than they have to, and of those that cannot.
+
+        Args:
+            forces: Normal forces [N], shape (contact_count,).
+            contacts: The contact term.
+        """
+        shares = self.members(contacts) @ forces / self.least if len(forces) else 0.0 * self.least
+        return tuple(name if share >= 1.0 - LACKS else f"{name}_missed"
+                     for name, share in zip(self.names, shares) if share <= 1.0 + LACKS)  # fmt: skip
+
+
 class Task(NamedTuple):
     """What a step is to find.
 
@@ -347,6 +414,8 @@ class InverseWithFriction(InverseActuation):
         self._least = NO_MATTER * self._tolerance
         most = float(model.contacts.friction_of_pair.max())
         self._brakes = model.is_dynamic
+        self._grips = LeastForces.of(model)
+        self._judges_forces = self.force_limit < np.inf or self._grips is not None
         self._left_out = (1.0 - SHARE) * min(1.0, most / MUCH_FRICTION)
         self._rubs = most > LITTLE_FRICTION
         # Compiled now, not when the first contact presses.
@@ -400,11 +469,32 @@ class InverseWithFriction(InverseActuation):
         self._last_solution = self._direct.last_solution(linear)
 
         def optimise(tied: Linearized, errors: np.ndarray, at: Actuation, bounds: Bounds):
-            return super(InverseWithFriction, self)._over_branches(
-                tied, errors, weights, at, bounds, commanded, extra, chosen
-            )
+            def asked(*more: np.ndarray):
+                return super(InverseWithFriction, self)._over_branches(
+                    tied, *more, at, bounds, commanded, rows, chosen
+                )
 
-        beyond = None if self.force_limit == np.inf else self._beyond
+            rows = extra
+            found = asked(errors, weights)
+            if self._grips is None:
+                return found
+            wanted = np.zeros(len(self._grips.least), bool)
+            grip, least = self._grips.rows(linear, self._contacts)
+            while found is not None:
+                low = ~wanted & (grip @ found.contact.multipliers < least)
+                if not low.any():
+                    break
+                wanted |= low
+                rows = np.zeros((wanted.sum(), len(commanded) + grip.shape[1]))
+                rows[:, len(commanded) :] = grip[wanted]
+                if extra is not None:
+                    rows = np.concatenate([np.pad(extra, ((0, 0), (0, grip.shape[1]))), rows])
+                weight = FORCES_FIRST * weights.max(initial=0.0)
+                found = asked(np.append(errors, -least[wanted]),
+                              np.append(weights, np.full(wanted.sum(), weight)))
+            return found
+
+        beyond = self._beyond if self._judges_forces else None
         aim = Aim(linear, errors, weights, beyond)
         aim = aim.short_of_targets(held, self._left_out, self._motion, self._brakes)
         before, negligible = aim.missed(held), self._least**2 * weights.max(initial=0.0)
@@ -547,7 +637,7 @@ class InverseWithFriction(InverseActuation):
     ) -> np.ndarray:
         """The same, then how far forces beyond their limit press contacts in [m]."""
         places = super()._places(linear, found, stiffness)
-        if self.force_limit == np.inf:
+        if not self._judges_forces:
             return places
         return np.append(places, np.linalg.norm(self._beyond(linear, found)))
 
@@ -555,7 +645,7 @@ class InverseWithFriction(InverseActuation):
         self, situation: Situation, linear: Linearized, held: Actuation
     ) -> Situation:
         """A situation in which forces beyond their limit are judged too."""
-        if self.force_limit == np.inf:
+        if not self._judges_forces:
             return situation
         weight = FORCES_FIRST * situation.weights.max(initial=0.0)
         return situation._replace(
@@ -565,20 +655,25 @@ class InverseWithFriction(InverseActuation):
         )
 
     def _beyond(self, linear: Linearized, found: Actuation) -> np.ndarray:
-        """How far forces beyond their limit press contacts in [m], shape (contact_count,)."""
+        """How far forces beyond their limit press contacts in, then what pairs lack [m], shape (n,)."""
         forces, normals = found.contact.multipliers, self._contacts.row_starts[:-1]
         if not len(forces):
             return np.zeros(0)
         if len(forces) != len(normals):
             forces = forces[normals]
         rows = linear.groups.contacts.start + normals
-        return np.maximum(forces - self.force_limit, 0.0) * linear.W[rows, rows]
+        beyond = np.maximum(forces - self.force_limit, 0.0) * linear.W[rows, rows]
+        if self._grips is None:
+            return beyond
+        grip, least = self._grips.rows(linear, self._contacts)
+        return np.append(beyond, np.maximum(least - grip @ forces, 0.0))
 
     def _limits_met(self, forces: np.ndarray) -> tuple[str, ...]:
         """The same of the forces of all rows, or of normal forces alone."""
         if len(forces) == self._contacts.row_count:
             forces = forces[self._contacts.row_starts[:-1]]
-        return super()._limits_met(forces)
+        limits = super()._limits_met(forces)
+        return limits if self._grips is None else limits + self._grips.met(forces, self._contacts)
 
     def is_held_by_energy(
         self, linear: Linearized, target_rows: np.ndarray, held: Actuation, bounds: Bounds,
