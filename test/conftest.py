@@ -79,7 +79,7 @@ LIBRARIES = {
         "twin_services::test_a_view_can_be_recorded", "visualization",
     ),
     "scene": ("body_entries", "entry", "law_constants", "loading", "mesh_entries", "patterns"),
-    "scripting": ("building", "gym_environment", "named_commands", "robot", "run_table"),
+    "scripting": ("building", "gym_environment", "named_commands", "robot", "run_table", "vector_environment"),
     "simulation": (
         "apparent_compliance::test_a_body_reduced_to_vertebrae",
         "apparent_compliance::test_a_contact_that_presses_holds_its_gap",
