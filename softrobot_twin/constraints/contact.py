@@ -403,6 +403,7 @@ class Contacts(VaryingTerm):
         coefficients: Their coefficients c, same shape.
         directions: Normal and two tangents of each, shape (capacity, 3, 3).
         memory: Forces of the last solution.
+        time_step: Duration of the step that was begun last [s].
         curvature: Stiffness by the curvature of round shapes that facets press on, or None.
     """
 
@@ -548,6 +549,7 @@ class Contacts(VaryingTerm):
             self._start = np.empty_like(positions)
         self._start[:] = positions
         self.memory.begin_step()
+        self.time_step = time_step
         self._allowed = self._push_out_speed * time_step if time_step > 0.0 else np.inf
         self._largest[0] = 0.0
         if len(velocities):

@@ -15,6 +15,7 @@ from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulatio
 SCENE_FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "grasper.yaml"
 STEP, GRIP, LIFT = 0.02, 0.018, 0.020
 AWAY, HELD = 2.0e-3, 0.2e-3
+WAY, SPEED, LOST = np.array([0.030, 0.0, 0.060]), 0.05, 0.010
 
 
 @pytest.fixture(scope="module")
@@ -32,25 +33,32 @@ def held_cube():
     return simulation, simulation.state
 
 
-def follow(simulation, state, targets):
+def follow(simulation, state, targets, step):
     """Steps towards targets, one each: the results, and how far the cube is from them [m]."""
     simulation.restore(state)
-    results = [simulation.step(FollowTargets(target[None], STEP)) for target in targets]
+    results = [simulation.step(FollowTargets(target[None], step)) for target in targets]
     places = np.array([result.effector_positions[0] for result in results])
     return results, np.linalg.norm(places - targets, axis=1)
 
 
+@pytest.mark.parametrize("step", [0.02, 0.01])
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_a_cube_goes_two_millimetres_in_the_fingers_and_stays_for_ten_seconds(held_cube, axis, side):
+def test_a_cube_goes_two_millimetres_in_the_fingers_and_stays_for_ten_seconds(
+    held_cube, axis, side, step
+):
     simulation, state = held_cube
     simulation.restore(state)
     goal = simulation.effector_positions()[0] + side * AWAY * np.eye(3)[axis]
-    results, left = follow(simulation, state, np.tile(goal, (50 + 500, 1)))
-    assert left[50:].max() < HELD
+    results, left = follow(simulation, state, np.tile(goal, (round(11.0 / step), 1)), step)
+    assert left[round(1.0 / step) :].max() < HELD
     assert left[-1] < 1e-5
-    assert results[-1].status is Status.OK and results[-1].report.active_limits == ()
-    assert all(not result.status.is_failure for result in results)
+    assert results[-1].status.is_success
+    # At short steps a rate may bind while a cable moves by micrometres.
+    assert step < STEP or results[-1].report.active_limits == ()
+    # Told on the way: a rate, or that the target is further than one step leads.
+    told = {result.status for result in results}
+    assert told <= {Status.OK, Status.LINEARIZED, Status.RATE_LIMITED}
 
 
 @pytest.mark.slow
@@ -71,3 +79,32 @@ def test_the_palm_carries_the_cube_along_a_path_while_targets_lead_it_in_the_fin
         left.append(np.linalg.norm(results[-1].effector_positions[0] - target))
     assert max(left[-100:]) < HELD and max(left) < 3e-3
     assert results[-1].status is Status.OK
+
+
+def carried(mass):
+    """How far the cube lags behind a carry of 60 mm up and 30 mm aside at 50 mm/s, in its end [m]."""
+    entries = yaml.safe_load(SCENE_FILE.read_text())
+    entries["rigid_bodies"][1]["mass"] = mass
+    simulation, step = Simulation(scene_from_mapping(entries, SCENE_FILE)), 0.01
+    closed = CommandSetpoints(simulation.rest_setpoints - GRIP, step)
+    for _ in range(150):
+        simulation.step(closed)
+    start = simulation.effector_positions()[0]
+    simulation.model.guides.aim("palm", WAY)
+    for _ in range(round(np.linalg.norm(WAY) / (SPEED * step)) + 100):
+        result = simulation.step(closed)
+        assert not result.status.is_failure
+    return np.linalg.norm(simulation.effector_positions()[0] - start - WAY)
+
+
+@pytest.mark.slow
+def test_random_masses_up_to_four_fifths_of_what_the_grip_bears_are_carried(drawn_rng):
+    """The grip bears the greatest mass, on a grid of 10 %, that arrives with the palm."""
+    most = 0.030
+    while carried(1.1 * most) < LOST:
+        most *= 1.1
+    assert 0.040 < most < 0.1
+    for mass in drawn_rng.uniform(0.2, 0.8, 5) * most:
+        lag = carried(mass)
+        print(f"{1e3 * mass:.1f} g of {1e3 * most:.1f} g: {1e3 * lag:.2f} mm")
+        assert lag < 1e-3

@@ -426,7 +426,10 @@ class InverseActuation:
 
     Attributes:
         trust: How far the linearizations are trusted, learnt from what they promised.
+        least_progress: A step that shortens the way by this share is on its way.
     """
+
+    least_progress = np.inf
 
     def __init__(self, model: Model, direct: DirectActuation, qp_solvers: tuple | None = None):
         """Lay out the problem.

@@ -54,6 +54,9 @@ KEPT_PROMISE = 0.8
 # number or more; with less friction it goes further. With less than the third, friction makes no kinks
 # that would be worth a look.
 SHARE, MUCH_FRICTION, LITTLE_FRICTION = 0.6, 0.2, 1.0e-3
+# In scenes that move in time what is left of the way falls by e in so long [s], however short steps are:
+# actuators at their rates could not brake what went faster.
+SETTLES = 0.1
 # Where squares of misses fall by less than this share, actuators are tried one by one, by moves that
 # would go so many times the way; as detours, by longer ones.
 PROGRESS, LENGTHS, FAR = 0.1, (0.25, 1.0, 4.0), (4.0, 16.0, 64.0)
@@ -416,7 +419,8 @@ class InverseWithFriction(InverseActuation):
         self._brakes = model.is_dynamic
         self._grips = LeastForces.of(model)
         self._judges_forces = self.force_limit < np.inf or self._grips is not None
-        self._left_out = (1.0 - SHARE) * min(1.0, most / MUCH_FRICTION)
+        self._friction = min(1.0, most / MUCH_FRICTION)
+        self._left_out = (1.0 - SHARE) * self._friction
         self._rubs = most > LITTLE_FRICTION
         # Compiled now, not when the first contact presses.
         none, no, matrix = np.zeros(0), np.zeros(0, bool), np.zeros((0, 0))
@@ -496,7 +500,11 @@ class InverseWithFriction(InverseActuation):
 
         beyond = self._beyond if self._judges_forces else None
         aim = Aim(linear, errors, weights, beyond)
-        aim = aim.short_of_targets(held, self._left_out, self._motion, self._brakes)
+        left_out = self._left_out
+        if self._brakes:
+            left_out = max(left_out, self._friction * np.exp(-self._contacts.time_step / SETTLES))
+            self.least_progress = 0.5 * (1.0 - left_out)
+        aim = aim.short_of_targets(held, left_out, self._motion, self._brakes)
         before, negligible = aim.missed(held), self._least**2 * weights.max(initial=0.0)
         reached = self._tolerance**2 * weights.max(initial=0.0)
         if self._calm_count >= CALM_STEPS and before <= min(self._calm + LEFT**2 * reached, reached):

@@ -451,7 +451,9 @@ class StepResults:
             after: After it [m], same shape.
         """
         tolerance = self._model.scene.solver.reach_tolerance
-        if np.fmax.reduce(before, initial=0.0) - np.fmax.reduce(after, initial=0.0) > tolerance:
+        most = np.fmax.reduce(before, initial=0.0)
+        nearer = most - np.fmax.reduce(after, initial=0.0)
+        if nearer > tolerance or nearer > self._inverse.least_progress * most:
             return (REACH,)
         is_held = self._inverse.is_held_by_energy(
             outcome.linear, asked.wanted, outcome.held, asked.bounds, tolerance
