@@ -28,10 +28,10 @@ def run(tmp_path, monkeypatch):
     pyplot.close("all")
 
 
-def test_there_are_thirteen_scripts_and_a_notebook():
+def test_there_are_fourteen_scripts_and_a_notebook():
     assert [path.stem for path in SCRIPTS] == [
         "calibration", "closed_loop", "design", "external_force", "fast_trunk", "finger", "gradients_jax",
-        "gradients_torch", "learning",
+        "gradients_torch", "in_hand", "learning",
         "many_robots", "pneumatic_gripper", "policy_on_device", "trunk_in_contact"]
     assert [path.name for path in EXAMPLES.glob("*.ipynb")] == ["finger.ipynb"]
 
@@ -81,6 +81,13 @@ def test_the_gripper_lifts_the_ball_with_its_palm(run, tmp_path):
     assert heights[-1] == pytest.approx(40.0, abs=2.0)
     assert {path.name for path in tmp_path.glob("*.png")} == {
         "pneumatic_gripper.png", "pneumatic_gripper_end.png"}
+
+
+def test_fingers_lead_a_cube_along_a_circle(run, tmp_path):
+    seen = run("in_hand")
+    assert seen["errors"].max() < 0.2 and seen["errors"][-1] < 0.01  # mm
+    assert np.nanmin(seen["margins"]) > 0.0
+    assert {path.name for path in tmp_path.glob("*.png")} == {"in_hand.png", "in_hand_end.png"}
 
 
 def test_calibration_finds_the_modulus_of_the_real_finger(run, tmp_path):
