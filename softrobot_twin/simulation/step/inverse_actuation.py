@@ -429,7 +429,7 @@ class InverseActuation:
         least_progress: A step that shortens the way by this share is on its way.
     """
 
-    least_progress = np.inf
+    least_progress = 1.0
 
     def __init__(self, model: Model, direct: DirectActuation, qp_solvers: tuple | None = None):
         """Lay out the problem.
