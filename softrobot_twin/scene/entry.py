@@ -319,7 +319,7 @@ def expanded(model: type[BaseModel], entry: Any) -> Any:
     """
     if isinstance(entry, str | Path) and "file" in model.model_fields:
         return {"file": entry}
-    if isinstance(entry, str) and getattr(model, "by_word", ""):
+    if isinstance(entry, str) and issubclass(model, Entry) and model.by_word:
         return {model.by_word: entry}
     if not isinstance(entry, Mapping):
         return entry

@@ -424,7 +424,7 @@ class Scene(Entry):
         check_references(self)
         check_mounting(self)
         if self.control is not None:
-            check_control(self)
+            check_control(self, self.control)
 
     def _check_time_scheme(self) -> None:
         """Refuse a scheme, or its parameter, where it would have no effect."""
@@ -533,31 +533,32 @@ class Scene(Entry):
         return Path() if self.path is None else self.path.resolve().parent
 
 
-def check_control(scene: Scene) -> None:
+def check_control(scene: Scene, control: Control) -> None:
     """Refuses `control` in a scene whose motion no control is built for.
 
     Args:
         scene: The scene.
+        control: Its control.
 
     Raises:
         PydanticCustomError: It names the entry for which none is built.
     """
     if scene.integration != "dynamic":
-        raise refusal("control", scene.control.law,
+        raise refusal("control", control.law,
                       f"needs integration dynamic, not {scene.integration}: only motion in time has modes")
     for section in ("contact", "slides", "touches", "observer", "mass_springs", "hinge_motors", "motors"):
         if getattr(scene, section):
-            raise refusal("control", scene.control.law, f"is not built for a scene with {section}")
+            raise refusal("control", control.law, f"is not built for a scene with {section}")
     for key, body in scene.keyed("rigid_bodies"):
         if body.motion != "fixed":
-            raise refusal("control", scene.control.law, f"is not built for rigid bodies that move, as {key} does")
+            raise refusal("control", control.law, f"is not built for rigid bodies that move, as {key} does")
     for key, effector in scene.keyed("effectors"):
         if effector.orientation is not None or effector.stiffness is not None:
-            raise refusal("control", scene.control.law,
+            raise refusal("control", control.law,
                           f"is built for positions alone, and {key} asks for more")
     if not scene.effectors:
-        raise refusal("control", scene.control.law, "needs an effector, which follows targets")
-    if scene.control.inputs == "efforts":
+        raise refusal("control", control.law, "needs an effector, which follows targets")
+    if control.inputs == "efforts":
         for key, cable in scene.keyed("cables"):
             if cable.rate is not None:
                 raise refusal("control.inputs", "efforts",
