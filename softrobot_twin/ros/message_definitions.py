@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Point, TransformStamped
+from geometry_msgs.msg import Point, PoseStamped, TransformStamped
 from sensor_msgs.msg import PointField
 from std_msgs.msg import ColorRGBA, MultiArrayDimension
 from visualization_msgs.msg import Marker, UVCoordinate
@@ -33,7 +33,7 @@ _ITEMS = {
     topics.type_name(kind): kind
     for kind in (
         ColorRGBA, DiagnosticStatus, KeyValue, Marker, MultiArrayDimension, Point, PointField,
-        TransformStamped, UVCoordinate,
+        PoseStamped, TransformStamped, UVCoordinate,
     )
 }  # fmt: skip
 

@@ -37,7 +37,7 @@ from softrobot_twin.simulation.step.actuation import INVERSION, Actuation
 from softrobot_twin.simulation.step.augmented_tangent import HeldActuators
 from softrobot_twin.simulation.step.direct_actuation import DirectActuation
 from softrobot_twin.simulation.step.interpretation import Asked, Interpretation
-from softrobot_twin.simulation.step.inverse_with_friction import build_inverse
+from softrobot_twin.simulation.step.inverse_choice import build_inverse
 from softrobot_twin.simulation.step.linearized import Linearized
 from softrobot_twin.simulation.step.newton import Newton
 from softrobot_twin.simulation.step.step_part import StepPart, parts_by_method, those_with

@@ -38,11 +38,10 @@ from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.step.actuation import NO_EFFORT, Actuation, ContactLoads
 from softrobot_twin.simulation.step.apparent_stiffness import StiffnessRows
 from softrobot_twin.simulation.step.direct_actuation import DirectActuation
-from softrobot_twin.simulation.step.interpretation import why_not_followed
 from softrobot_twin.simulation.step.inverse_actuation import InverseActuation, keep_within
 from softrobot_twin.simulation.step.linearized import Linearized
 from softrobot_twin.simulation.step.target_trust import Situation
-from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT, Bounds
+from softrobot_twin.solvers.inverse_problem import Bounds
 
 # Share of its own compliance that a sticking row yields by, where several rows hold the same.
 YIELDS = 1.0e-9
@@ -700,26 +699,3 @@ class InverseWithFriction(InverseActuation):
             linear = tied_by_contacts(linear, self._contacts, held, self._least)
             held = self._on_normals(held)
         return super().is_held_by_energy(linear, target_rows, held, bounds, tolerance)
-
-
-def build_inverse(
-    model: Model, direct: DirectActuation, qp_solvers: tuple | None = None
-) -> InverseActuation | None:
-    """The inverse of a scene; None for a scene that cannot follow targets.
-
-    Args:
-        model: The built scene; its notes tell of a weight that is too small to be used.
-        direct: Finds λ of what is commanded or held.
-        qp_solvers: See `InverseActuation`.
-    """
-    if why_not_followed(model):
-        return None
-    weight = model.scene.solver.energy_weight
-    if weight < LEAST_ENERGY_WEIGHT:
-        model.notes.append(
-            f"solver.energy_weight: {weight:g} is less than the arithmetic bears: "
-            f"{LEAST_ENERGY_WEIGHT:.2g} is used"
-        )
-    rubs = model.contacts is not None and model.contacts.rubs
-    kind = InverseWithFriction if rubs else InverseActuation
-    return kind(model, direct, qp_solvers)
