@@ -1,0 +1,33 @@
+"""Choice of the inverse of a scene, by what its contacts do."""
+
+from __future__ import annotations
+
+from softrobot_twin.simulation.building.model import Model
+from softrobot_twin.simulation.step.direct_actuation import DirectActuation
+from softrobot_twin.simulation.step.interpretation import why_not_followed
+from softrobot_twin.simulation.step.inverse_actuation import InverseActuation
+from softrobot_twin.simulation.step.inverse_with_friction import InverseWithFriction
+from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT
+
+
+def build_inverse(
+    model: Model, direct: DirectActuation, qp_solvers: tuple | None = None
+) -> InverseActuation | None:
+    """The inverse of a scene; None for a scene that cannot follow targets.
+
+    Args:
+        model: The built scene; its notes tell of a weight that is too small to be used.
+        direct: Finds λ of what is commanded or held.
+        qp_solvers: See `InverseActuation`.
+    """
+    if why_not_followed(model):
+        return None
+    weight = model.scene.solver.energy_weight
+    if weight < LEAST_ENERGY_WEIGHT:
+        model.notes.append(
+            f"solver.energy_weight: {weight:g} is less than the arithmetic bears: "
+            f"{LEAST_ENERGY_WEIGHT:.2g} is used"
+        )
+    rubs = model.contacts is not None and model.contacts.rubs
+    kind = InverseWithFriction if rubs else InverseActuation
+    return kind(model, direct, qp_solvers)
