@@ -11,7 +11,7 @@ Bodies that overlap are not parted at once, which would throw them: the gap aske
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -518,6 +518,15 @@ class Contacts(VaryingTerm):
     def friction(self) -> np.ndarray:
         """Coefficient µ of each contact, shape (count,)."""
         return self.friction_of_pair[self.pair[: self.count]]
+
+    def places_among(self, pairs: Sequence[tuple[str, str]]) -> np.ndarray:
+        """Place of each pair among some of them, -1 for none, shape (pair_count,).
+
+        Args:
+            pairs: Names of these pairs.
+        """
+        places = {pair: place for place, pair in enumerate(pairs)}
+        return np.array([places.get(pair, -1) for pair in self.pair_names])
 
     def touch(self, multipliers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Which contacts press in a solution, and which of these slip.

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from softrobot_twin.control.force_observer import USUAL_NOISE
 from softrobot_twin.control.input_shaping import Shaper
 from softrobot_twin.control.predictive_control import (
     InputRange,
@@ -44,8 +45,6 @@ MEMORY = 0.5
 """Time over which these are averaged, and from the begin of which on [s]."""
 PAUSE, LONGEST_PAUSE = 1.0, 60.0
 """Time after which prediction is tried again, doubled each time, and the longest one [s]."""
-NOISE = 1.0e-4
-"""Standard deviation of each coordinate of a measured effector [m]."""
 MOST_MISSED = 50
 """Ticks without a step for which the inputs are taken to have acted on, at most."""
 MOST_STEPS = 200
@@ -101,7 +100,7 @@ class DynamicControl:
                 np.where(by_setpoint, limits.displacement_min, limits.effort_min),
                 np.where(by_setpoint, limits.displacement_max, limits.effort_max), limits.rate)
             self._control, self.margin = with_margin(
-                self.model, period, self._outputs, allowed, noise=NOISE,
+                self.model, period, self._outputs, allowed, noise=USUAL_NOISE,
                 horizon=max(2, round(entry.horizon / period)), delay=round(entry.delay / period))  # fmt: skip
         self.reset()
 
@@ -250,7 +249,7 @@ class DynamicControl:
         """Why the linear model cannot follow in this tick; empty where it can."""
         if single is not None and np.isfinite(single).any():
             return SINGLE_ACTUATORS
-        least = SURPRISING_NOISE * NOISE
+        least = SURPRISING_NOISE * USUAL_NOISE
         if self._seen * self._period > 2.0 * MEMORY and self._errors > MOST_SURPRISE**2 * self._motion + least**2:
             return TOO_FAR
         return self._why_slack(self._simulation.state)

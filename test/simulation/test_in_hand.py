@@ -3,17 +3,15 @@
 The Grasper without its motor, so that three cables move its cube in three directions.
 """
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import yaml
 
 from softrobot_twin.scene.loading import scene_from_mapping
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation, Status
+from test.grasped_cube import LIFT, SCENE_FILE, STEP, hand, lifted
 
-SCENE_FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "grasper.yaml"
-STEP, GRIP, LIFT = 0.02, 0.018, 0.020
+GRIP = 0.018
 AWAY, HELD = 2.0e-3, 0.2e-3
 WAY, SPEED, LOST = np.array([0.030, 0.0, 0.060]), 0.05, 0.010
 
@@ -21,15 +19,7 @@ WAY, SPEED, LOST = np.array([0.030, 0.0, 0.060]), 0.05, 0.010
 @pytest.fixture(scope="module")
 def held_cube():
     """A lifted cube, and the state in which it hangs in the fingers."""
-    entries = yaml.safe_load(SCENE_FILE.read_text())
-    del entries["motors"]
-    simulation = Simulation(scene_from_mapping(entries, SCENE_FILE))
-    closed = CommandSetpoints(simulation.rest_setpoints - GRIP, STEP)
-    for _ in range(60):
-        simulation.step(closed)
-    simulation.model.guides.aim("palm", [0.0, 0.0, LIFT])
-    for _ in range(90):
-        simulation.step(closed)
+    simulation = lifted(hand(), GRIP, 60)
     return simulation, simulation.state
 
 

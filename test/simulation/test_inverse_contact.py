@@ -15,6 +15,7 @@ from softrobot_twin.simulation import (
 )
 from softrobot_twin.solvers import inverse_solver
 from softrobot_twin.solvers.pivoting import solve_by_pivoting
+from test.edge_of_touch import check_rest_at_the_edge
 from test.scene_changes import repeat_step
 
 AXIS = np.array([0.03, 0.08])
@@ -179,18 +180,7 @@ def test_contact_can_be_made_and_lost_at_every_step(beam, rod):
 
 
 def test_near_zero_gap_contacts_do_not_chatter(beam, rod):
-    simulation = beam(lambda m: rod(m))
-    home = simulation.effector_positions()[0]
-    # Where leaning begins is found by pulling the target back from behind the rod.
-    touched = follow(simulation, home + [0.02, 0.0, -0.006], 80).effector_positions[0]
-    for beyond in (-1e-5, -1e-8, 0.0, 1e-8, 1e-5):
-        result = follow(simulation, touched + [beyond, 0.0, 0.0], 40)
-        lengths, forces = result.setpoints, result.contacts.forces.sum(axis=0)
-        for _ in range(40):
-            result = follow(simulation, touched + [beyond, 0.0, 0.0], 1)
-            np.testing.assert_allclose(result.setpoints, lengths, atol=1e-8)
-            np.testing.assert_allclose(result.contacts.forces.sum(axis=0), forces, atol=1e-5)
-        assert result.effector_errors[0] < 2e-5
+    check_rest_at_the_edge(beam(lambda m: rod(m)), settling=40, still=1e-8, pressed=1e-5, near=2e-5)
 
 
 def test_friction_at_given_lengths_stays_in_its_cone(beam, rod):

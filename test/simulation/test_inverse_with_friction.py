@@ -14,6 +14,7 @@ from softrobot_twin.simulation.step.inverse_with_friction import tied_by_contact
 from softrobot_twin.simulation.step.time_budget import StageClock
 from softrobot_twin.solvers.inverse_problem import Bounds
 from test.builder import builder
+from test.edge_of_touch import check_rest_at_the_edge
 from test.scene_changes import LEFT_OUT, change_scene, repeat_step
 
 FINGER = Path(__file__).resolve().parents[2] / "config" / "scenes" / "finger.yaml"
@@ -264,16 +265,7 @@ def test_no_tick_leaves_rates_lengths_tensions_and_the_cone(finger, rng, ticks, 
 def test_at_the_edge_of_touch_lengths_and_forces_rest(beam, rod):
     """Row 32: the target is where touch begins, and some nanometres to either side."""
     simulation = beam(lambda m: rod(m, friction=MU))
-    home = simulation.effector_positions()[0]
-    touched = follow(simulation, home + [0.02, 0.0, -0.006], 80).effector_positions[0]
-    for beyond in (-1e-5, -1e-8, 0.0, 1e-8, 1e-5):
-        result = follow(simulation, touched + [beyond, 0.0, 0.0], 60)
-        lengths, forces = result.setpoints, result.contacts.forces.sum(axis=0)
-        for _ in range(40):
-            result = follow(simulation, touched + [beyond, 0.0, 0.0], 1)
-            np.testing.assert_allclose(result.setpoints, lengths, atol=1e-7)
-            np.testing.assert_allclose(result.contacts.forces.sum(axis=0), forces, atol=1e-4)
-        assert result.effector_errors[0] < 1e-4
+    check_rest_at_the_edge(simulation, settling=60, still=1e-7, pressed=1e-4, near=1e-4)
 
 
 def test_redundant_lengths_rest_on_a_reached_target(eight, rod, rng):

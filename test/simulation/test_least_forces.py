@@ -1,40 +1,24 @@
 """Normal forces that pairs shall at least press with, while targets lead what they hold."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-import yaml
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene.loading import scene_from_mapping
-from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation
+from softrobot_twin.simulation import FollowTargets
+from test.grasped_cube import SCENE_FILE, STEP, hand, lifted
 
-SCENE_FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "grasper.yaml"
-STEP, LIFT, GRIP, LEAST = 0.02, 0.020, 0.020, 0.3
+GRIP, LEAST = 0.020, 0.3
 
 
 def entries(least=LEAST, **of_pair):
     """The Grasper without its motor; two of its fingers shall press on the cube."""
-    found = yaml.safe_load(SCENE_FILE.read_text())
-    del found["motors"]
+    found = hand()
     fingers = [{"pair": [f"finger_{k}", "cube"], **of_pair} for k in range(3)]
     if least:
         fingers[0]["least_force"] = fingers[1]["least_force"] = least
     found["contact"]["between"][:1] = fingers
     return found
-
-
-def lifted(found, grip):
-    """The cube, held above the floor by cables that are wound so far [m]."""
-    simulation = Simulation(scene_from_mapping(found, SCENE_FILE))
-    closed = CommandSetpoints(simulation.rest_setpoints - grip, STEP)
-    for _ in range(70):
-        simulation.step(closed)
-    simulation.model.guides.aim("palm", [0.0, 0.0, LIFT])
-    for _ in range(90):
-        simulation.step(closed)
-    return simulation, simulation.effector_positions()[0]
 
 
 def normal_forces(simulation):
@@ -60,7 +44,8 @@ def follow(simulation, target, steps=200):
 
 @pytest.mark.parametrize("way", [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1)])
 def test_targets_are_held_with_the_least_force_at_two_sides(way):
-    simulation, start = lifted(entries(), GRIP)
+    simulation = lifted(entries(), GRIP, 70)
+    start = simulation.effector_positions()[0]
     _, left, forces = follow(simulation, start + 1e-3 * np.array(way))
     print(way, left[50:].max(), forces[50:].min(axis=0))
     assert left[50:].max() < 0.2e-3
@@ -71,7 +56,8 @@ def test_the_target_is_missed_before_the_grip_falls_below_its_least_force():
     """Without one the fingers open to let the cube down."""
     down, found = np.array([0.0, 0.0, -2e-3]), {}
     for least in (None, LEAST):
-        simulation, start = lifted(entries(least), GRIP)
+        simulation = lifted(entries(least), GRIP, 70)
+        start = simulation.effector_positions()[0]
         results, left, forces = follow(simulation, start + down)
         found[least] = left[50:].max(), forces[50:].min(), results[-1].report.active_limits
         print(least, found[least])

@@ -36,10 +36,7 @@ class GripMargins(StepPart):
         """
         self._contacts, self._least = contacts, np.array([*least.values()])
         self.figures = tuple(map(".".join, least))
-        names = list(least)
-        self._place = np.array([
-            names.index(pair) if pair in least else -1 for pair in contacts.pair_names
-        ])  # fmt: skip
+        self._place = contacts.places_among(list(least))
 
     def report(self, state: State) -> PartReport:
         """See `StepPart`; NaN of pairs that do not press."""

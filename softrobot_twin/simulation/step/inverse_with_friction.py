@@ -124,6 +124,18 @@ def tie(first, row_starts, friction, forces, presses, slips, slid, own, least, t
     return count
 
 
+def slid_by(linear: Linearized, found: Actuation) -> tuple[np.ndarray, np.ndarray]:
+    """λ of all condensed rows in a solution [N], and δ of those of contacts there [m].
+
+    Args:
+        linear: The system condensed onto all rows.
+        found: The solution.
+    """
+    (a, _, c), multipliers = linear.groups, np.zeros(len(linear.violation))
+    multipliers[a], multipliers[c] = found.efforts[a], found.contact.multipliers
+    return multipliers, linear.compliance.motion(c, multipliers) + linear.violation[c]
+
+
 def tied_by_contacts(
     linear: Linearized, contacts: Contacts, found: Actuation, least: float = 0.0
 ) -> Linearized:
@@ -135,10 +147,8 @@ def tied_by_contacts(
         found: The solution.
         least: Friction that displaces its contact by no more is none [m].
     """
-    (a, _, c), n, count = linear.groups, len(linear.violation), contacts.count
-    multipliers, forces = np.zeros(n), found.contact.multipliers
-    multipliers[a], multipliers[c] = found.efforts[a], forces
-    slid = linear.compliance.motion(c, multipliers) + linear.violation[c]
+    c, n, count = linear.groups.contacts, len(linear.violation), contacts.count
+    forces, (multipliers, slid) = found.contact.multipliers, slid_by(linear, found)
     ties, held = np.zeros((n, c.start + count)), np.zeros((2 * count, n))
     yields = np.zeros(2 * count)
     own, (presses, slips) = linear.W.diagonal()[c].copy(), contacts.touch(forces)
@@ -254,10 +264,9 @@ class LeastForces(NamedTuple):
             model: A scene with friction.
         """
         least = {one.pair: one.least_force for one in model.scene.contact.between if one.least_force}
-        names = list(least)
-        place = [names.index(pair) if pair in least else -1 for pair in model.contacts.pair_names]
-        limits = tuple(f"{'.'.join(pair)}.least_force" for pair in names)
-        return cls(limits, np.array(place), np.array([*least.values()])) if least else None
+        limits = tuple(f"{'.'.join(pair)}.least_force" for pair in least)
+        place = model.contacts.places_among(list(least))
+        return cls(limits, place, np.array([*least.values()])) if least else None
 
     def members(self, contacts: Contacts) -> np.ndarray:
         """Which contacts each sums, shape (count, contact_count).
@@ -598,12 +607,9 @@ class InverseWithFriction(InverseActuation):
 
     def _from(self, linear: Linearized, found: Actuation) -> Linearized:
         """The system of a later step, whose contacts slip from where they are in a solution."""
-        (a, _, c), violation = linear.groups, linear.violation.copy()
-        multipliers = np.zeros(len(violation))
-        multipliers[a], multipliers[c] = found.efforts[a], found.contact.multipliers
-        slid = linear.compliance.motion(c, multipliers) + violation[c]
+        violation, (_, slid) = linear.violation.copy(), slid_by(linear, found)
         slid[self._contacts.row_starts[:-1]] = 0.0
-        violation[c] -= slid
+        violation[linear.groups.contacts] -= slid
         return linear.with_violation(violation)
 
     def _with_friction(
