@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
+from softrobot_twin.constraints.cable_friction import FrictionCables
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation, Status
@@ -15,12 +16,15 @@ from softrobot_twin.simulation.step.time_budget import StageClock
 from softrobot_twin.solvers.inverse_problem import Bounds
 from test.builder import builder
 from test.edge_of_touch import check_rest_at_the_edge
+from test.grasped_cube import hand, lifted
 from test.scene_changes import LEFT_OUT, change_scene, repeat_step
 
 FINGER = Path(__file__).resolve().parents[2] / "config" / "scenes" / "finger.yaml"
 OCTOLEG, TRUNK = FINGER.with_name("octoleg.yaml"), FINGER.with_name("trunk_cylinders.yaml")
 TICK, MU = 0.05, 0.5
 BENT = np.array([0.009, -0.006])
+CABLE_MU = 0.3
+RUBBING = {"cables.*.friction": CABLE_MU}
 
 
 @pytest.fixture
@@ -63,6 +67,23 @@ def pull(simulation, shortenings, longest=1e-3):
 
 def follow(simulation, target, steps):
     return repeat_step(simulation, FollowTargets(np.atleast_2d(target), TICK), steps)
+
+
+def check_cone(simulation, friction):
+    """No contact bears more along its surface than its friction allows; gives what each presses with."""
+    forces = simulation.model.contacts.last_multipliers.reshape(-1, 3)
+    along = np.linalg.norm(forces[:, 1:], axis=1)
+    assert (along <= friction * forces[:, 0] * (1.0 + 1e-6) + 1e-9).all()
+    return forces[:, 0]
+
+
+def capstan_shares(simulation):
+    """ln(T_before / T_behind) / µβ of each point of each cable: 1 or -1 where it slips."""
+    (term,) = (term for term in simulation.terms if isinstance(term, FrictionCables))
+    same = np.flatnonzero(np.diff(term.cable_of_stretch) == 0)
+    taut = same[term.tensions[same] > 0.0]
+    ratios = np.log(term.tensions[taut] / term.tensions[taut + 1])
+    return ratios / (CABLE_MU * term.angles[taut + 1])
 
 
 def test_places_that_lengths_lead_to_are_reached_in_contact(finger, rng):
@@ -215,9 +236,11 @@ def test_what_contacts_do_tells_how_effectors_follow_lengths(finger):
 
 
 # The second is held by six contacts that stick, whose gaps depend on each other.
-@pytest.mark.parametrize("shortenings", [(0.0125, -0.01), (0.01539, -0.01093)])
-def test_at_a_reached_target_lengths_rest(finger, shortenings):
-    simulation = finger()
+@pytest.mark.parametrize("shortenings, change", [
+    ((0.0125, -0.01), None), ((0.01539, -0.01093), None), ((0.0125, -0.01), RUBBING),
+])  # fmt: skip
+def test_at_a_reached_target_lengths_rest(finger, shortenings, change):
+    simulation = finger(MU, change)
     pull(simulation, BENT)
     start = simulation.state
     target = pull(simulation, np.array(shortenings)).effector_positions
@@ -230,13 +253,13 @@ def test_at_a_reached_target_lengths_rest(finger, shortenings):
         before = result.setpoints
 
 
-@pytest.mark.parametrize("friction", [MU, 10.0])
+@pytest.mark.parametrize("friction, change", [(MU, None), (10.0, None), (MU, RUBBING), (0.0, RUBBING)])
 @pytest.mark.parametrize("ticks", [150, pytest.param(10_000, marks=pytest.mark.exhaustive)])
 @pytest.mark.timeout(900)
-def test_no_tick_leaves_rates_lengths_tensions_and_the_cone(finger, rng, ticks, friction):
+def test_no_tick_leaves_rates_lengths_tensions_and_the_cone(finger, rng, ticks, friction, change):
     """Row 30; targets jump anywhere, rest, or are those of another robot's state."""
-    simulation = finger(friction)
-    limits, contacts = simulation.limits, simulation.model.contacts
+    simulation = finger(friction, change)
+    limits = simulation.limits
     pull(simulation, BENT)
     start, target = simulation.state, simulation.effector_positions()
     for tick in range(ticks):
@@ -257,9 +280,71 @@ def test_no_tick_leaves_rates_lengths_tensions_and_the_cone(finger, rng, ticks, 
         assert (np.abs(after - before) <= limits.rate * duration + 1e-12).all()
         assert (result.efforts >= limits.effort_min).all()
         assert (result.efforts <= limits.effort_max * (1.0 + 1e-9)).all()
-        forces = contacts.last_multipliers.reshape(-1, 3)
-        along = np.linalg.norm(forces[:, 1:], axis=1)
-        assert (along <= friction * forces[:, 0] * (1.0 + 1e-6) + 1e-9).all()
+        if friction:
+            check_cone(simulation, friction)
+        if change:
+            assert (np.abs(capstan_shares(simulation)) <= 1.0 + 1e-6).all()
+
+
+def test_pulled_and_released_both_the_cone_and_the_capstan_law_hold(finger):
+    """A cable that rubs bends a finger around a rod that rubs; each step is in balance."""
+    simulation = finger(MU, RUBBING, {"solver.newton_iterations": 60, "solver.residual_tolerance": 1e-8})
+    slipping = []
+    for bend in np.concatenate([np.linspace(0.001, 0.014, 14), np.linspace(0.013, 0.006, 8)]):
+        lengths = simulation.rest_setpoints - bend * np.array([1.0, -0.8])
+        assert simulation.step(CommandSetpoints(lengths, TICK)).status is Status.OK
+        pressing, shares = check_cone(simulation, MU), capstan_shares(simulation)
+        assert (np.abs(shares) <= 1.0 + 1e-6).all()
+        slipping.append(shares[:5].mean() if pressing.any() else 0.0)
+    assert slipping[13] == pytest.approx(1.0, abs=1e-6)
+    assert slipping[18] == pytest.approx(-1.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("friction", [0.0, MU])
+def test_with_hardly_any_friction_along_cables_targets_are_reached_as_without(finger, friction):
+    smooth, rough = finger(friction), finger(friction, {"cables.*.friction": 1e-9})
+    for shortenings in ((0.0125, -0.01), (0.0145, -0.0115)):
+        ends = []
+        for simulation in (smooth, rough):
+            simulation.reset()
+            pull(simulation, BENT)
+            start = simulation.state
+            target = pull(simulation, np.array(shortenings)).effector_positions
+            simulation.restore(start)
+            ends.append(follow(simulation, target, 60))
+        assert ends[0].report.contact_count
+        np.testing.assert_allclose(*[end.setpoints for end in ends], atol=1e-6)
+        np.testing.assert_allclose(*[end.effector_positions for end in ends], atol=1e-6)
+
+
+@pytest.mark.parametrize("friction", [0.0, MU])
+def test_places_are_reached_though_cables_and_contacts_rub(finger, rng, friction):
+    """A cable that is slack at its target cannot help: then the place depends on the way there."""
+    simulation, near = finger(friction, RUBBING), []
+    pull(simulation, BENT)
+    start = simulation.state
+    for _ in range(6):
+        simulation.restore(start)
+        bend = rng.uniform(0.011, 0.016)
+        reached = pull(simulation, np.array([bend, -0.3 * bend]))
+        assert reached.report.contact_count
+        simulation.restore(start)
+        near.append(follow(simulation, reached.effector_positions, 60).effector_errors[0])
+    print(f"{1e3 * np.sort(near)} mm")
+    assert max(near) < 1e-4
+
+
+def test_fingers_whose_cables_rub_lead_a_cube_in_the_hand():
+    mapping = hand()
+    mapping["cables"][0]["friction"] = 0.1
+    simulation = lifted(mapping, 0.018, 60)
+    start = simulation.state
+    for axis in range(3):
+        simulation.restore(start)
+        goal = simulation.effector_positions() + 1e-3 * np.eye(3)[axis]
+        result = repeat_step(simulation, FollowTargets(goal, 0.02), 100)
+        assert result.status.is_success and result.effector_errors[0] < 1e-6
+        check_cone(simulation, 0.7)
 
 
 def test_at_the_edge_of_touch_lengths_and_forces_rest(beam, rod):
@@ -311,11 +396,14 @@ def test_the_octoleg_curls_to_where_its_tip_shall_be():
     assert result.report.contact_count == 7
 
 
-@pytest.mark.parametrize("friction", [0.5, pytest.param(0.1, marks=pytest.mark.exhaustive)])
-def test_the_trunk_goes_between_cylinders_that_rub(friction):
+@pytest.mark.parametrize("friction, along_cables", [
+    (0.5, 0.0), pytest.param(0.1, 0.0, marks=pytest.mark.exhaustive),
+    pytest.param(0.5, 0.1, marks=pytest.mark.exhaustive),
+])  # fmt: skip
+def test_the_trunk_goes_between_cylinders_that_rub(friction, along_cables):
     """Its platform is at its rate on the way in; without friction it lags by up to 1.6 mm in contact."""
     mapping = written_out(yaml.safe_load(TRUNK.read_text()))
-    mapping["contact"]["friction"] = friction
+    change_scene(mapping, {"contact.friction": friction, "cables.*.friction": along_cables})
     simulation = Simulation(scene_from_mapping(mapping, TRUNK))
     targets = np.loadtxt(TRUNK.parents[1] / "targets" / "trunk_path.csv", delimiter=",", skiprows=1)
     missed = []

@@ -140,17 +140,15 @@ def _friction_term(
     scene, nodes = layout.scene, layout.nodes
     index = next(index for index, cable in enumerate(entries) if cable.friction)
     reason = ""
-    if nodes.carried is not None:
-        reason = "free rigid bodies or bodies with vertebrae"
-    elif scene.contact is not None:
-        reason = "contact"
-    elif scene.slides:
-        reason = "slides"
+    if nodes.carried is not None and any(
+        (nodes.free_index[path.points.nodes] >= nodes.carried.free_count).any() for path in paths
+    ):
+        reason = "scenes with cables over beams, free rigid bodies, vertebrae or reduced bodies"
     elif scene.time_scheme != "backward_euler":
         reason = f"time_scheme {scene.time_scheme}"
     if reason:
         raise scene.error(f"cables[{index}].friction", entries[index].friction,
-                          f"friction along cables is not built for scenes with {reason}")
+                          f"friction along cables is not built for {reason}")
     lengths = [
         np.linalg.norm(np.diff(path.positions(nodes.rest_positions), axis=0), axis=1).sum()
         for path in paths
