@@ -211,17 +211,20 @@ class CellBlock(NamedTuple):
         return np.arange(len(self.volumes)) if isinstance(self.places, slice) else self.places
 
 
-def points_of(mesh: CellMesh) -> IntegrationPoints:
+def points_of(mesh: CellMesh, cells: np.ndarray | None = None) -> IntegrationPoints:
     """Gradients and volumes at the quadrature points of cells.
 
     Args:
         mesh: The cells, as far as elements need them.
+        cells: Indices of some of them, perhaps several times, shape (cell_count,); None for all.
 
     Returns:
         The mesh's own `points`, or those of its shape functions if it has none.
     """
-    own = getattr(mesh, "points", None)
-    return own or integration_points(mesh.node_positions, mesh.cells, mesh.shape_functions)
+    own, some = getattr(mesh, "points", None), slice(None) if cells is None else cells
+    if own is None:
+        return integration_points(mesh.node_positions, mesh.cells[some], mesh.shape_functions)
+    return own if cells is None else IntegrationPoints(*(values[some] for values in own))
 
 
 def node_counts_of(mesh: CellMesh) -> np.ndarray:

@@ -127,22 +127,22 @@ def point_gradients(block: CellBlock, sampled: SampledPoints, basis: np.ndarray)
         sampled: The points of the body; those of other cells are left out.
         basis: Φ, shape (node_count, 3, mode_count).
     """
-    points, cells = points_of(block.mesh), block.mesh.cells
-    order = np.argsort(block.numbers)
+    order, cells = np.argsort(block.numbers), block.mesh.cells
     position = np.searchsorted(block.numbers, sampled.cells, sorter=order)
     found = order[np.minimum(position, len(order) - 1)]
     own = np.flatnonzero(block.numbers[found] == sampled.cells)
-    place = found[own]
-    q, mode_count = sampled.points[own], basis.shape[2]
-    gradients = np.empty((len(own), 9, mode_count))
+    place, q, mode_count = found[own], sampled.points[own], basis.shape[2]
+    gradients, weights = np.empty((len(own), 9, mode_count)), sampled.weights[own]
+    are_all = bool((weights == 1.0).all()) and (
+        len(own) == len(cells) * points_of(block.mesh, order[:1]).weights.size)
     for first in range(0, len(own), 2048):  # bounds the memory of nodes times modes
         some = slice(first, first + 2048)
-        slopes = points.gradients[place[some], q[some]]
-        G = np.einsum("paj,paim->pijm", slopes, basis[cells[place[some]]])
+        points, rows = points_of(block.mesh, place[some]), np.arange(len(place[some]))
+        G = np.einsum(
+            "paj,paim->pijm", points.gradients[rows, q[some]], basis[cells[place[some]]])
         gradients[some] = G.reshape(-1, 9, mode_count)
-    weights = sampled.weights[own]
-    are_all = len(own) == points.weights.size and bool((weights == 1.0).all())
-    return PointGradients(gradients, points.weights[place, q] * weights, are_all)
+        weights[some] *= points.weights[rows, q[some]]
+    return PointGradients(gradients, weights, are_all)
 
 
 # --- loops over points ---------------------------------------------------------------------------
