@@ -21,6 +21,7 @@ from test.scene_changes import LEFT_OUT, change_scene, repeat_step
 
 FINGER = Path(__file__).resolve().parents[2] / "config" / "scenes" / "finger.yaml"
 OCTOLEG, TRUNK = FINGER.with_name("octoleg.yaml"), FINGER.with_name("trunk_cylinders.yaml")
+FINRAY = FINGER.with_name("finray.yaml")
 TICK, MU = 0.05, 0.5
 BENT = np.array([0.009, -0.006])
 CABLE_MU = 0.3
@@ -186,9 +187,14 @@ def test_of_100_places_in_contact_nearly_all_are_reached(finger, rng, detours):
 
 
 def test_with_hardly_any_friction_it_goes_as_near_as_without(finger, rng):
-    """Where targets are out of reach, lengths rest within some 1e-5 m along which the miss is even."""
+    """Where targets are out of reach, lengths rest within some 1e-5 m along which the miss is even.
+
+    Each begins at rest: what was tried towards a target out of reach decides where the next one is left.
+    """
     smooth, rough = finger(0.0), finger(1e-9)
     for _ in range(3):
+        smooth.reset()
+        rough.reset()
         target = [0.1 - rng.uniform(0.001, 0.02), 0.0, -rng.uniform(0.0, 0.03)]
         ends = [follow(one, target, 80) for one in (smooth, rough)]
         misses = [end.effector_errors[0] for end in ends]
@@ -366,6 +372,31 @@ def test_redundant_lengths_rest_on_a_reached_target(eight, rod, rng):
             assert result.status is Status.OK
             np.testing.assert_allclose(result.setpoints, before, atol=1e-6 * 0.1)
             before = result.setpoints
+
+
+def lag(robot, leader, lengths):
+    """Distances from the targets of a robot that shall be where another one is led to [m]."""
+    errors = []
+    for setpoints in lengths:
+        target = leader.step(CommandSetpoints(leader.rest_setpoints + setpoints, TICK)).effector_positions
+        errors.append(robot.step(FollowTargets(target, TICK)).effector_errors[0])
+    return np.array(errors)
+
+
+@pytest.mark.parametrize("iterations", [1, 3])
+def test_moving_targets_are_followed_also_where_all_contacts_stick(finger, iterations):
+    robot, leader = (finger(MU, {"solver.newton_iterations": iterations}) for _ in range(2))
+    pull(robot, BENT)
+    pull(leader, BENT)
+    bends = 0.0125 - 0.0035 * np.cos(np.arange(180) / 25.0)
+    errors = lag(robot, leader, bends[:, None] * [-1.0, 0.8])
+    assert np.median(errors) < 5e-5 and errors.max() < 3e-4
+
+
+def test_a_finger_that_rolls_on_a_roller_follows_moving_targets():
+    robot, leader = (Simulation.from_scene_file(FINRAY) for _ in range(2))
+    errors = lag(robot, leader, 0.15 + 0.12 * np.sin(np.arange(120) / 40.0 - 1.2)[:, None])[5:]
+    assert np.median(errors) < 2e-5 and np.quantile(errors, 0.9) < 2e-4
 
 
 @pytest.mark.parametrize("friction", [0.2, 1.0])

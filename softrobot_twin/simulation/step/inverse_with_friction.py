@@ -13,10 +13,11 @@ What the optimum asks of the actuators is then done with friction, in the same l
 contacts switch between sticking and slipping on the way, effectors do not go where the optimum
 promised. Then it is sought again by what the contacts do there, and the nearest of all is made.
 
-Where these come hardly nearer, a kink is in the way, and contacts do something else beyond it. Single
-actuators are moved to either side, one in each step, and the optimum is sought by what contacts do
-there. Where an effector comes to depends on the way, too: steps look whether it is nearer to go
-somewhere else first, and back from where contacts slipped to.
+Where these come hardly nearer, a kink is in the way, and contacts do something else beyond it. Towards
+targets that move, the optimum is sought as if nothing rubbed: made with friction, it tells how contacts
+slip that stuck. Towards others, single actuators are moved to either side, one in each step, and the
+optimum is sought by what contacts do there. Where an effector comes to depends on the way, too: steps
+look whether it is nearer to go somewhere else first, and back from where contacts slipped to.
 
 Least forces of pairs are rows of the problem where an optimum would fall below them.
 
@@ -455,6 +456,12 @@ class InverseWithFriction(InverseActuation):
             bounds: Bounds of this step.
             stiffness: See `InverseActuation`.
         """
+        if self._begins:
+            self._note_motion(target_rows)
+        return super().solve(linear, target_rows, held, bounds, stiffness)
+
+    def _note_motion(self, target_rows: np.ndarray) -> None:
+        """Note how targets move from step to step; other ones are sought anew."""
         moved = np.zeros(len(target_rows))
         if self._targets is not None:
             # Coordinates of orientations change while their targets stay.
@@ -466,7 +473,6 @@ class InverseWithFriction(InverseActuation):
         before = np.zeros(len(moved)) if self._moved is None else np.abs(self._moved)
         self._motion = np.clip(moved, -before, before)
         self._targets, self._moved = target_rows.copy(), moved
-        return super().solve(linear, target_rows, held, bounds, stiffness)
 
     def _over_branches(
         self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
@@ -546,7 +552,24 @@ class InverseWithFriction(InverseActuation):
         if turn is Turn.DETOUR:
             self._look_for_detour(task)
             return task.held
-        return self._nearest(task, task.held, task.linear, task.bounds, MOST_ROUNDS)
+        found = self._nearest(task, task.held, task.linear, task.bounds, MOST_ROUNDS)
+        is_moving = self._rubs and self._learns and self._moved.any()
+        if is_moving and found is not None and aim.missed(found) > (1.0 - PROGRESS) * task.before:
+            return min(found, self._slid(task) or found, key=aim.missed)
+        return found
+
+    def _slid(self, task: Task) -> Actuation | None:
+        """The nearest by what contacts do where they are pushed as if they had no friction."""
+        smooth = tied_by_contacts(task.linear, self._contacts, task.held, np.inf)
+        errors = task.aim.errors.copy()
+        errors[: len(smooth.effectors)] += smooth.effectors - task.linear.effectors
+        promised = task.optimise(smooth, errors, self._on_normals(task.held), task.bounds)
+        if promised is None:
+            return None
+        drives = promised.drives(self._limits)
+        at = self._with_friction(task.linear, drives, task.bounds, promised)
+        found = self._nearest(task, at, task.linear, task.bounds, 1)
+        return min(at, found or at, key=task.aim.missed)
 
     def _look_for_detour(self, task: Task) -> None:
         """Look whether it is nearer to go somewhere else first; the actuators go if it is."""
