@@ -7,7 +7,7 @@ Both are measured in rounds, one after the other, so that other programs disturb
 - robots' steps per second in two workers, divided by those in one; and the same of two processes of
   simulations alone, which is what the machine gives meanwhile. Where other programs need the cores,
   processor times say what free ones would give: all time of one worker, divided by that of the
-  busier of two and of what the main process does between its steps.
+  busier of two in each step, for which the other waits, and of what the main process does between.
 
     python tools/measure_learning.py [SCENE ...] [--robots 32] [--steps 25] [--rounds 7]
 """
@@ -95,15 +95,20 @@ def worker_times(count=2):
                      for one in newest])
 
 
-def together(robots, actions):
-    """Of a robot's step: wall time, processor time of this process and of each worker [s]."""
-    robots.reset(seed=0, options={"target": [0.0, 0.0, 0.0]})
-    before, begin, own = worker_times(), time.perf_counter(), time.process_time()
+def together(one, two, actions):
+    """Of a robot's step, in one worker and in two: wall time, and processor time of this process
+    and of the busiest worker [s], shape (2, 3). Both take each step in turn: others disturb alike."""
+    for robots in (one, two):
+        robots.reset(seed=0, options={"target": [0.0, 0.0, 0.0]})
+    spent = np.zeros((2, 3))
     for action in actions:
-        robots.step(action)
-    ended = time.perf_counter(), time.process_time(), worker_times()
-    count = actions.shape[0] * actions.shape[1]
-    return (ended[0] - begin) / count, (ended[1] - own) / count, (ended[2] - before) / count
+        for robots, times in zip((one, two), spent, strict=True):
+            before, begin, own = worker_times(), time.perf_counter(), time.process_time()
+            robots.step(action)
+            ended = time.perf_counter(), time.process_time()
+            # All wait for the busiest worker of this step, which is another one in the next.
+            times += ended[0] - begin, ended[1] - own, (worker_times() - before).max()
+    return spent / (actions.shape[0] * actions.shape[1])
 
 
 def measure(path, count, steps, rounds):
@@ -120,11 +125,10 @@ def measure(path, count, steps, rounds):
     for _ in range(rounds):
         bare.append(run_kept())
         machine.append(alone_in([one_alone]) / alone_in(two_alone))
-        wall, busy, _ = together(one, actions)
-        wall_of_two, own, workers = together(two, actions)
+        (wall, busy, _), (wall_of_two, own, busiest) = together(one, two, actions)
         costs.append(busy / bare[-1])
         gains.append(wall / wall_of_two)
-        free_gains.append(busy / (workers.max() + own))
+        free_gains.append(busy / (busiest + own))
     two.close()
     for process in (one_alone, *two_alone):
         process.shutdown()
