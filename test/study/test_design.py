@@ -182,8 +182,15 @@ def test_a_search_that_stops_at_a_kink_says_so_and_a_radius_takes_kinks_away(dra
         wanted = model.solve(model.start + hidden).found.effectors
         design = robot.optimise(
             [(one, {"tip": place[0]}) for one, place in zip(commands, wanted)], keys, (0.04, 0.05))
-        print(design)
-        assert any("a kink is near" in note for note in design.notes) is (design.after > 1e-5)
+        errors = (design.found.solved.found.effectors - wanted).ravel()
+        J = model.derivatives(design.found.values).effectors.reshape(errors.size, -1)
+        left = float(np.linalg.norm(errors - J @ np.linalg.pinv(J) @ errors))
+        promise = design.after - left / np.sqrt(len(commands))
+        print(design, f"{promise:.3g} m less by derivatives", sep="\n")
+        # In an element, the errors can also have a minimum of their own: there is no kink then.
+        is_told = any("a kink is near" in note for note in design.notes)
+        is_at_bound = any("is at its bound" in note for note in design.notes)
+        assert is_told is bool(promise > 0.1 * design.tolerance) or is_at_bound and not is_told
     assert design.after < 1e-6
     assert np.abs(np.array(list(design.values.values())) - model.start - hidden).max() < 1e-4
 
