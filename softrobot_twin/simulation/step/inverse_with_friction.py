@@ -543,7 +543,7 @@ class InverseWithFriction(InverseActuation):
 
     def _tried(self, task: Task) -> Actuation | None:
         """What this step tries; None where the problem has no solution."""
-        turn, aim = self._search.next(), task.aim
+        turn, aim = Turn.STRAIGHT if self._moved.any() else self._search.next(), task.aim
         if turn is Turn.PROBE:
             probe = self._displaced(task, task.bounds, self._search.probe, LENGTHS)
             if probe is not None:
