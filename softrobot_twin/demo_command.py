@@ -15,7 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from softrobot_twin.ros.demo import (
+    CONTROLLED_RUNS,
     NOTICEABLE_SHARE,
+    RUNS,
     Demo,
     DemoOutcome,
     DemoPlan,
@@ -37,7 +39,7 @@ from softrobot_twin.study.tracking import (
 )
 
 RESULTS = ("report.json", "tracking.png", "presses.png", "samples.npz", "run.rrd",
-           "open_loop.csv", "closed_loop.csv", "commands.csv")
+           *(f"{run}.csv" for run in (*RUNS, *CONTROLLED_RUNS)), "commands.csv")
 """Files that a demo writes into its folder, besides one log for each process."""
 
 _FEWEST_SAMPLES = 10

@@ -63,7 +63,8 @@ class Device(Protocol):
         """Takes the newest command.
 
         Args:
-            setpoints: Setpoints in the unit of each actuator's kind, shape (actuator_count,).
+            setpoints: Setpoints in the unit of each actuator's kind, shape (actuator_count,); efforts
+                where the device's node has ``device_follows: efforts``.
             now: Time of the command [s].
         """
 

@@ -32,6 +32,7 @@ from softrobot_twin.simulation import (
 from softrobot_twin.simulation.command import LONG
 from softrobot_twin.simulation.linear_model import LinearModel, ModalTangent
 
+OFF = "prediction is off"
 SINGLE_ACTUATORS = "single actuators are commanded"
 TOO_FAR = "the model does not predict the measured motion"
 UNSOLVED = "its program was not solved"
@@ -64,12 +65,13 @@ class DynamicControl:
         fallbacks: How often the copy in statics stood in.
     """
 
-    def __init__(self, simulation: Simulation, period: float):
+    def __init__(self, simulation: Simulation, period: float, may_predict: bool = True):
         """Build the linear model around a state at rest, and all that commands.
 
         Args:
             simulation: The twin's simulation; its state is as before afterwards.
             period: Time of a tick [s].
+            may_predict: See `apply`.
 
         Raises:
             SceneError: There is no linear model at the state that the scene names.
@@ -86,6 +88,7 @@ class DynamicControl:
         self._outputs = np.flatnonzero(controlled)
         self.fallbacks, self.shaper = 0, None
         self.margin: StabilityMargin | None = None
+        self._may_predict = may_predict
         self._build(period)
 
     def _build(self, period: float) -> None:
@@ -104,12 +107,14 @@ class DynamicControl:
                 horizon=max(2, round(entry.horizon / period)), delay=round(entry.delay / period))  # fmt: skip
         self.reset()
 
-    def apply(self, period: float) -> None:
-        """Takes another time of a tick.
+    def apply(self, period: float, may_predict: bool = True) -> None:
+        """Takes changed settings.
 
         Args:
-            period: The time [s].
+            period: Time of a tick [s].
+            may_predict: False where the copy in statics commands until further notice.
         """
+        self._may_predict = may_predict
         if period != self._period:
             self._build(period)
 
@@ -130,6 +135,8 @@ class DynamicControl:
         """Why prediction never commands; empty where it may."""
         if self.margin is None:
             return "law is quasi_static"
+        if not self._may_predict:
+            return OFF
         return "" if self.margin.is_enough else f"too little margin: {self.margin.in_words()}"
 
     @property
@@ -264,7 +271,7 @@ class DynamicControl:
         """Lets the copy in statics stand in for a while; the longer, the more often it must."""
         self.why_quasi_static = why
         self.fallbacks += 1
-        if why == SINGLE_ACTUATORS:
+        if why in (SINGLE_ACTUATORS, OFF):
             self._waits = 0.0
             return
         # What lasted ten pauses is forgotten.

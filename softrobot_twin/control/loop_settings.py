@@ -84,6 +84,8 @@ class LoopSettings:
             limited [m].
         workspace_max: Its upper corner [m].
         closed_loop: Correct the targets by the measured markers.
+        prediction: Command by prediction where the scene's control law is dynamic; else as if the
+            robot stood.
         misfit_rate: Rate at which that correction follows the misfit of the markers [1/s].
         correction_gain: Gain k_i of the integrator that stands in for it where setpoints are not
             measured [1/s].
@@ -112,6 +114,7 @@ class LoopSettings:
     workspace_min: tuple[float, float, float] = (-1.0, -1.0, -1.0)
     workspace_max: tuple[float, float, float] = (1.0, 1.0, 1.0)
     closed_loop: bool = False
+    prediction: bool = True
     misfit_rate: float = number("1/s", 20.0)
     correction_gain: float = number("1/s", 2.0)
     correction_limit: float = number("m", 0.01)

@@ -12,7 +12,14 @@ from softrobot_twin.control.device import DeviceReading
 from softrobot_twin.control.inputs import refusal_of_pose
 from softrobot_twin.control.loop_settings import check_numbers, number
 from softrobot_twin.errors import ParameterError
-from softrobot_twin.simulation import CommandSetpoints, Hold, Simulation, StepResult, Touched
+from softrobot_twin.simulation import (
+    CommandEfforts,
+    CommandSetpoints,
+    Hold,
+    Simulation,
+    StepResult,
+    Touched,
+)
 from softrobot_twin.simulation.appearance import Pose
 from softrobot_twin.simulation.building.limits import efforts_at_scale
 from softrobot_twin.simulation.effects.touches import TouchState
@@ -298,6 +305,8 @@ class SimulatedDevice:
         flaws: Delay, limits of servos and valves, and noise.
         ambient_pressure: Absolute pressure around the robot [Pa].
         presses: How a fingertip presses it; None without one.
+        follows: ``setpoints``, or ``efforts``: winches and regulators that hold what is commanded, from
+            zero on, however fast it changes.
 
     Attributes:
         touch_names: Names of the touches; see `TouchedDevice`. Empty without a fingertip.
@@ -312,6 +321,7 @@ class SimulatedDevice:
     def __init__(
         self, simulation: Simulation, flaws: DeviceFlaws,
         ambient_pressure: float = STANDARD_ATMOSPHERE, presses: Presses | None = None,
+        follows: str = "setpoints",
     ):
         self._fingertip = None if presses is None else Fingertip(simulation, presses)
         self.touch_names = () if presses is None else simulation.touch_names
@@ -331,9 +341,21 @@ class SimulatedDevice:
         self._poses: deque[tuple[float, str, Pose]] = deque(maxlen=_QUEUE_LENGTH)
         self._servo = np.array(simulation.rest_setpoints)
         self._commanded, self._driven = self._servo.copy(), self._servo.copy()
+        self._follows_efforts = follows == "efforts"
+        if self._follows_efforts:
+            self._check_efforts()
+            self._commanded = np.zeros_like(self._servo)
         is_angle = np.array([kind.setpoint.unit == "rad" for kind in simulation.actuators.kinds], bool)
         self._angles, self._play = np.flatnonzero(is_angle), np.where(is_angle, 0.5 * flaws.backlash, 0.0)
         self._time: float | None = None
+
+    def _check_efforts(self) -> None:
+        """Refuses actuators that take no effort."""
+        actuators = self.simulation.actuators
+        for name, takes in zip(actuators.names, actuators.takes_efforts, strict=True):
+            if not takes:
+                raise ParameterError("device_follows", "efforts", "",
+                                     f"{name} of the device's scene takes no effort")
 
     def apply(self, setpoints: np.ndarray, now: float) -> None:
         """Takes the newest command; see `Device`. The delay starts at this time."""
@@ -361,7 +383,7 @@ class SimulatedDevice:
         """Forces and displacements of the touches; see `TouchedDevice`. Sensors are exact."""
         return self.simulation.touches
 
-    def _step(self, command: CommandSetpoints | Hold, now: float) -> StepResult:
+    def _step(self, command: CommandSetpoints | CommandEfforts | Hold, now: float) -> StepResult:
         """Steps the body, pressed by the fingertip as it is at a time [s]."""
         if self._fingertip is None:
             return self.simulation.step(command)
@@ -382,7 +404,10 @@ class SimulatedDevice:
         while self._poses and self._poses[0][0] <= now:
             _, name, pose = self._poses.popleft()
             self.simulation.model.guides.aim(name, pose.position, pose.quaternion)
-        if time_step > 0.0:
+        if time_step > 0.0 and self._follows_efforts:
+            self.result = self._step(CommandEfforts(self._commanded, time_step), now)
+            self._servo = np.array(self.result.setpoints)
+        elif time_step > 0.0:
             reach = self._valves.reach(self._servo, time_step)
             aims = self._valves.aims(self._commanded, self._servo, time_step)
             leaked = self._valves.leaked(self._servo, time_step)

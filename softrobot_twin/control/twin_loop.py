@@ -391,7 +391,7 @@ class TwinLoop:
         self.observer = None if simulation.scene.observer is None else ForceObserver(simulation)
         self.dynamic: DynamicControl | None = None
         if simulation.scene.control is not None and mode is Mode.INVERSE:
-            self.dynamic = DynamicControl(simulation, settings.period)
+            self.dynamic = DynamicControl(simulation, settings.period, settings.prediction)
         self._history = ModelHistory(
             limits.travel(limits.drive_scale), len(simulation.marker_ids),
             len(simulation.effector_names),
@@ -448,7 +448,7 @@ class TwinLoop:
         for one in self.inputs.values():
             one.apply(settings)
         if self.dynamic is not None:
-            self.dynamic.apply(settings.period)
+            self.dynamic.apply(settings.period, settings.prediction)
 
     @property
     def is_enabled(self) -> bool:

@@ -25,6 +25,7 @@ import rclpy
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Point, PointStamped, Vector3Stamped
+from nav_msgs.msg import Path as PathMessage
 from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -38,7 +39,7 @@ from std_srvs.srv import SetBool
 from softrobot_twin.control.loop_settings import Mode
 from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.errors import ParameterError, SoftRobotTwinError
-from softrobot_twin.ros.messages import READERS
+from softrobot_twin.ros.messages import READERS, read_path
 from softrobot_twin.ros.parameters import DEVICE, TARGET, TWIN
 from softrobot_twin.ros.scene_file import config_folders, find_scene, find_scene_file
 from softrobot_twin.scene import load_scene
@@ -117,7 +118,11 @@ def share_of_others(before: ProcessorTimes, after: ProcessorTimes) -> float:
 
 
 RUNS = ("open_loop", "closed_loop")
+CONTROLLED_RUNS = ("dynamic", "quasi_static")
+"""Of a scene whose control predicts: by prediction, then as if the robot stood."""
 DIRECT_RUNS = ("direct",)
+_SWITCHED = {"closed_loop": ("closed_loop", True), "quasi_static": ("prediction", False)}
+"""Parameter of the twin that is set as a run begins, and its value."""
 _LEAST_RAMPS = 4.0
 """A path of a run is shown for at least this many of its transitions."""
 
@@ -140,12 +145,13 @@ class DemoPlan:
         effector: Effector that is driven or, where commands are played, compared.
         touch: Touch where the device's fingertip presses; empty for none.
         runs: Names of the runs, in order: `RUNS`, only the first of them where no marker measures
-            an effector, or `DIRECT_RUNS` where commands are played.
+            an effector, `CONTROLLED_RUNS`, or `DIRECT_RUNS` where commands are played.
         run_time: Length of each run [s].
         paths: Paths of a run, in turn; empty where commands are played.
         turn_time: Length of each path within a run [s].
         ramp_time: Duration of the transition onto a path [s].
         period: Time between the twin's ticks [s].
+        tells_ahead: Whether the path of the targets is told ahead.
         view_port: Port to which viewers connect, or None without a view.
         opens_viewer: True when a viewer is opened, which needs a display.
         folder: Folder of the recording and of the processes' logs.
@@ -162,6 +168,7 @@ class DemoPlan:
     turn_time: float
     ramp_time: float
     period: float
+    tells_ahead: bool
     view_port: int | None
     opens_viewer: bool
     folder: Path
@@ -193,7 +200,7 @@ class DemoPlan:
         of_paths = {"target_sequence": list(self.paths), "target_sequence_time": self.turn_time,
                     "target_ramp_time": self.ramp_time}  # fmt: skip
         overrides: Mapping[str, Mapping[str, object]] = {
-            "twin": {**scene, "use_device": True, "closed_loop": False,
+            "twin": {**scene, "use_device": True, "closed_loop": self.runs == CONTROLLED_RUNS,
                      "record_file": str(self.record_file.resolve()), "view": bool(view),
                      "view_spawn": self.opens_viewer, **view},
             "device": {}, "target": scene if self.is_direct else of_paths,
@@ -243,7 +250,11 @@ def plan_demo(robot: str, folder: Path, run_time: float, view: bool,
     turn_time = run_time / count
     values["scene_changes"] = (*values["scene_changes"], *changes)
     scene_file = find_scene(values)
-    is_measured = any(effector.measured_by for effector in load_scene(scene_file).effectors)
+    scene = load_scene(scene_file)
+    is_measured = any(effector.measured_by for effector in scene.effectors)
+    runs = RUNS if is_measured else RUNS[:1]
+    if is_measured and scene.control is not None and scene.control.law == "dynamic":
+        runs = CONTROLLED_RUNS
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -253,10 +264,10 @@ def plan_demo(robot: str, folder: Path, run_time: float, view: bool,
         robot=robot, parameter_file=file,
         scene_file=scene_file, effector=str(values["target_effector"]),
         touch=str(values["device_touch"]),
-        runs=DIRECT_RUNS if is_direct else RUNS if is_measured else RUNS[:1],
+        runs=DIRECT_RUNS if is_direct else runs,
         run_time=run_time, paths=() if is_direct else tuple(paths[:count]), turn_time=turn_time,
         ramp_time=min(ramp_time, 0.5 * turn_time),
-        period=1.0 / float(values["rate"]),
+        period=1.0 / float(values["rate"]), tells_ahead=bool(values["target_ahead"]),
         view_port=_port(int(values["view_port"])) if view else None,
         opens_viewer=view and display, folder=folder)
 
@@ -563,6 +574,7 @@ class DemoRecorder(Node):
         effector: Effector that is driven or compared.
         is_direct: Commands are played; there are no targets.
         touch: Touch where the device's fingertip presses; empty for none.
+        tells_ahead: Whether targets come as paths.
 
     Attributes:
         target: Target positions of the effector [m]; none where commands are played.
@@ -579,7 +591,7 @@ class DemoRecorder(Node):
         cause: Reported reason for a large tracking error; empty when there is none.
     """
 
-    def __init__(self, effector: str, is_direct: bool, touch: str):
+    def __init__(self, effector: str, is_direct: bool, touch: str, tells_ahead: bool = False):
         super().__init__("demo")
         self.is_direct = is_direct
         self.target, self.twin_effector, self.device_effector = Samples(), Samples(), Samples()
@@ -589,6 +601,9 @@ class DemoRecorder(Node):
         self.loop_reports: list[LoopReport] = []
         self.priority = self.cause = ""
         self._targets = self._record(PointStamped, f"/twin/target/{effector}", self.target)
+        if tells_ahead:
+            self._targets = self.create_subscription(
+                PathMessage, f"/twin/target_path/{effector}", self._take_path, _ALL)
         self._record(PointStamped, f"/twin/effectors/{effector}", self.twin_effector)
         self._record(PointStamped, f"/device/effectors/{effector}", self.device_effector)
         if touch:
@@ -607,6 +622,11 @@ class DemoRecorder(Node):
             samples.add(_seconds(message.header), [number for part in parts for number in part])
 
         return self.create_subscription(kind, topic, take, _ALL)
+
+    def _take_path(self, message: PathMessage) -> None:
+        """Records where the target is at the time of the message."""
+        _, places = read_path(message)
+        self.target.add(_seconds(message.header), list(places[0]))
 
     @property
     def reference(self) -> Samples:
@@ -784,7 +804,8 @@ class Demo:
         """
         isolate(os.environ)
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        self._recorder = DemoRecorder(self._plan.effector, self._plan.is_direct, self._plan.touch)
+        self._recorder = DemoRecorder(self._plan.effector, self._plan.is_direct, self._plan.touch,
+                                      self._plan.tells_ahead)
         self.executor = SingleThreadedExecutor()
         self.executor.add_node(self._recorder)
         was_stopped = False
@@ -837,8 +858,8 @@ class Demo:
         self._times_before = self._processor_times()
         for number, run in enumerate(self._plan.runs):
             self.phase = run.replace("_", " ")
-            if run == "closed_loop":
-                self._close_loop()
+            if run in _SWITCHED:
+                self._switch(*_SWITCHED[run])
             self._starts[run] = start + number * self._plan.run_time
             self._end = start + (number + 1) * self._plan.run_time
             self.until(lambda: self._last_reference() >= self._end,
@@ -873,14 +894,14 @@ class Demo:
                 raise DemoError("twin", f"cannot be enabled: {answer.message}")
             self.until(_after(0.2), _ANSWER_TIMEOUT, "twin", "")
 
-    def _close_loop(self) -> None:
+    def _switch(self, parameter_name: str, value: bool) -> None:
         name = "/twin/set_parameters"
         client = self._recorder.create_client(SetParameters, name)
-        parameter = Parameter("closed_loop", value=True).to_parameter_msg()
+        parameter = Parameter(parameter_name, value=value).to_parameter_msg()
         request = SetParameters.Request(parameters=[parameter])
         (result,) = self._ask(client, request, name).results
         if not result.successful:
-            raise DemoError("twin", f"the loop cannot be closed: {result.reason}")
+            raise DemoError("twin", f"{parameter_name} cannot be set: {result.reason}")
 
     def _ask(self, client, request, name: str):
         """Answer of a service."""

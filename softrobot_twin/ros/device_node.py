@@ -70,6 +70,7 @@ class DeviceNode(TickingNode):
         self.device = self.make_device(values)
         self._frame = str(values["frame_id"])
         self._ambient_pressure = float(values["ambient_pressure"])
+        self._follows_efforts = values["device_follows"] == "efforts"
         self._sends_force = values["device_touch_sends"] == "force"
         settings = LoopSettings(
             **{name: values[name] for name in ("message_timeout", "future_tolerance")})
@@ -100,7 +101,8 @@ class DeviceNode(TickingNode):
         self.get_logger().info(f"scene: {path}, {simulation.node_count} nodes")
         touch = [values[f"device_touch{part}"] for part in ("", "_depth", "_period", "_direction")]
         presses = Presses(*touch) if touch[0] else None
-        return SimulatedDevice(simulation, flaws, float(values["ambient_pressure"]), presses)
+        return SimulatedDevice(simulation, flaws, float(values["ambient_pressure"]), presses,
+                               values["device_follows"])
 
     def _open(self, twin: str) -> None:
         self._outputs = open_outputs(self, self._measurement_outputs(), twin)
@@ -169,13 +171,14 @@ class DeviceNode(TickingNode):
         Args:
             message: The command.
         """
-        if not message.position:
+        if not (message.effort if self._follows_efforts else message.position):
             return self.refusals.add(Refusal.WRONG_SIZE)
         arrival = self.arrival(message.header)
         refusal = self._commands.accept(message.name, message.position, message.effort, arrival)
         if refusal is None:
             # The message may have waited for the step to end; a real robot would not have waited.
-            self.device.apply(self._commands.setpoints, arrival.time - max(0.0, arrival.age))
+            given = self._commands.efforts if self._follows_efforts else self._commands.setpoints
+            self.device.apply(given, arrival.time - max(0.0, arrival.age))
         return refusal
 
     def work(self, now: float) -> None:

@@ -208,6 +208,8 @@ RUNTIME = (
     _setting("workspace_min", "Lower corner of the box to which targets and poses are limited.", "m"),
     _setting("workspace_max", "Upper corner of that box.", "m"),
     _setting("closed_loop", "Correct the targets by the measured markers."),
+    _setting("prediction", "In a scene with control law dynamic: command by prediction; else as if the robot "
+             "stood."),
     _setting("misfit_rate", "Rate at which that correction follows the misfit of the markers.", "1/s",
              0.0, 1000.0),
     _setting("correction_gain", "Gain of the integrator that stands in where setpoints are not "
@@ -288,6 +290,8 @@ DEVICE = COMMON + _fixed(
           "Path of the simulated robot's scene, searched like scene_file."),
     Entry("device_scene_changes", [""], "Other values of its entries, as scene_changes."),
     Entry("device_rate", 50.0, "Measurements per second.", "Hz", 0.1, 2000.0),
+    Entry("device_follows", "setpoints", "What of a command it follows: setpoints, such as lengths of "
+          "cables, or efforts, such as their tensions.", choices=("setpoints", "efforts")),
     Entry("device_delay", 0.02, "Time from a command's arrival to its effect.", "s", 0.0, 10.0),
     Entry("device_servo_rate", 0.1, "Greatest speed of the servos of cables and slides.", "m/s", 1e-6,
           10.0),

@@ -151,7 +151,7 @@ def tracking_report(robot: str, runs: dict[str, TrackingRecord], figures_of_twin
     Args:
         robot: Name of the robot.
         runs: Records under ``open_loop`` and ``closed_loop``, of which the second is missing after
-            an interrupted demo, or under ``direct``.
+            an interrupted demo, under ``direct``, or ``quasi_static`` and ``dynamic``.
         figures_of_twin: Timing of the twin's loop, and the size of its mesh.
 
     Raises:
@@ -163,7 +163,7 @@ def tracking_report(robot: str, runs: dict[str, TrackingRecord], figures_of_twin
         ratio = figures["closed_loop"]["mean_error_mm"] / figures["open_loop"]["mean_error_mm"]
     return {
         "robot": robot,
-        **{name: figures.get(name) for name in ("open_loop", "closed_loop", "direct")},
+        **{name: None for name in ("open_loop", "closed_loop", "direct")}, **figures,
         "closed_to_open_ratio": ratio,
         "published_open_loop_error_mm": PUBLISHED_ERRORS_MM.get(robot),
         **figures_of_twin,
@@ -186,8 +186,10 @@ def write_report(path: Path, report: dict) -> None:
         path.write_text(json.dumps(report, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
-_RUN_COLOURS = {"open_loop": "#d95f02", "closed_loop": "#1b6ca8", "direct": "#1b6ca8"}
-_RUN_LABELS = {"open_loop": "open loop", "closed_loop": "closed loop", "direct": "commands"}
+_RUN_COLOURS = {"open_loop": "#d95f02", "closed_loop": "#1b6ca8", "direct": "#1b6ca8",
+                "quasi_static": "#d95f02", "dynamic": "#1b6ca8"}
+_RUN_LABELS = {"open_loop": "open loop", "closed_loop": "closed loop", "direct": "commands",
+               "quasi_static": "as if it stood", "dynamic": "by prediction"}
 _TARGET_COLOUR = "#222222"
 _TWIN_COLOUR = "#7fa87f"
 _ACTUATOR_COLOURS = ("#1b6ca8", "#d95f02", "#3a8f5c", "#a03b76",
@@ -307,7 +309,7 @@ def _draw_actuators(axes, runs: dict[str, TrackingRecord], quantity: str, title:
                       color=_ACTUATOR_COLOURS[index % len(_ACTUATOR_COLOURS)], linestyle=style,
                       linewidth=1.3 if style == "solid" else 1.0,
                       label=name if style == "solid" else None)
-    note = " (dotted: open loop)" if len(runs) > 1 else ""
+    note = f" (dotted: {_RUN_LABELS[next(iter(runs))]})" if len(runs) > 1 else ""
     unit = f" [{units[0][1]}]" if is_common else ""
     axes.set(xlabel=f"time [s]{note}", ylabel=f"{label}{unit}", title=title)
     axes.margins(x=0.01)

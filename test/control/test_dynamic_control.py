@@ -1,13 +1,14 @@
 """A finger is led along a path nearly as fast as it vibrates, by prediction and as if it stood."""
 
 import copy
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import yaml
 
 from softrobot_twin.control.arrival import Arrival
-from softrobot_twin.control.dynamic_control import SINGLE_ACTUATORS, TOO_FAR
+from softrobot_twin.control.dynamic_control import OFF, SINGLE_ACTUATORS, TOO_FAR
 from softrobot_twin.control.loop_settings import LoopSettings, Mode
 from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.control.target_correction import Law
@@ -230,6 +231,15 @@ def test_statics_stand_in_while_single_actuators_are_commanded(twin, softer, cur
     drive.loop.selected.accept(["extensor"], [length], [], drive.arrival())
     drive.run(lambda time: curve[5], 3)
     assert drive.whys[-4:] == ["", *[SINGLE_ACTUATORS] * 3]
+
+
+def test_prediction_is_switched_off_and_on_while_the_twin_runs(twin, softer, path):
+    drive = Fast(twin, softer)
+    drive.run(path, 20)
+    for may_predict, why in ((False, OFF), (True, "")):
+        drive.loop.apply(replace(drive.loop.settings, prediction=may_predict))
+        drive.run(path, 20)
+        assert set(drive.whys[-19:]) == {why}
 
 
 def test_commands_keep_the_limits_of_tensions(softer, curve):

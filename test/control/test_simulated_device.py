@@ -62,6 +62,18 @@ def test_noise_has_the_given_deviation_and_repeats_for_a_seed(simulation, rest):
     assert not np.array_equal(noisy, markers(0.0002, 2))
 
 
+def test_winches_hold_the_commanded_tensions_after_the_delay_in_place_of_lengths(simulation, rest):
+    device = SimulatedDevice(simulation, DeviceFlaws(delay=0.05), follows="efforts")
+    tensions = np.array([2.0, 1.8, 2.2, 1.8])
+    device.read(0.0)
+    device.apply(tensions, 0.0)
+    early, *_, late = [device.read(time) for time in np.arange(STEP, 1.0, STEP)]
+    # Before, the weight pulls at cables whose limits do not let them become longer.
+    assert early.setpoints == pytest.approx(rest, abs=1e-9)
+    assert late.efforts == pytest.approx(tensions, rel=1e-6)
+    assert (late.setpoints < rest - 1e-4).all()
+
+
 @pytest.mark.parametrize("command", [[np.nan] * 4, [0.08] * 3, [np.inf, 0.08, 0.08, 0.08]])
 def test_an_invalid_command_changes_nothing_and_is_counted(simulation, rest, command):
     device = SimulatedDevice(simulation, DeviceFlaws())

@@ -15,6 +15,7 @@ import pytest
 from softrobot_twin.command_line.commands import enable_interrupts
 from softrobot_twin.errors import ParameterError, SceneError
 from softrobot_twin.ros.demo import (
+    CONTROLLED_RUNS,
     RUNS,
     START_TOPIC,
     Demo,
@@ -88,6 +89,12 @@ def test_changes_reach_the_twins_scene_and_who_reads_it_and_not_the_device(tmp_p
     assert 'scene_changes:=["gravity=[0,0,-1]"]' in played.command("target")
     with pytest.raises(SceneError, match="rat = 1: is not a key"):
         plan_demo("diamond", tmp_path, 5.0, view=False, changes=("cables.north.rat=1",))
+
+
+def test_a_scene_whose_control_predicts_is_led_by_prediction_and_then_as_if_it_stood(tmp_path):
+    plan = plan_demo("fast_trunk", tmp_path, 5.0, view=False)
+    assert plan.runs == CONTROLLED_RUNS == ("dynamic", "quasi_static") and plan.tells_ahead
+    assert "closed_loop:=true" in plan.command("twin")
 
 
 def test_a_robot_that_is_driven_directly_plays_its_commands_in_one_run(tmp_path):
@@ -538,7 +545,7 @@ def test_the_demo_leads_the_robot(led, robot):
     load = (f"{100 * done:.0f} % of the ticks took place, other programs used "
             f"{100 * others:.0f} % of the processor")
     with np.load(folder / "samples.npz") as samples:
-        runs = [run for run in (*RUNS, "direct") if f"{run}.device.times" in samples]
+        runs = [run for run in (*RUNS, *CONTROLLED_RUNS, "direct") if f"{run}.device.times" in samples]
         assert runs == list(plan_demo(robot, folder, SECONDS[robot], view=False).runs)
         for run in runs:
             twin, device = (samples[f"{run}.{one}.values"] for one in ("twin", "device"))

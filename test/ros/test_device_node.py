@@ -68,6 +68,18 @@ def test_the_device_moves_to_a_command_at_the_rate_of_its_servos(world, make_dev
     assert there - moving > 0.1
 
 
+def test_a_device_that_follows_efforts_takes_tensions_and_refuses_lengths_alone(world, make_device):
+    device = make_device(device_follows="efforts")
+    rest, tensions = rest_of(device), [2.0, 1.8, 2.2, 1.8]
+    measured = world.hear(JointState, "/twin/measured_cables", 100)
+    cables = world.speaker(JointState, "/twin/cables")
+    names, header = device.device.actuator_names, Header(stamp=world.stamp())
+    cables.publish(JointState(header=header, name=names, position=rest.tolist()))
+    world.until(lambda: device.refusals.of(Refusal.WRONG_SIZE) == 1)
+    cables.publish(cables_message(names, rest, tensions, Header(stamp=world.stamp())))
+    world.until(lambda: measured and np.allclose(measured[-1].effort, tensions, rtol=1e-6))
+
+
 def test_the_topics_follow_the_name_of_the_twin(world, make_device):
     make_device(twin="/left/")
     cables = world.hear(JointState, "/left/measured_cables")
