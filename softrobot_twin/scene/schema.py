@@ -64,7 +64,8 @@ class Touching(Entry):
     the pair has friction: missed only where limits of the hardware do not allow it."""
     least_grip_margin: Annotated[float | None, unit("", gt=0.0, lt=1.0)] = None
     """Share of the pair's friction that shall be left, 1 - Σ |λ_t| / Σ µ λ_n: it is told of every step,
-    and a step with less names `<first>.<second>.grip_margin`."""
+    and a step with less names `<first>.<second>.grip_margin`. A target is missed before it falls
+    below; where it is below already, actuators follow targets only to raise it."""
 
 
 class TouchingPoint(Entry):

@@ -19,7 +19,8 @@ slip that stuck. Towards others, single actuators are moved to either side, one 
 optimum is sought by what contacts do there. Where an effector comes to depends on the way, too: steps
 look whether it is nearer to go somewhere else first, and back from where contacts slipped to.
 
-Least forces of pairs are rows of the problem where an optimum would fall below them.
+Least forces and grip margins of pairs are rows of the problem where an optimum would fall below
+them. Where a margin is below its least one already, actuators only move to raise it.
 
 Each step goes a part of the way to targets that stay. Effectors that went too far come back another
 way, since friction turns.
@@ -73,6 +74,8 @@ CALM, CALM_STEPS, LEFT = 1.0e-6, 10, 0.05
 FORCES_FIRST = 1.0e2
 # What a pair lacks of its least force counts so many times that distance; a share of it that is none.
 LEAST_FIRST, LACKS = 10.0, 1.0e-2
+# Actuators of a pair below its least margin move where the margin rises by so much; else they stay.
+RISES = 1.0e-3
 # A share of the tolerance of targets that does not matter.
 NO_MATTER = 1.0e-3
 
@@ -244,18 +247,26 @@ class Aim(NamedTuple):
         return self._replace(errors=errors)
 
 
-class LeastForces(NamedTuple):
-    """Normal forces that pairs shall at least press with, each as a whole.
+class Grips(NamedTuple):
+    """Least normal forces and least grip margins of pairs, each of a pair as a whole.
+
+    A margin counts by the normal forces N at which the pair pressed when the step began, so that
+    nothing is gained by letting go; one that was less then shall not fall further:
+
+        least force     Σ λ_n >= least
+        least margin    N (1 - Σ |λ_t| / Σ µ λ_n) >= N least
 
     Attributes:
         names: Names of the limits, see `StepReport`.
-        grip_of: Which of them each pair of the contact term has, -1 for none, shape (pair_count,).
-        least: The forces [N], shape (count,).
+        is_of: Which of them each pair of the contact term has, shape (count, pair_count).
+        least: Least forces [N], then least margins, shape (count,).
+        is_margin: Which are margins, same shape.
     """
 
     names: tuple[str, ...]
-    grip_of: np.ndarray
+    is_of: np.ndarray
     least: np.ndarray
+    is_margin: np.ndarray
 
     @classmethod
     def of(cls, model: Model) -> Self | None:
@@ -264,46 +275,103 @@ class LeastForces(NamedTuple):
         Args:
             model: A scene with friction.
         """
-        least = {one.pair: one.least_force for one in model.scene.contact.between if one.least_force}
-        limits = tuple(f"{'.'.join(pair)}.least_force" for pair in least)
-        place = model.contacts.places_among(list(least))
-        return cls(limits, place, np.array([*least.values()])) if least else None
+        keys, between = ("least_force", "least_grip_margin"), model.scene.contact.between
+        found = [(one.pair, key, getattr(one, key)) for key in keys for one in between
+                 if getattr(one, key)]  # fmt: skip
+        if not found:
+            return None
+        names = tuple(".".join((*pair, key.replace("least_grip", "grip"))) for pair, key, _ in found)
+        is_of = [model.contacts.places_among([pair]) == 0 for pair, _, _ in found]
+        return cls(names, np.array(is_of), np.array([least for *_, least in found]),
+                   np.array([key == keys[1] for _, key, _ in found]))  # fmt: skip
 
-    def members(self, contacts: Contacts) -> np.ndarray:
-        """Which contacts each sums, shape (count, contact_count).
+    def used(self, contacts: Contacts, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What share of its friction each pair uses, one without forces, and its normal forces [N].
 
         Args:
             contacts: The contact term.
+            forces: λ of a solution [N], shape (contact_row_count,).
         """
-        return self.grip_of[contacts.pair[: contacts.count]] == np.arange(len(self.least))[:, None]
+        members, starts = self.is_of[:, contacts.pair[: contacts.count]], contacts.row_starts
+        rubs = np.flatnonzero(np.diff(starts) == 3)
+        rubbed = np.hypot(forces[starts[rubs] + 1], forces[starts[rubs] + 2])
+        rubbed /= contacts.friction[rubs]
+        pressed, used = members @ forces[starts[:-1]], np.ones(len(members))
+        return np.divide(members[:, rubs] @ rubbed, pressed, out=used, where=pressed > 0.0), pressed
 
-    def rows(self, linear: Linearized, contacts: Contacts) -> tuple[np.ndarray, np.ndarray]:
-        """Forces as distances: by how much they would press in the mean contact of a pair.
+    def sums(self, contacts: Contacts, forces: np.ndarray) -> tuple[np.ndarray, ...]:
+        """The forces of pairs in a solution, linearized around it.
+
+        Args:
+            contacts: The contact term.
+            forces: λ of the solution [N], shape (contact_row_count,).
+
+        Returns:
+            Derivatives by λ, shape (count, contact_row_count); what they shall be at least [N], and
+            what that is a share of, shape (count,).
+        """
+        members, starts = self.is_of[:, contacts.pair[: contacts.count]], contacts.row_starts
+        used, pressed = self.used(contacts, forces)
+        used_before, before = self.used(contacts, contacts.memory.at_start)
+        by = before / np.maximum(pressed, LACKS * before + (before == 0.0))
+        rows, is_force = np.zeros((len(members), len(forces))), ~self.is_margin
+        rows[:, starts[:-1]] = np.where(is_force, 1.0, by * used)[:, None] * members
+        rubs = np.flatnonzero(np.diff(starts) == 3)
+        along = (starts[rubs][:, None] + (1, 2)).T
+        sizes = np.hypot(*forces[along]) * contacts.friction[rubs]
+        ways = np.divide(forces[along], sizes, out=np.zeros(along.shape), where=sizes > 0.0)
+        for way, row in zip(ways, along):
+            rows[:, row] = np.where(is_force, 0.0, -by)[:, None] * members[:, rubs] * way
+        lack = before * (np.minimum(self.least, 1.0 - used_before) - 1.0 + used)
+        least = np.where(is_force, self.least, lack)
+        return rows, least, np.where(is_force, self.least, before)
+
+    def slips_on(self, contacts: Contacts, held: np.ndarray, found: np.ndarray) -> bool:
+        """Whether a pair has less than its least margin, and would not win some of it back.
+
+        Args:
+            contacts: The contact term.
+            held: λ when the actuators stay [N], shape (contact_row_count,).
+            found: λ of what they would do, same shape.
+        """
+        now, stay, go = (1.0 - self.used(contacts, forces)[0]
+                         for forces in (contacts.memory.at_start, held, found))  # fmt: skip
+        is_low = self.is_margin & (now < self.least - LACKS)
+        return bool((is_low & (go < np.minimum(stay + RISES, self.least))).any())
+
+    def rows(
+        self, linear: Linearized, contacts: Contacts, forces: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """See `sums`; forces as distances, by which they would press in the mean contact of a pair.
 
         Args:
             linear: The condensed system.
             contacts: The contact term.
+            forces: λ of the solution [N], shape (contact_row_count,).
 
         Returns:
-            Distances by normal forces [m/N], shape (count, contact_count), and those of the least
-            forces [m], shape (count,).
+            Distances by λ [m/N], shape (count, contact_row_count), and the least ones [m], shape
+            (count,).
         """
-        members = self.members(contacts)
+        members = self.is_of[:, contacts.pair[: contacts.count]]
         normals = linear.groups.contacts.start + contacts.row_starts[:-1]
-        sums = members @ linear.W[normals, normals]
-        yields = LEAST_FIRST * sums / np.maximum(members.sum(axis=1), 1)
-        return yields[:, None] * members, yields * self.least
+        yields = LEAST_FIRST * (members @ linear.W[normals, normals])
+        yields /= np.maximum(members.sum(axis=1), 1)
+        rows, least, _ = self.sums(contacts, forces)
+        return yields[:, None] * rows, yields * least
 
-    def met(self, forces: np.ndarray, contacts: Contacts) -> tuple[str, ...]:
+    def met(self, contacts: Contacts, forces: np.ndarray) -> tuple[str, ...]:
         """Names of pairs that press no harder than they have to, and of those that cannot.
 
         Args:
-            forces: Normal forces [N], shape (contact_count,).
             contacts: The contact term.
+            forces: λ of all rows [N], shape (contact_row_count,).
         """
-        shares = self.members(contacts) @ forces / self.least if len(forces) else 0.0 * self.least
-        return tuple(name if share >= 1.0 - LACKS else f"{name}_missed"
-                     for name, share in zip(self.names, shares) if share <= 1.0 + LACKS)  # fmt: skip
+        rows, least, whole = self.sums(contacts, forces)
+        more = rows @ forces - least
+        is_missed = (more < -LACKS * whole) & ~self.is_margin
+        return tuple(f"{name}_missed" if few else name
+                     for name, few, near in zip(self.names, is_missed, more < LACKS * whole) if near)
 
 
 class Task(NamedTuple):
@@ -426,7 +494,7 @@ class InverseWithFriction(InverseActuation):
         self._least = NO_MATTER * self._tolerance
         most = float(model.contacts.friction_of_pair.max())
         self._brakes = model.is_dynamic
-        self._grips = LeastForces.of(model)
+        self._grips = Grips.of(model)
         self._judges_forces = self.force_limit < np.inf or self._grips is not None
         self._friction = min(1.0, most / MUCH_FRICTION)
         self._left_out = (1.0 - SHARE) * self._friction
@@ -489,27 +557,35 @@ class InverseWithFriction(InverseActuation):
         def optimise(tied: Linearized, errors: np.ndarray, at: Actuation, bounds: Bounds):
             def asked(*more: np.ndarray):
                 return super(InverseWithFriction, self)._over_branches(
-                    tied, *more, at, bounds, commanded, rows, chosen
+                    tied, *more, from_normals, bounds, commanded, rows, chosen
                 )
 
-            rows = extra
+            rows, from_normals = extra, self._on_normals(at)
             found = asked(errors, weights)
             if self._grips is None:
                 return found
             wanted = np.zeros(len(self._grips.least), bool)
-            grip, least = self._grips.rows(linear, self._contacts)
+            (a, _, c), (ties, offset) = tied.groups, tied.ties
+            grip, least = self._grips.rows(linear, self._contacts, at.contact.multipliers)
+            least = least - grip @ offset[c.start :]
+            grip = np.delete(grip @ ties[c.start :], np.arange(a.stop, c.start), axis=1)
             while found is not None:
-                low = ~wanted & (grip @ found.contact.multipliers < least)
+                forces = np.append(found.efforts, found.contact.multipliers)
+                low = ~wanted & (grip @ forces < least)
                 if not low.any():
                     break
                 wanted |= low
-                rows = np.zeros((wanted.sum(), len(commanded) + grip.shape[1]))
-                rows[:, len(commanded) :] = grip[wanted]
+                rows = grip[wanted]
                 if extra is not None:
-                    rows = np.concatenate([np.pad(extra, ((0, 0), (0, grip.shape[1]))), rows])
+                    more = ((0, 0), (0, grip.shape[1] - a.stop))
+                    rows = np.concatenate([np.pad(extra, more), rows])
                 weight = FORCES_FIRST * weights.max(initial=0.0)
-                found = asked(np.append(errors, -least[wanted]),
-                              np.append(weights, np.full(wanted.sum(), weight)))
+                closer = asked(np.append(errors, -least[wanted]),
+                               np.append(weights, np.full(wanted.sum(), weight)))
+                if closer is None:
+                    # What lacks a least force counts so much that the actuators stay instead.
+                    break
+                found = closer
             return found
 
         beyond = self._beyond if self._judges_forces else None
@@ -531,7 +607,10 @@ class InverseWithFriction(InverseActuation):
             half = 0.5 * (held.drives(self._limits) + best.drives(self._limits))
             best = self._with_friction(linear, half, bounds, best)
         self._search.note(before > negligible and aim.missed(best) > (1.0 - PROGRESS) * before)
-        if aim.missed(best) > before + negligible:
+        slips = self._grips is not None and self._grips.slips_on(
+            self._contacts, held.contact.multipliers, best.contact.multipliers
+        )
+        if aim.missed(best) > before + negligible or slips:
             self.trust.tighten()
             best = held
         self._direct.remember(best.efforts)
@@ -593,7 +672,7 @@ class InverseWithFriction(InverseActuation):
             tied = tied_by_contacts(system, self._contacts, at, self._least)
             errors = task.aim.errors.copy()
             errors[: len(tied.effectors)] += tied.effectors - task.linear.effectors
-            promised = task.optimise(tied, errors, self._on_normals(at), bounds)
+            promised = task.optimise(tied, errors, at, bounds)
             if promised is None:
                 break
             at = self._with_friction(system, promised.drives(self._limits), bounds, promised)
@@ -695,21 +774,27 @@ class InverseWithFriction(InverseActuation):
         forces, normals = found.contact.multipliers, self._contacts.row_starts[:-1]
         if not len(forces):
             return np.zeros(0)
-        if len(forces) != len(normals):
-            forces = forces[normals]
+        forces = self._of_all_rows(forces)
         rows = linear.groups.contacts.start + normals
-        beyond = np.maximum(forces - self.force_limit, 0.0) * linear.W[rows, rows]
+        beyond = np.maximum(forces[normals] - self.force_limit, 0.0) * linear.W[rows, rows]
         if self._grips is None:
             return beyond
-        grip, least = self._grips.rows(linear, self._contacts)
+        grip, least = self._grips.rows(linear, self._contacts, forces)
         return np.append(beyond, np.maximum(least - grip @ forces, 0.0))
 
     def _limits_met(self, forces: np.ndarray) -> tuple[str, ...]:
         """The same of the forces of all rows, or of normal forces alone."""
+        forces, normals = self._of_all_rows(forces), self._contacts.row_starts[:-1]
+        limits = super()._limits_met(forces[normals])
+        return limits if self._grips is None else limits + self._grips.met(self._contacts, forces)
+
+    def _of_all_rows(self, forces: np.ndarray) -> np.ndarray:
+        """Forces of all rows; of a promise, whose margins are kept, those along normals alone."""
         if len(forces) == self._contacts.row_count:
-            forces = forces[self._contacts.row_starts[:-1]]
-        limits = super()._limits_met(forces)
-        return limits if self._grips is None else limits + self._grips.met(forces, self._contacts)
+            return forces
+        whole = np.zeros(self._contacts.row_count)
+        whole[self._contacts.row_starts[:-1]] = forces
+        return whole
 
     def is_held_by_energy(
         self, linear: Linearized, target_rows: np.ndarray, held: Actuation, bounds: Bounds,

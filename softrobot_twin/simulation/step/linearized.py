@@ -413,11 +413,11 @@ class Linearized:
             offset: t [N], shape (n,).
 
         Returns:
-            The system, of which nothing but W, δ_free and what follows from them is of use.
+            The system, of which nothing but W, δ_free, `ties` (T and t) and what follows is of use.
         """
         tied, (a, e, c), W = copy(self), self.groups, self.W @ ties
         tied.compliance, tied.stored = Compliance(W[rows]), ties.T @ W
-        tied.violation = self.violation[rows] + self.W[rows] @ offset
+        tied.violation, tied.ties = self.violation[rows] + self.W[rows] @ offset, (ties, offset)
         left = len(rows) - c.start
         tied.groups = RowGroups(a, e, slice(c.start, len(rows)))
         first = self._all.contacts.start

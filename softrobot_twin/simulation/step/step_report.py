@@ -348,7 +348,7 @@ class StepResults:
             active = (*active, *what_touches(model.contacts, actuation.contact.multipliers))
         figures, entries, readings = {}, {}, {}
         for part, own in zip(self._parts, told):
-            active = (*active, *own.limits)
+            active = (*active, *(limit for limit in own.limits if limit not in active))
             figures |= {f"{part.name}.{figure}": own.figures[figure] for figure in part.figures}
             entries |= own.entries
             readings |= own.readings

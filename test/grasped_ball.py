@@ -1,0 +1,34 @@
+"""The PneuNet gripper with a valve for each finger, and the ball that its fingers hold."""
+
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from softrobot_twin.scene import scene_from_mapping
+from softrobot_twin.simulation import CommandEfforts, Simulation
+
+SCENE_FILE = Path(__file__).resolve().parents[1] / "config" / "scenes" / "pneunet.yaml"
+STEP, LIFT, GRIP = 0.02, 0.020, 40e3
+
+
+def valves(**of_pair) -> dict:
+    """The mapping of the scene, with a valve for each finger and an effector on the ball."""
+    entries = yaml.safe_load(SCENE_FILE.read_text())
+    entries["cavities"] = [{"name": "air_#", "repeat": 3, "pressure": [0.0, 50e3], "rate": 100e3,
+                            "walls": [{"body": "finger_#", "part": "cavity"}]}]  # fmt: skip
+    entries["effectors"] = [{"name": "ball", "body": "ball", "points": [[0.0, 0.0, -0.100]]}]
+    entries["contact"]["between"][0] |= of_pair
+    return entries
+
+
+def lifted_ball(entries: dict) -> Simulation:
+    """The ball, held above the floor at the pressure of the grip."""
+    simulation = Simulation(scene_from_mapping(entries, SCENE_FILE))
+    closed = CommandEfforts(np.full(3, GRIP), STEP)
+    for _ in range(60):
+        simulation.step(closed)
+    simulation.model.guides.aim("palm", [0.0, 0.0, LIFT])
+    for _ in range(90):
+        simulation.step(closed)
+    return simulation
