@@ -642,7 +642,7 @@ class InverseWithFriction(InverseActuation):
         smooth = tied_by_contacts(task.linear, self._contacts, task.held, np.inf)
         errors = task.aim.errors.copy()
         errors[: len(smooth.effectors)] += smooth.effectors - task.linear.effectors
-        promised = task.optimise(smooth, errors, self._on_normals(task.held), task.bounds)
+        promised = task.optimise(smooth, errors, task.held, task.bounds)
         if promised is None:
             return None
         drives = promised.drives(self._limits)
