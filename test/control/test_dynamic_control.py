@@ -11,7 +11,9 @@ from softrobot_twin.control.arrival import Arrival
 from softrobot_twin.control.dynamic_control import OFF, SINGLE_ACTUATORS, TOO_FAR
 from softrobot_twin.control.loop_settings import LoopSettings, Mode
 from softrobot_twin.control.loop_timing import NANOSECONDS
+from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
 from softrobot_twin.control.target_correction import Law
+from softrobot_twin.control.target_path import Circle
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene import scene_from_mapping
@@ -240,6 +242,41 @@ def test_prediction_is_switched_off_and_on_while_the_twin_runs(twin, softer, pat
         drive.loop.apply(replace(drive.loop.settings, prediction=may_predict))
         drive.run(path, 20)
         assert set(drive.whys[-19:]) == {why}
+
+
+@pytest.mark.slow
+def test_the_fast_trunk_of_the_demo_is_led_by_tensions_that_its_device_holds():
+    given = yaml.safe_load((ROOT / "config/fast_trunk.yaml").read_text())["/**"]["ros__parameters"]
+    twin, body = (Simulation.from_scene_file(ROOT / "config" / given[name])
+                  for name in ("scene_file", "device_scene_file"))
+    twin.warm_up()
+    body.warm_up()
+    flaws = DeviceFlaws(delay=given["device_delay"], marker_noise=given["device_marker_noise"])
+    device = SimulatedDevice(body, flaws, follows=given["device_follows"])
+    options = {name: given[name] for name in ("rate", "correction_gain", "correction_limit")}
+    loop = TwinLoop(twin, LoopSettings(closed_loop=True, **options))
+    period, start = 1.0 / given["rate"], twin.effector_positions()[0]
+    loop.continue_from(twin.state.setpoints, twin.state.efforts, {})
+    around = Circle(given["target_center"], given["target_radius"], given["target_period"])
+    ahead, errors, whys = np.arange(15) * period, {}, set()
+    for law, first in (("prediction", 0), ("statics", 100)):
+        loop.apply(replace(loop.settings, prediction=law == "prediction"))
+        apart = []
+        for now in period * np.arange(first, first + 100):
+            share = np.minimum((now + ahead) / given["target_ramp_time"], 1.0)[:, None]
+            places = np.array([around.position(time) for time in now + ahead])
+            places = start + share * (places - start)
+            stamp = START + round(now * NANOSECONDS)
+            seen = device.read(now)
+            loop.markers.accept(seen.marker_ids, seen.marker_positions, Arrival("base_link", stamp, stamp, now))
+            loop.targets.accept_path(0, ahead, places, Arrival("base_link", stamp, stamp, now))
+            # A tick of the live twin takes a quarter of its period.
+            device.apply(loop.tick(now, stamp).command.efforts, now + 0.25 * period)
+            whys.add(loop.dynamic.why_quasi_static)
+            apart.append((seen.effector_positions[0] - places[0])[:2])
+        errors[law] = rms(np.linalg.norm(apart, axis=1))
+    print({law: f"{1e3 * error:.2f} mm" for law, error in errors.items()})
+    assert errors["prediction"] < 0.35 * errors["statics"] and whys == {"", OFF}
 
 
 def test_commands_keep_the_limits_of_tensions(softer, curve):
