@@ -27,7 +27,7 @@ from softrobot_twin.scene.schema import Contact
 from softrobot_twin.simulation import Status
 from softrobot_twin.simulation.building.actuators import Actuators
 from softrobot_twin.simulation.effects.reduction_error import LARGE_BY_SIZE, LARGE_SHARE
-from softrobot_twin.simulation.result import RATE
+from softrobot_twin.simulation.result import GRIP, RATE
 
 if TYPE_CHECKING:
     from softrobot_twin.record.run_recorder import RunRecorder
@@ -100,6 +100,9 @@ def contact_status(contact: Contact, window: DiagnosticsWindow, follows: bool) -
         values[f"resultant_max_n: {on}"] = " ".join(f"{value:.6g}" for value in resultant)
         values[f"sum_of_magnitudes_max_n: {on}"] = window.contact_magnitude_sums[pair]
         values[f"one_contact_max_n: {on}"] = force
+    for name, margin in window.newest.result.report.figures.items():
+        if name.startswith(GRIP):
+            values["grip_margin: on {} by {}".format(*name.split(".")[1:])] = margin
     given_up = sorted(name for name in window.limits if name.endswith(_EXCEEDED))
     if contact.force_limit is not None:
         values |= {"force_limit_n": contact.force_limit, "given_up": " ".join(given_up)}
@@ -107,7 +110,9 @@ def contact_status(contact: Contact, window: DiagnosticsWindow, follows: bool) -
         values, f"contacts: {count}" if count else "no contact",
         # The comparison is written so that a NaN counts as not solved.
         (not largest["contact_residual"] <= contact.tolerance, WARN, "not solved to the tolerance"),
-        (given_up, WARN, f"given up: {', '.join(given_up)}"))
+        (given_up, WARN, f"given up: {', '.join(given_up)}"),
+        (near := sorted(name for name in window.limits if name.endswith(GRIP)), WARN,
+         f"near slipping: {', '.join(name.removesuffix('.' + GRIP) for name in near)}"))
 
 
 def setpoint_differences(actuators: Actuators, differences: np.ndarray) -> dict[str, float]:

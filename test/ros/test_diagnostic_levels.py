@@ -8,11 +8,11 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from softrobot_twin.control.arrival import Arrival
 from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
-from softrobot_twin.control.loop_settings import LoopSettings
+from softrobot_twin.control.loop_settings import LoopSettings, Mode
 from softrobot_twin.control.loop_timing import TickClock
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.ros.diagnostics import TwinDiagnostics
-from softrobot_twin.scene import load_scene
+from softrobot_twin.scene import load_scene, scene_from_mapping
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.effects.reduction_error import BodyError
 
@@ -27,11 +27,11 @@ def diamond(small_scene_file):
 class Watched:
     """A loop whose ticks a test calls, and its diagnostics."""
 
-    def __init__(self, simulation, use_device=False, **settings):
+    def __init__(self, simulation, use_device=False, mode=Mode.INVERSE, **settings):
         simulation.reset()
         self.loop = TwinLoop(
             simulation, LoopSettings(rate=50.0, message_timeout=0.0, **settings),
-            use_device=use_device,
+            use_device=use_device, mode=mode,
         )  # fmt: skip
         self.clock, self.window = TickClock(0.02), DiagnosticsWindow()
         self.diagnostics = TwinDiagnostics(self.loop, self.clock, self.window, None)
@@ -155,3 +155,21 @@ def test_a_reduced_body_far_from_the_full_model_or_outside_its_range_is_a_warnin
         "saturated; body: outside of the range of its reduction; "
         "body: 2 mm (31 % of the displacement) from the full model"
     )
+
+
+@pytest.mark.parametrize("pull", [0.5, 0.9])
+def test_a_pair_near_slipping_is_named_in_a_warning_with_what_friction_it_has_left(pull):
+    watched = Watched(Simulation(scene_from_mapping(dict(
+        name="block", gravity=[0.7 * pull * 9.81, 0.0, -9.81], integration="dynamic",
+        obstacles=[{"name": "floor", "plane": {}}],
+        contact={"friction": 0.7, "between": [{"pair": ["box", "floor"], "least_grip_margin": 0.2}]},
+        rigid_bodies=[{"name": "box", "mass": 0.03, "position": [0, 0, 0.02],
+                       "box": {"size": [0.04] * 3}}],
+    ))), mode=Mode.DIRECT)  # fmt: skip
+    watched.tick(5)
+    statuses = {status.name: status for status in watched.diagnostics.statuses(watched.time)}
+    values = {value.key: value.value for value in statuses["twin: contact"].values}
+    assert float(values["grip_margin: on box by floor"]) == pytest.approx(1.0 - pull, abs=1e-5)
+    is_near = pull > 0.8
+    expected = (WARN, "near slipping: box.floor") if is_near else (OK, "contacts: 4")
+    assert watched.account("contact") == expected

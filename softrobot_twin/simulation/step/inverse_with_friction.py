@@ -601,6 +601,9 @@ class InverseWithFriction(InverseActuation):
             return held
         task = Task(linear, aim, held, bounds, ~commanded, optimise, before, negligible)
         best = self._tried(task)
+        if best is None and held.solved:
+            # What contacts do now may admit no solution; the actuators stay, and the bodies move on.
+            best = held
         if best is None or not self._rubs:
             return best
         if aim.missed(best) > before + negligible:
