@@ -341,7 +341,8 @@ class Control(Entry):
     horizon: Annotated[float, unit("s", gt=0.0, le=5.0)] = 0.25
     """Time for which motion is predicted."""
     delay: Annotated[float, unit("s", ge=0.0, le=1.0)] = 0.0
-    """Time from a command to its effect on the real robot. The age of markers is known by stamps."""
+    """Time from a command to its effect on the real robot, counted in whole ticks, the nearest number.
+    The age of markers is known by stamps."""
     shaping: Literal["none", "zv", "zvd"] = "none"
     """Of `law: quasi_static`: targets are spread over time so that slow modes do not vibrate, without
     feedback; zvd takes longer and bears a model that is less exact."""
