@@ -33,6 +33,7 @@ VALUES = {
     "device_timeout": (0.001, 0.5, 60.0),
     "on_lost_device": tuple(WhenLost),
     "touch_timeout": (0.001, 60.0),
+    "prediction": (False, True),
 }
 
 

@@ -188,7 +188,7 @@ class ModelFile:
 
 
 def _arrays_of(path: Path):
-    """Names and arrays of an archive; all bytes of each member have the sum that is stored, too."""
+    """Name, array and checked sum of the bytes of each member of an archive."""
     with zipfile.ZipFile(path) as archive:
         members = archive.infolist()
         size = sum(member.file_size for member in members)
