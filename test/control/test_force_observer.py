@@ -210,7 +210,7 @@ def test_on_another_robot_forces_are_found_after_a_calibration(small_scene_mappi
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("frames", "count"), [(12, 15), (1, 31)])
+@pytest.mark.parametrize(("frames", "count"), [(12, 61), (1, 61)])
 def test_a_push_at_an_unknown_place_is_found(searching, small_scene_mapping, rng, frames, count):
     """One that grows, and one that is there at once."""
     real = built(exact(observing(small_scene_mapping, {"name": "push"})))
@@ -237,7 +237,8 @@ def test_a_push_at_an_unknown_place_is_found(searching, small_scene_mapping, rng
             observe(searching, observer, setpoints, markers, frame)
         away.append(np.linalg.norm(points[observer.found.points[0]] - points[point]))
         errors.append(np.linalg.norm(observer.found.wrenches[0, :3] - force) / np.linalg.norm(force))
-    print(f"place off by {1e3 * np.median(away):.1f} mm (median), force {100 * np.median(errors):.0f} %")
+    print(f"place off by {1e3 * np.median(away):.1f} mm (median), within 3 mm in {np.mean(np.array(away) < 0.003):.0%}, "
+          f"force {100 * np.median(errors):.0f} %")
     assert np.median(away) < 0.003
     assert np.median(errors) < 0.25
 
