@@ -7,9 +7,10 @@ import yaml
 
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandEfforts, Simulation
+from test.grasped_cube import STEP, close_and_lift
 
 SCENE_FILE = Path(__file__).resolve().parents[1] / "config" / "scenes" / "pneunet.yaml"
-STEP, LIFT, GRIP = 0.02, 0.020, 40e3
+GRIP = 40e3
 
 
 def valves(**of_pair) -> dict:
@@ -25,10 +26,5 @@ def valves(**of_pair) -> dict:
 def lifted_ball(entries: dict) -> Simulation:
     """The ball, held above the floor at the pressure of the grip."""
     simulation = Simulation(scene_from_mapping(entries, SCENE_FILE))
-    closed = CommandEfforts(np.full(3, GRIP), STEP)
-    for _ in range(60):
-        simulation.step(closed)
-    simulation.model.guides.aim("palm", [0.0, 0.0, LIFT])
-    for _ in range(90):
-        simulation.step(closed)
+    close_and_lift(simulation, CommandEfforts(np.full(3, GRIP), STEP), 60)
     return simulation

@@ -6,6 +6,8 @@ import yaml
 
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandSetpoints, Simulation
+from softrobot_twin.simulation.command import Command
+from test.scene_changes import repeat_step
 
 SCENE_FILE = Path(__file__).resolve().parents[1] / "config" / "scenes" / "grasper.yaml"
 STEP, LIFT = 0.02, 0.020
@@ -21,10 +23,12 @@ def hand() -> dict:
 def lifted(entries: dict, shortening: float, steps: int) -> Simulation:
     """The cube, held above the floor by cables that are wound so far [m], in so many steps."""
     simulation = Simulation(scene_from_mapping(entries, SCENE_FILE))
-    closed = CommandSetpoints(simulation.rest_setpoints - shortening, STEP)
-    for _ in range(steps):
-        simulation.step(closed)
-    simulation.model.guides.aim("palm", [0.0, 0.0, LIFT])
-    for _ in range(90):
-        simulation.step(closed)
+    close_and_lift(simulation, CommandSetpoints(simulation.rest_setpoints - shortening, STEP), steps)
     return simulation
+
+
+def close_and_lift(simulation: Simulation, closed: Command, steps: int) -> None:
+    """Closes the fingers of a palm in so many steps, and lifts it."""
+    repeat_step(simulation, closed, steps)
+    simulation.model.guides.aim("palm", [0.0, 0.0, LIFT])
+    repeat_step(simulation, closed, 90)

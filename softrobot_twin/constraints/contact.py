@@ -350,6 +350,11 @@ class ContactMemory:
         return self._tables[0]
 
     @property
+    def pairs(self) -> np.ndarray:
+        """Pair of each contact in the last solution, shape (count,)."""
+        return self._before[0]
+
+    @property
     def known(self) -> list[tuple[int, int]]:
         """Pair and key of the contacts recognised last."""
         return list(zip(*self._known.tolist(), strict=True))
@@ -519,14 +524,31 @@ class Contacts(VaryingTerm):
         """Coefficient µ of each contact, shape (count,)."""
         return self.friction_of_pair[self.pair[: self.count]]
 
-    def places_among(self, pairs: Sequence[tuple[str, str]]) -> np.ndarray:
-        """Place of each pair among some of them, -1 for none, shape (pair_count,).
+    def pairs_named(self, names: Sequence[tuple[str, str]]) -> np.ndarray:
+        """Which pair has each of some names, shape (name_count, pair_count).
 
         Args:
-            pairs: Names of these pairs.
+            names: Names of both bodies of pairs; one may come several times.
         """
-        places = {pair: place for place, pair in enumerate(pairs)}
-        return np.array([places.get(pair, -1) for pair in self.pair_names])
+        return np.array([[own == name for own in self.pair_names] for name in names])
+
+    def friction_used(
+        self, groups: np.ndarray, pairs: np.ndarray, normal: np.ndarray, along: np.ndarray
+    ) -> np.ndarray:
+        """Share of its friction that each group of pairs uses, Σ |λ_t| / Σ µ λ_n; NaN if none presses.
+
+        Args:
+            groups: Which pairs each has, shape (group_count, pair_count).
+            pairs: Pair of each contact of a solution, shape (count,).
+            normal: λ_n of each contact [N], same shape.
+            along: |λ_t| of each contact [N], same shape.
+
+        Returns:
+            Shares, shape (group_count,).
+        """
+        members, used = groups[:, pairs], np.full(len(groups), np.nan)
+        most = members @ (self.friction_of_pair[pairs] * normal)
+        return np.divide(members @ along, most, out=used, where=most > 0.0)
 
     def touch(self, multipliers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Which contacts press in a solution, and which of these slip.

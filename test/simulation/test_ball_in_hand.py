@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation import FollowTargets, Status
-from test.grasped_ball import LIFT, STEP, lifted_ball, valves
+from test.grasped_ball import lifted_ball, valves
+from test.grasped_cube import LIFT, STEP
 
 HELD, LEAST = 0.2e-3, 0.1
 

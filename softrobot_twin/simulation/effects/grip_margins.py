@@ -36,18 +36,15 @@ class GripMargins(StepPart):
         """
         self._contacts, self._least = contacts, np.array([*least.values()])
         self.figures = tuple(map(".".join, least))
-        self._place = contacts.places_among(list(least))
+        self._groups = contacts.pairs_named(list(least))
 
     def report(self, state: State) -> PartReport:
         """See `StepPart`; NaN of pairs that do not press."""
-        contacts, forces = self._contacts, self._contacts.memory.forces
-        place = self._place[contacts.pair[: contacts.count]]
-        chosen = np.flatnonzero(place >= 0)
-        place, sums = place[chosen], np.zeros((2, len(self._least)))
-        np.add.at(sums[0], place, np.hypot(forces[chosen, 1], forces[chosen, 2]))
-        np.add.at(sums[1], place, contacts.friction[chosen] * forces[chosen, 0])
-        margins = np.full(len(self._least), np.nan)
-        np.divide(sums[1] - sums[0], sums[1], out=margins, where=sums[1] > 0.0)
+        solution = self._contacts.memory
+        normal, *along = solution.forces.T
+        margins = 1.0 - self._contacts.friction_used(
+            self._groups, solution.pairs, normal, np.hypot(*along)
+        )
         low = tuple(f"{name}.{GRIP}" for name, few in zip(self.figures, margins < self._least) if few)
         return PartReport(low, dict(zip(self.figures, margins.tolist())))
 

@@ -281,8 +281,8 @@ class Grips(NamedTuple):
         if not found:
             return None
         names = tuple(".".join((*pair, key.replace("least_grip", "grip"))) for pair, key, _ in found)
-        is_of = [model.contacts.places_among([pair]) == 0 for pair, _, _ in found]
-        return cls(names, np.array(is_of), np.array([least for *_, least in found]),
+        is_of = model.contacts.pairs_named([pair for pair, _, _ in found])
+        return cls(names, is_of, np.array([least for *_, least in found]),
                    np.array([key == keys[1] for _, key, _ in found]))  # fmt: skip
 
     def used(self, contacts: Contacts, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -292,12 +292,12 @@ class Grips(NamedTuple):
             contacts: The contact term.
             forces: λ of a solution [N], shape (contact_row_count,).
         """
-        members, starts = self.is_of[:, contacts.pair[: contacts.count]], contacts.row_starts
-        rubs = np.flatnonzero(np.diff(starts) == 3)
-        rubbed = np.hypot(forces[starts[rubs] + 1], forces[starts[rubs] + 2])
-        rubbed /= contacts.friction[rubs]
-        pressed, used = members @ forces[starts[:-1]], np.ones(len(members))
-        return np.divide(members[:, rubs] @ rubbed, pressed, out=used, where=pressed > 0.0), pressed
+        starts, pairs = contacts.row_starts, contacts.pair[: contacts.count]
+        rubs, normal = np.flatnonzero(np.diff(starts) == 3), forces[starts[:-1]]
+        along = np.zeros(contacts.count)
+        along[rubs] = np.hypot(forces[starts[rubs] + 1], forces[starts[rubs] + 2])
+        used = contacts.friction_used(self.is_of, pairs, normal, along)
+        return np.where(np.isnan(used), 1.0, used), self.is_of[:, pairs] @ normal
 
     def sums(self, contacts: Contacts, forces: np.ndarray) -> tuple[np.ndarray, ...]:
         """The forces of pairs in a solution, linearized around it.
@@ -625,7 +625,8 @@ class InverseWithFriction(InverseActuation):
 
     def _tried(self, task: Task) -> Actuation | None:
         """What this step tries; None where the problem has no solution."""
-        turn, aim = Turn.STRAIGHT if self._moved.any() else self._search.next(), task.aim
+        moves, aim = self._moved.any(), task.aim
+        turn = Turn.STRAIGHT if moves else self._search.next()
         if turn is Turn.PROBE:
             probe = self._displaced(task, task.bounds, self._search.probe, LENGTHS)
             if probe is not None:
@@ -635,17 +636,14 @@ class InverseWithFriction(InverseActuation):
             self._look_for_detour(task)
             return task.held
         found = self._nearest(task, task.held, task.linear, task.bounds, MOST_ROUNDS)
-        is_moving = self._rubs and self._learns and self._moved.any()
-        if is_moving and found is not None and aim.missed(found) > (1.0 - PROGRESS) * task.before:
+        may_slide = moves and self._rubs and self._learns
+        if may_slide and found is not None and aim.missed(found) > (1.0 - PROGRESS) * task.before:
             return min(found, self._slid(task) or found, key=aim.missed)
         return found
 
     def _slid(self, task: Task) -> Actuation | None:
         """The nearest by what contacts do where they are pushed as if they had no friction."""
-        smooth = tied_by_contacts(task.linear, self._contacts, task.held, np.inf)
-        errors = task.aim.errors.copy()
-        errors[: len(smooth.effectors)] += smooth.effectors - task.linear.effectors
-        promised = task.optimise(smooth, errors, task.held, task.bounds)
+        promised, _ = self._promise(task, task.held, task.linear, task.bounds, np.inf)
         if promised is None:
             return None
         drives = promised.drives(self._limits)
@@ -672,10 +670,7 @@ class InverseWithFriction(InverseActuation):
         """The nearest of what is best by what contacts do in a solution, and in what came of it."""
         best, before = None, task.before
         for _ in range(rounds):
-            tied = tied_by_contacts(system, self._contacts, at, self._least)
-            errors = task.aim.errors.copy()
-            errors[: len(tied.effectors)] += tied.effectors - task.linear.effectors
-            promised = task.optimise(tied, errors, at, bounds)
+            promised, tied = self._promise(task, at, system, bounds, self._least)
             if promised is None:
                 break
             at = self._with_friction(system, promised.drives(self._limits), bounds, promised)
@@ -684,6 +679,15 @@ class InverseWithFriction(InverseActuation):
             if before - now >= KEPT_PROMISE * (before - promise) - task.negligible:
                 break
         return best
+
+    def _promise(
+        self, task: Task, at: Actuation, system: Linearized, bounds: Bounds, least: float
+    ) -> tuple[Actuation | None, Linearized]:
+        """What is best by what contacts do in a solution, and the system in which they do so."""
+        tied = tied_by_contacts(system, self._contacts, at, least)
+        errors = task.aim.errors.copy()
+        errors[: len(tied.effectors)] += tied.effectors - task.linear.effectors
+        return task.optimise(tied, errors, at, bounds), tied
 
     def _displaced(
         self, task: Task, bounds: Bounds, choice: int, lengths: tuple[float, ...]
