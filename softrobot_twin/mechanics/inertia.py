@@ -406,7 +406,7 @@ class ConsistentInertia(RememberedNodes, InertiaTerm):
         self._stencils = free_index[mesh.cells]
         super().__init__(free_nodes, free_index[free_nodes])
         self._borne_masses = borne_masses(mesh, density, lumped)[self._nodes]
-        M = _scalar_mass_matrix(mesh, density, lumped)[self._nodes][:, self._nodes].tocsr()
+        M = scalar_mass_matrix(mesh, density, lumped)[self._nodes][:, self._nodes].tocsr()
         self._row_starts, self._columns, self._values = M.indptr, M.indices, M.data
         self._lower_values = self._offsets = self._strides = None
         self._accelerations = np.zeros((len(self._nodes), 3))
@@ -479,8 +479,14 @@ class ConsistentInertia(RememberedNodes, InertiaTerm):
         return float(-0.5 * np.sum(moving * minus_momenta[self._unknowns]))
 
 
-def _scalar_mass_matrix(mesh, density, lumped):
-    """∫ρ N_a N_b dV [kg] over all nodes, sparse, shape (node_count, node_count)."""
+def scalar_mass_matrix(mesh, density, lumped=None):
+    """∫ρ N_a N_b dV [kg] over all nodes, sparse, shape (node_count, node_count).
+
+    Args:
+        mesh: The body, a `CellMesh`.
+        density: Mass per volume [kg/m³], of all cells or of each, shape (cell_count,).
+        lumped: See `borne_masses`.
+    """
     parts = []
     for block in mesh.blocks():
         cells, width = block.mesh.cells, block.mesh.cells.shape[1]

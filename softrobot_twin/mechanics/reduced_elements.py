@@ -517,10 +517,14 @@ class ReducedElements(ForceTerm):
         bound = bind_stencils(self._stencils, elimination_rank, slots)
         self._bound = tuple(writable(field[0]) for field in bound)
 
+    def _moved(self) -> np.ndarray:
+        """The coordinates [m], empty ones behind, from where there is no stress, shape (width,)."""
+        return self._coordinates
+
     def _evaluate(self, positions: np.ndarray) -> None:
         """Forces, stresses and states of all points at a state."""
         gather_vectors(writable(positions), self._nodes, self._at_nodes)
-        deform_points(self._rows, self._coordinates, self.deformations.reshape(-1))
+        deform_points(self._rows, self._moved(), self.deformations.reshape(-1))
         self._inverted_count = self._assembly.find_stresses(
             self.law, self.deformations, self._weights, self._rotations, self._uprights,
             self._stresses,

@@ -119,6 +119,7 @@ class ReducedPoints:
 
     Attributes:
         coordinate_nodes: Nodes whose positions are the coordinates, shape (mode_count / 3,).
+        unknowns: Unknowns that three coordinates each are, same shape.
         carried_unknowns: All coordinates, for each point, shape (point_count, mode_count / 3).
         turning_unknowns: Empty: D does not depend on the state.
         turning_columns: Empty.
@@ -142,7 +143,7 @@ class ReducedPoints:
         """
         self._platform, self.is_traceable = platform, platform is None
         self.coordinate_nodes = np.asarray(coordinate_nodes, np.int64)
-        self._unknowns = np.asarray(unknowns, np.int64)
+        self.unknowns = np.asarray(unknowns, np.int64)
         self._points, self._first_point = slice(first_point, first_point + len(rest)), first_point
         self._rest, self._modes = np.asarray(rest, float), np.ascontiguousarray(modes, float)
         by_coordinate = self._modes.reshape(3 * len(rest), self._modes.shape[2]).T
@@ -154,7 +155,7 @@ class ReducedPoints:
         self._moved = np.zeros(3 * len(rest))
         self._measured, self._longest = np.zeros(len(by_coordinate)), np.zeros(1)
         self._coordinates = np.zeros(len(by_coordinate))
-        self.carried_unknowns = np.tile(self._unknowns, (len(rest), 1))
+        self.carried_unknowns = np.tile(self.unknowns, (len(rest), 1))
         self.turning_unknowns = self.turning_columns = np.empty(0, np.int64)
 
     def advance(self, positions: np.ndarray, move: np.ndarray, share: float) -> None:
@@ -184,7 +185,7 @@ class ReducedPoints:
         free nodes; see `UnknownKind`."""
         if not are_forces and len(self._rest):
             raise_to_points(
-                vectors, self._unknowns, self._by_coordinate, self._measured, self._moved,
+                vectors, self.unknowns, self._by_coordinate, self._measured, self._moved,
                 self._longest, largest,
             )  # fmt: skip
 

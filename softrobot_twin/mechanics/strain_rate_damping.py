@@ -75,8 +75,13 @@ THINNEST = 10.0
 
 
 @njit(**INNER)
-def _invert_transposed(F, T, thin):
-    """T = F⁻ᵀ, and the rotation of elements that are flat."""
+def invert_transposed(F, T, thin):
+    """T = F⁻ᵀ, and the rotation of elements that are flat.
+
+    Args:
+        F, T: Matrices of a batch, shape (9 × BATCH,); T is written.
+        thin: Memory, shape (BATCH,).
+    """
     for e in range(BATCH):
         deformation = matrix_at(F, 0, e)
         cofactors = cofactor(deformation)
@@ -100,7 +105,7 @@ def _begin_all(moves, cells, rest_gradients, gradients):
         for q in range(gradients.shape[1]):
             G = of_nodes(rest_gradients[k, q], count)
             deform(U, G, F)
-            _invert_transposed(F, T, thin)
+            invert_transposed(F, T, thin)
             transform_gradients(G, T, gradients[k, q])
 
 

@@ -361,7 +361,7 @@ class TwinNode(TickingNode):
             self.get_logger().warning(note)
         if values["mesh_error"]:
             self._mesh_error = MeshErrorWatch(simulation)
-        if values["reduction_error"] and simulation.has_reduced_bodies:
+        if values["reduction_error"] and simulation.has_reduced_bodies and not simulation.model.is_dynamic:
             self._reduction = ReductionErrorWatch(simulation)
         self.loop = TwinLoop(
             simulation, settings, Mode(values["mode"]), bool(values["use_device"]),

@@ -167,7 +167,9 @@ def print_reduction_errors(simulation: Simulation, largest_range: float) -> None
         return
     with terminal_status("comparing with the full model"):
         by_spare_modes = simulation.reduction_state()
-        by_full_model = FullModelError(simulation).errors(simulation.state)
+        # In motion there is no balance whose error could be told.
+        by_full_model = ({} if simulation.model.is_dynamic
+                         else FullModelError(simulation).errors(simulation.state))  # fmt: skip
     for name, full in by_full_model.items():
         error, doubt = by_spare_modes[name].error, by_spare_modes[name].doubt
         spare = f", by its spare modes {1e3 * error:.3g} mm" if error == error else ""

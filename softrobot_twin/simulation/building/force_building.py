@@ -35,7 +35,16 @@ from softrobot_twin.mechanics.patch_volumes import (
     element_bulk,
     patched_cells,
 )
-from softrobot_twin.mechanics.reduced_elements import ReducedElements, point_gradients
+from softrobot_twin.mechanics.reduced_elements import (
+    PointGradients,
+    ReducedElements,
+    point_gradients,
+)
+from softrobot_twin.mechanics.reduced_motion import (
+    ReducedInertia,
+    ReducedMassDamping,
+    ReducedStrainRateDamping,
+)
 from softrobot_twin.mechanics.remembering_elements import RememberingElements
 from softrobot_twin.mechanics.rigid_bodies import RigidDamping, RigidInertia
 from softrobot_twin.mechanics.sealed_gas import SealedGas
@@ -263,14 +272,19 @@ def _elastic_terms(layout: Layout, body: Body) -> Iterator[ForceTerm]:
         if nodes is None:
             terms = strained_terms(mesh, part, part.cells, free_index, body.entry.has_patches)
         else:
-            points = (point_gradients(block, nodes.reduction.sampled, nodes.basis)
-                      for block in mesh.strained_blocks(part.cells))  # fmt: skip
             terms = (ReducedElements(own, part.law_parameters, nodes.coordinate_nodes, free_index)
-                     for own in points)  # fmt: skip
+                     for own in _sampled(body, part))  # fmt: skip
         for term in terms:
             if part.strain_range is not None and not isinstance(term, PatchVolumes):
                 term.strain_watch = StrainWatch(term, part.key, body.name, part.strain_range)
             yield term
+
+
+def _sampled(body: Body, part: MaterialPart) -> Iterator[PointGradients]:
+    """The sampled points of one material of a reduced body, of each kind of its cells."""
+    nodes = body.reduction
+    for block in body.mesh.strained_blocks(part.cells):
+        yield point_gradients(block, nodes.reduction.sampled, nodes.basis)
 
 
 def strained_terms(
@@ -313,6 +327,23 @@ def _strain_rate_dampings(layout: Layout, body: Body) -> Iterator[StrainRateDamp
                 kept = divided(part.law_parameters, mu, element_bulk(block.mesh)).law.bulk_modulus
                 lame = lame._replace(lame_lambda=kept - 2.0 * mu / 3.0)
             yield StrainRateDamping(block.mesh, layout.nodes.free_index, lame, beta)
+
+
+def _reduced_motion_terms(layout: Layout, body: Body) -> Iterator[ForceTerm]:
+    """Inertia in dynamic scenes, and damping, of a body in the coordinates of a basis."""
+    reduced, free_index, damping = body.reduction, layout.nodes.free_index, body.entry.damping
+    nodes, is_consistent = reduced.coordinate_nodes, body.entry.mass_model == "consistent"
+    if layout.scene.integration == "dynamic":
+        yield ReducedInertia(nodes, free_index[nodes], reduced.mass_matrix(body, is_consistent))
+    if damping.mass > 0.0:
+        # Drag is that of the diagonal masses, as on the nodes.
+        mass = reduced.mass_matrix(body, False)
+        yield ReducedMassDamping(nodes, free_index[nodes], mass, damping.mass)
+    if damping.stiffness > 0.0:
+        for part in body.materials:
+            for points in _sampled(body, part):
+                yield ReducedStrainRateDamping(
+                    points, part.lame_parameters, damping.stiffness, nodes, free_index)  # fmt: skip
 
 
 def _borne_masses(layout: Layout) -> np.ndarray:
@@ -378,6 +409,9 @@ def _motion_terms(layout: Layout) -> Iterator[ForceTerm]:
     # The mass of attached nodes is added to their free rigid body.
     free_index = np.where(layout.nodes.free_index < unknowns, layout.nodes.free_index, -1)
     for body in with_nodes(layout):
+        if body.reduction is not None:
+            yield from _reduced_motion_terms(layout, body)
+            continue
         density, alpha = body.density, body.entry.damping.mass
         is_diagonal = body.entry.mass_model != "consistent"
         own = np.flatnonzero(~body.fixed & body.mesh.are_points)

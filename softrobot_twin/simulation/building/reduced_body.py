@@ -31,12 +31,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse import diags_array
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.geometry.cell_mesh import points_of
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
-from softrobot_twin.mechanics.inertia import borne_masses
+from softrobot_twin.mechanics.inertia import borne_masses, scalar_mass_matrix
 from softrobot_twin.mechanics.laws import law_named
 from softrobot_twin.mechanics.reduced_elements import SampledPoints, point_gradients
 from softrobot_twin.mechanics.reduced_points import Platform, ReducedPoints
@@ -565,6 +566,16 @@ class ReducedNodes:
             nodes, free_index[nodes], self.first_point, *self.point_modes(), self.platform
         )
 
+    def mass_matrix(self, body: Body, is_consistent: bool) -> np.ndarray:
+        """Φᵀ M Φ, the mass of the coordinates [kg], shape (mode_count, mode_count).
+
+        Args:
+            body: The body.
+            is_consistent: Whether M is consistent, and not diagonal.
+        """
+        M = scalar_mass_matrix(body.mesh, body.density) if is_consistent else diags_array(body.node_masses())
+        return sum(modes.T @ (M @ modes) for modes in self.basis.transpose(1, 0, 2))
+
     def weights_of(self, body: Body, gravity: np.ndarray) -> np.ndarray:
         """Weight as forces on the coordinates [N], shape (mode_count / 3, 3).
 
@@ -612,10 +623,6 @@ def reduced_nodes(body: Body, scene: Scene) -> ReducedNodes:
 
 def _refuse(body: Body, key: str, scene: Scene) -> None:
     """Refuse what is not built for reduced bodies, by name."""
-    if scene.integration != "quasi_static":
-        raise scene.error("integration", scene.integration,
-                          f"{body.name} is reduced: inertia and damping of reduced bodies are not "
-                          "built; use quasi_static")
     if body.riding and not rides_on_a_slide(body, scene):
         raise scene.error(f"{body.key}.attached", ", ".join(body.riding),
                           "nodes of a reduced body may be attached to one platform that a slide "

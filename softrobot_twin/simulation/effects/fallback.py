@@ -114,6 +114,7 @@ class Fallback(StepPart):
         model, scene = self._model, self._model.scene
         beside = {
             "guided rigid bodies and slides": model.guides is not None or model.slides is not None,
+            "motion in time": model.is_dynamic,
             "contact": scene.contact is not None,
             "sealed cavities": bool(scene.sealed_cavities),
             "friction along cables": not model.actuators.conserves,

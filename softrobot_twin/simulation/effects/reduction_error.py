@@ -226,12 +226,13 @@ def step_held(simulation: Steppable, state: State) -> StepResult:
 
 
 def has_spare_modes(model: Model) -> bool:
-    """Whether a reduced body has modes that are not in use.
+    """Whether a reduced body has modes that are not in use, which can judge its balance.
 
     Args:
-        model: The model of a simulation.
+        model: The model of a simulation. In motion there is no balance to judge.
     """
-    return any(body.reduction.reduction.spare_count for body in reduced_bodies(model))
+    bodies = () if model.is_dynamic else reduced_bodies(model)
+    return any(body.reduction.reduction.spare_count for body in bodies)
 
 
 def shares_of_displacement(model: Model, moves: np.ndarray, state: State) -> np.ndarray:

@@ -43,6 +43,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.constraints.row_stack import add_row_forces
+from softrobot_twin.mechanics.reduced_points import ReducedPoints
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.state import PastMotion, State
 from softrobot_twin.simulation.step.actuation import Actuation
@@ -128,7 +129,7 @@ class Dynamics(Statics):
         """
         self._nodes = model.nodes
         self._rigid = [part for part in model.rigid if part.is_free]
-        self._first = model.nodes.kinds[0].first_unknown if model.nodes.kinds else 0
+        self._first = model.nodes.kinds[0].first_unknown if self._rigid else 0
 
     def at_rest(self) -> np.ndarray:
         """See `Statics.at_rest`."""
@@ -363,8 +364,13 @@ class GeneralizedAlpha(Dynamics):
         forces = self._forces(everywhere)
         along = np.einsum("kij,ij->ki", before.past.contact_forces, forces)
         squares = np.einsum("ij,ij->i", forces, forces)
-        # Force and torque on a frame make one load.
+        # Force and torque on a frame make one load, and so do forces on the coordinates of a body.
         for frames in self._nodes.kinds:
+            if isinstance(frames, ReducedPoints):
+                own = frames.unknowns
+                along[:, own] = along[:, own].sum(axis=1, keepdims=True)
+                squares[own] = squares[own].sum()
+                continue
             t, r, arms = frames.translations, frames.rotations, frames.radii**2
             along[:, t] += along[:, r] / arms
             squares[t] += squares[r] / arms
