@@ -262,6 +262,10 @@ class ReachingEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
         return (self._observation(place), reward, info["is_success"] or fails,
                 self._step_count >= self.most_steps, info)
 
+    def prepare(self) -> None:
+        """Computes ahead what the next step needs, whatever its action; see `Simulation.prepare`."""
+        self._simulation.prepare(self._command(self._present()))
+
     def sample_states(self, count: int, seed: int = 0) -> tuple[State, ...]:
         """States at random setpoints, in balance: where episodes may begin; see `states`.
 

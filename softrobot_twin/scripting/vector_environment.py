@@ -13,7 +13,7 @@ from __future__ import annotations
 import multiprocessing
 import signal
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
 from functools import partial
@@ -247,6 +247,7 @@ class _Robots:
     def __init__(self, scene: Scene, count: int, modes: dict[str, Any], of_each: dict[str, Any]):
         self._each = [partial(ReachingEnvironment, scene, **of_each)] * count
         self._modes, self._seen = modes, np.empty(0)
+        self._unprepared: list[ReachingEnvironment] = []
 
     def build(self) -> None:
         """Builds them."""
@@ -257,13 +258,22 @@ class _Robots:
         if "reset_mask" in options and not options["reset_mask"].any():
             return self._seen, {}
         self._seen, infos = self.each.reset(seed=seeds, options=options)
+        self._unprepared = list(self.each.envs)
         return self._seen, infos
 
     def step(self, actions: np.ndarray) -> tuple[Any, ...]:
         """See `VectorEnvironment.step`."""
         found = self.each.step(actions)
         self._seen = found[0]
+        # Of the others the next step is another episode.
+        goes_on = ~(found[2] | found[3])
+        self._unprepared = [one for one, own in zip(self.each.envs, goes_on, strict=True) if own]
         return found
+
+    def prepare(self, is_asked: Callable[[], bool]) -> None:
+        """Prepares the next steps of the robots, one by one, until something is asked."""
+        while self._unprepared and not is_asked():
+            self._unprepared.pop(0).prepare()
 
     def render(self) -> Any:
         """See `VectorEnvironment.render`."""
@@ -336,6 +346,7 @@ def _serve(pipe: Connection, robots: tuple[Any, ...]) -> None:
     own = _Robots(*robots)
     with suppress(EOFError, BrokenPipeError, ConnectionResetError):
         while True:
+            own.prepare(pipe.poll)
             what, arguments = pipe.recv()
             try:
                 answer = own.answer(what, *arguments), ""

@@ -109,6 +109,30 @@ class Kept(NamedTuple):
     result: StepResult | None
 
 
+class Prepared(NamedTuple):
+    """A step whose first linearization is done.
+
+    Attributes:
+        state: Where it begins.
+        command: A command like its own.
+        time: How long the linearization took [s].
+    """
+
+    state: State
+    command: Command
+    time: float
+
+    def serves(self, state: State, command: Command) -> bool:
+        """Whether it is the beginning of a step.
+
+        Args:
+            state: Where the step begins.
+            command: What is asked of it.
+        """
+        is_alike = type(command) is type(self.command)
+        return state is self.state and is_alike and command.time_step == self.command.time_step
+
+
 class Simulation(Readouts):
     """One scene, its state, and the step between states.
 
@@ -169,6 +193,7 @@ class Simulation(Readouts):
         self._optimises = "optimise" in self.model.stages
         # The result of the last step, as long as somebody keeps it and nobody has read it.
         self._unread: weakref.ref[StepResult] | None = None
+        self._prepared: Prepared | None = None
         self._reading = Interpretation(self.model)
         self._find_surface()
         self.take_parts(parts)
@@ -305,6 +330,30 @@ class Simulation(Readouts):
             part.warm_up(self)
         self._time_budget = TimeBudget()
 
+    def prepare(self, command: Command) -> None:
+        """Linearize ahead, while nobody knows yet what the next step is asked.
+
+        Most of a step's time is its first linearization, which depends on the state alone (the
+        preparation phase of Diehl et al. 2005, real-time iterations). The next step takes what is
+        prepared, if nothing else was asked of the simulation since; its result is the same to the
+        bit, in any case. Nothing is prepared with contacts, where measurements or guided bodies change
+        the forces, and where the tangent is not positive definite.
+
+        Args:
+            command: Of the kind and the duration of the next one; nothing else of it counts.
+
+        Raises:
+            CommandError: The command does not fit this scene, or is not finite.
+        """
+        self.finish_result()
+        if self._parts_with["begin"] or self._parts_with["lead"]:
+            return
+        clock = StageClock(self.now)
+        self._reading.read(command, self.state)
+        self._begin_motion(command, False)
+        if self.newton.prepare(self._positions, self.state.efforts, clock):
+            self._prepared = Prepared(self.state, command, clock.total)
+
     def step(
         self, command: Command, budget: float | None = None, measured: object | None = None
     ) -> StepResult:
@@ -330,7 +379,7 @@ class Simulation(Readouts):
             CommandError: The command or what is measured does not fit this scene, or is not finite.
         """
         clock = StageClock(self.now)
-        self.finish_result()
+        self._make_result()
         for part in self._parts_with["step_in_place"]:
             done = part.step_in_place(self, command, budget, measured, clock)
             if done is not None:
@@ -341,20 +390,11 @@ class Simulation(Readouts):
             for part in self._parts_with["read"]:
                 part.read(command)
         positions, efforts = self._positions, self.state.efforts
-        positions[:] = self.state.positions
-        is_changed = self._motion.begin_step(
-            self._beginners, positions, self.state.velocities, self.state.past, command.time_step,
-            isinstance(command, FollowTargets),
-        )
-        if is_changed or has_other_stiffness:
-            self.newton.take_other_tangent()
+        ahead = self._begin_motion(command, has_other_stiffness)
         newton, time_budget = self.newton, self._time_budget
-        newton.expect(command.time_step)
         if self.inverse is not None:
             self._begin_inverse(positions)
-        if self._goes_on and not newton.projected_tangent:
-            newton.go_on()
-        pressed = time_budget.must_hurry(budget)
+        pressed = not ahead and time_budget.must_hurry(budget)
         led = all(
             part.lead(self, positions, efforts, command.time_step, clock)
             for part in self._parts_with["lead"]
@@ -363,7 +403,7 @@ class Simulation(Readouts):
         first, iterations, enough = None, 0, False
         inverted = newton.inverted_count
         while not enough:
-            iterations, begin = iterations + 1, clock.total
+            iterations, begin, ahead = iterations + 1, clock.total - ahead, 0.0
             before = positions.copy() if hurry else positions
             done = self._iterate(positions, efforts, command, asked, clock, hurry)
             if done is None:
@@ -388,7 +428,14 @@ class Simulation(Readouts):
         return self._succeeded(command, asked, outcome, clock)
 
     def finish_result(self) -> None:
-        """Make the result of the last step, if somebody keeps it, before the model changes."""
+        """Make the result of the last step, if somebody keeps it, before the model changes.
+
+        What was prepared for the next one is dropped.
+        """
+        self._prepared = None
+        self._make_result()
+
+    def _make_result(self) -> None:
         unread = None if self._unread is None else self._unread()
         self._unread = None
         if unread is not None:
@@ -467,8 +514,6 @@ class Simulation(Readouts):
             What is to be done, and whether the stiffness is another than before.
         """
         left, changes = _each(measured), False
-        for part in self._parts_with["recall"]:
-            part.recall(self.state)
         for part in self._parts_with["begin"]:
             own = [one for one in left if part.takes is not None and isinstance(one, part.takes)]
             changes |= part.begin(self.state, own[0] if own else None)
@@ -479,6 +524,33 @@ class Simulation(Readouts):
             what = type(left[0]).__name__.lower()
             raise CommandError(what, f"nothing in this scene can be {what}")
         return command, changes
+
+    def _begin_motion(self, command: Command, has_other_stiffness: bool) -> float:
+        """Let all that remembers begin a step, at the state and in a time step.
+
+        Args:
+            command: What is asked.
+            has_other_stiffness: Whether parts make the stiffness another than before.
+
+        Returns:
+            Time of the first linearization, where that is prepared [s]; zero where it is not.
+        """
+        prepared, self._prepared = self._prepared, None
+        if prepared is not None and prepared.serves(self.state, command):
+            return prepared.time
+        for part in self._parts_with["recall"]:
+            part.recall(self.state)
+        self._positions[:] = self.state.positions
+        is_changed = self._motion.begin_step(
+            self._beginners, self._positions, self.state.velocities, self.state.past,
+            command.time_step, isinstance(command, FollowTargets),
+        )
+        if is_changed or has_other_stiffness:
+            self.newton.take_other_tangent()
+        self.newton.expect(command.time_step)
+        if self._goes_on and not self.newton.projected_tangent:
+            self.newton.go_on()
+        return 0.0
 
     def _load_of_parts(self) -> float:
         return sum((part.load for part in self._loading), 0.0)

@@ -82,6 +82,13 @@ def test_the_same_seed_is_the_same_episode_and_another_seed_another(environment)
     assert np.linalg.norm(first[2] - other[2]) > 1e-4
 
 
+def test_steps_that_were_prepared_are_the_same_episode(environment, monkeypatch):
+    plain, step = play(environment, 4), environment.step
+    monkeypatch.setattr(environment, "step", lambda action: environment.prepare() or step(action))
+    for one, other in zip(plain, play(environment, 4), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
 def test_random_targets_are_reachable_places(environment):
     environment.reset(seed=5)
     for _ in range(3):

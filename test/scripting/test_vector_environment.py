@@ -26,11 +26,14 @@ COUNT, STEPS = 3, 7
 OPTIONS = dict(most_steps=3, states=4, randomize={"cables.*.pull_point[2]": (0.002, 0.018)})
 
 
-def play(environments, seed, steps=STEPS):
-    """All that a run gives, with actions of its own seed, some of them out of range."""
+def play(environments, seed, steps=STEPS, pause=0.0):
+    """All that a run gives, with actions of its own seed, some of them out of range.
+
+    Before each step workers have a pause [s], in which they prepare it."""
     random = np.random.default_rng(seed)
     found = [environments.reset(seed=seed)]
     for _ in range(steps):
+        time.sleep(pause)
         found.append(environments.step(random.uniform(-1.2, 1.2, environments.action_space.shape)))
     return found
 
@@ -58,7 +61,7 @@ def test_two_workers_give_what_one_gives_and_that_is_what_gymnasium_gives(built)
     assert_same(found, play(by_hand, 3))
     assert alone.clipped_count == sum(by_hand.get_attr("clipped_count")) > 0
     with contextlib.closing(st.vector_env(built, COUNT, 2, **OPTIONS)) as both:
-        assert_same(found, play(both, 3))
+        assert_same(found, play(both, 3, pause=0.1))
         assert both.clipped_count == alone.clipped_count
         assert "workers: 2" in repr(both) and both.num_envs == COUNT
 

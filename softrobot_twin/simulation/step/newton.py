@@ -260,6 +260,7 @@ class Newton:
         self.factor_age: int | None = None
         self.is_worn = False
         self.inverted_count, self.is_folded = 0, None
+        self._ahead: Linearized | None = None
         # Share of its projection in a tangent that is projected.
         self._projection = 1.0
         # Where the exact tangent was indefinite, it is tried again when the augmented one tells
@@ -311,7 +312,7 @@ class Newton:
         Args:
             time_step: Its duration [s].
         """
-        self._is_at_start = True
+        self._is_at_start, self._ahead = True, None
         if time_step != self._time_step:
             self._time_step = time_step
             self._forget_stages()
@@ -328,6 +329,29 @@ class Newton:
         for term in self._model.forces:
             if term.is_slender:
                 term.on_points.follow_move(self.move.start)
+
+    def prepare(self, positions: np.ndarray, efforts: np.ndarray, clock: StageClock) -> bool:
+        """Linearize ahead of the command of a step, whose first linearization this is then.
+
+        Not where the tangent may be augmented by what the command holds, or was projected; and not
+        with contacts, which remember each step that began.
+
+        Args:
+            positions: Node positions where the step begins [m], shape (node_count, 3).
+            efforts: Efforts of the actuators there [N], shape (actuator_count,).
+            clock: Books the stages.
+
+        Returns:
+            Whether it did.
+        """
+        if self._rows.varies or self._is_indefinite or self.projected_tangent:
+            return False
+        if self.is_folded is None:
+            self._sum_forces(positions)
+        self.is_augmented = False
+        self._ahead = self._factored(positions, self._rows.multipliers(efforts), clock)
+        self.factor_age = None if self._ahead is None else 0
+        return self._ahead is not None
 
     def linearize(
         self,
@@ -421,6 +445,9 @@ class Newton:
         self, positions: np.ndarray, multipliers: np.ndarray, clock: StageClock
     ) -> Linearized | None:
         """See the bodies by the tangent of the kind that is set; None where it is not definite."""
+        if self._ahead is not None:
+            linear, self._ahead = self._ahead, None
+            return linear
         if not self._factor(positions, multipliers, clock):
             return None
         try:
@@ -472,6 +499,7 @@ class Newton:
         if self._augmented.is_measured:
             return True
         rest, rows = self._model.nodes.rest_positions, self._rows
+        self._ahead = None
         if not self._factor(rest, np.zeros(rows.row_count), clock):
             return False
         linear = Linearized(self._model.factorization, rows, self.forces)
