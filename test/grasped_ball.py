@@ -9,16 +9,13 @@ from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandEfforts, Simulation
 from test.grasped_cube import STEP, close_and_lift
 
-SCENE_FILE = Path(__file__).resolve().parents[1] / "config" / "scenes" / "pneunet.yaml"
+SCENE_FILE = Path(__file__).resolve().parents[1] / "config" / "scenes" / "pneunet_in_hand.yaml"
 GRIP = 40e3
 
 
 def valves(**of_pair) -> dict:
-    """The mapping of the scene, with a valve for each finger and an effector on the ball."""
+    """The mapping of the scene, with other values of the pairs of a finger and the ball."""
     entries = yaml.safe_load(SCENE_FILE.read_text())
-    entries["cavities"] = [{"name": "air_#", "repeat": 3, "pressure": [0.0, 50e3], "rate": 100e3,
-                            "walls": [{"body": "finger_#", "part": "cavity"}]}]  # fmt: skip
-    entries["effectors"] = [{"name": "ball", "body": "ball", "points": [[0.0, 0.0, -0.100]]}]
     entries["contact"]["between"][0] |= of_pair
     return entries
 

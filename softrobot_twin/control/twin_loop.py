@@ -807,7 +807,14 @@ class TwinLoop:
         cause = loss if self._contested else self._nothing_to_do(now, reading) or loss
         if cause:
             return Activity.HOLDING, cause
-        return Activity.FOLLOWING if self.mode is Mode.INVERSE else Activity.COMMANDED, ""
+        return Activity.FOLLOWING if self._is_led(reading) else Activity.COMMANDED, ""
+
+    def _is_led(self, reading: TargetReading) -> bool:
+        """Whether there are targets, of places or of stiffness."""
+        has_stiffness = self.stiffness is not None and self.stiffness.is_given
+        return self.mode is Mode.INVERSE and (
+            has_stiffness or bool(np.isfinite(reading.targets).any())
+        )
 
     def _loss(self, now: float, measured: np.ndarray) -> str:
         """The lost measurement for which the robot must hold; empty when there is none."""
@@ -823,8 +830,7 @@ class TwinLoop:
     def _nothing_to_do(self, now: float, reading: TargetReading) -> str:
         """Why there is nothing to follow; empty when there is."""
         if self.mode is Mode.INVERSE:
-            has_stiffness = self.stiffness is not None and self.stiffness.is_given
-            if not (np.isfinite(reading.targets).any() or has_stiffness):
+            if not self._is_led(reading) and self.selected.setpoints is None:
                 return "no target yet"
             if self.selected.is_too_old(now, self.settings.target_timeout):
                 return "no command for target_timeout"
@@ -892,7 +898,7 @@ class TwinLoop:
 
     def _direct_command(self, time: TickTime) -> CommandSetpoints | CommandEfforts:
         """The direct command; actuators that it does not name stay where they are."""
-        present, direct = self.simulation.state.setpoints, self.direct
+        present, direct = self.simulation.state.setpoints, self.commands
         if direct.setpoints is not None:
             wanted = np.where(np.isnan(direct.setpoints), present, direct.setpoints)
             return CommandSetpoints(wanted, *time)

@@ -852,7 +852,9 @@ class Demo:
         self.until(lambda: recorder.setpoints.times, _ANSWER_TIMEOUT, "twin", "it commands no cables")
         start = recorder.start_target()
         if not self._plan.is_direct:
-            self.until(lambda: recorder.target.times, _ANSWER_TIMEOUT, "target", "it publishes nothing")
+            # A target that plays commands first begins its path where the effector is after them.
+            self.until(lambda: recorder.target.times or not recorder.start_target(), _ANSWER_TIMEOUT,
+                       "target", "it publishes nothing")
             start = recorder.target.times[0]
         self._reports_before = len(recorder.loop_reports)
         self._times_before = self._processor_times()

@@ -355,6 +355,9 @@ TARGET = _fixed(
     Entry("target_commands", "", "CSV file of commands that are played over and over in place of "
           "targets, searched like scene_file, with the columns of simulate --commands; for a twin in "
           "direct mode; empty for none."),
+    Entry("target_beginning", "", "CSV file of commands of the same kind that are played once before the "
+          "path, such as those that close a hand and lift what it holds, for a twin in inverse mode; "
+          "targets begin where the effector is then; empty for none."),
 )
 
 ALL_TABLES = (TWIN, DEVICE, TARGET)

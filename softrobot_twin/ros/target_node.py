@@ -52,13 +52,15 @@ class TargetNode(TickingNode):
 
     With a table of commands it publishes these and no targets: setpoints or efforts of all
     actuators and poses of guided bodies, from the table's first row on, over again after the last.
+    A table may also be played once before the path, such as to close a hand on what it then leads.
 
     Args:
         arguments: What `rclpy.node.Node` takes besides a name.
 
     Attributes:
         path: The path; only without a table of commands.
-        began: When it was begun, on the clock of the ticks [s]; infinite before.
+        began: When it, or the table before it, was begun, on the clock of the ticks [s]; infinite
+            before.
         targets: Publisher of the targets; None with a table of commands.
 
     Raises:
@@ -77,9 +79,10 @@ class TargetNode(TickingNode):
         self._twin = str(values["twin"]).rstrip("/")
         self.targets = self._commands = self._ramped = self._table = self._stiffnesses = None
         self._turns = False
-        self.began = math.inf
+        self.began, self._beginning = math.inf, 0.0
         self._poses: dict[str, Publisher] = {}
-        what = (self._open_table if values["target_commands"] else self._open_path)(values)
+        is_played = bool(values["target_commands"])
+        what = self._open_table(values) if is_played else self._open_path(values)
         self.start(1.0 / values["target_rate"])
         published = (self.targets, self._commands, self._stiffnesses, *self._poses.values())
         self.watch_topics((), tuple(one for one in published if one is not None))
@@ -114,10 +117,18 @@ class TargetNode(TickingNode):
         if self._actuator:
             ends, period = tuple(values["target_setpoints"]), values["target_setpoint_period"]
             self._setpoints = ToAndFro(ends, period)
-            self._commands = open_publisher(self, TOPICS["<twin>/command/cables"], "", self._twin)
+            self._open_commands()
         if any(values["target_stiffness"]):
             self._open_stiffness(values)
-        return f"{effector} along {', '.join(names)}"
+        what = f"{effector} along {', '.join(names)}"
+        if values["target_beginning"]:
+            what = f"{self._open_table(values, 'target_beginning')}, then {what}"
+            self._beginning = float(np.ptp(self._table.times))
+        return what
+
+    def _open_commands(self) -> None:
+        if self._commands is None:
+            self._commands = open_publisher(self, TOPICS["<twin>/command/cables"], "", self._twin)
 
     def _open_stiffness(self, values: Mapping[str, object]) -> None:
         """Makes the profile of the wanted stiffness."""
@@ -137,29 +148,32 @@ class TargetNode(TickingNode):
         along = [value if axis == self._stiffness_axis else math.nan for axis in "xyz"]
         self._stiffnesses.publish(vector_message(along, header))
 
-    def _open_table(self, values: Mapping[str, object]) -> str:
-        """Reads the table of commands; returns what the node is ready for."""
+    def _open_table(self, values: Mapping[str, object], key: str = "target_commands") -> str:
+        """Reads the table of commands that a parameter names; returns what the node is ready for."""
         scene = find_scene(values)
-        file = find_scene_file(str(values["target_commands"]), "target_commands")
+        file = find_scene_file(str(values[key]), key)
         # The table may give shortenings, so lengths at rest are needed.
         simulation = Simulation.from_scene_file(scene)
         self._table = read_commands(file, simulation)
         self._names = list(simulation.actuator_names)
         if self._table.kind != HOLD:
-            self._commands = open_publisher(self, TOPICS["<twin>/command/cables"], "", self._twin)
+            self._open_commands()
         for name in self._table.poses:
             topic = TOPICS["<twin>/command/pose/<guided body>"]
             self._poses[name] = open_publisher(self, topic, name, self._twin)
         return f"the commands of {file}"
 
     def take_start(self, message: PointStamped | PoseStamped) -> None:
-        """Takes the start from the effector's first position or pose; ignores later messages.
+        """Takes the start from the effector's first position or pose, or from that after the table
+        that is played before the path; ignores later messages.
 
         Args:
             message: Where the effector is.
         """
         start = [np.array(part) for part in READERS[type(message)](message)]
-        if self.began < math.inf or not all(np.isfinite(part).all() for part in start):
+        now = self.monotonic()
+        is_begun = now - self.began >= self._beginning
+        if is_begun or not all(np.isfinite(part).all() for part in start):
             return
         if self._turns:
             # Scaled first: the square of a very large component would overflow.
@@ -168,10 +182,10 @@ class TargetNode(TickingNode):
                 return
             start[1] /= largest
             self._turn = start[1] / np.linalg.norm(start[1])
-        if self._table is None:
+        if self._table is None or self._beginning:
             position, *turn = start
             self._ramped = RampedIn(position, self.path, self._ramp_time, *turn)
-        self.began = self.monotonic()
+        self.began = min(self.began, now)
 
     def work(self, now: float) -> None:
         """Publishes the present target, or the present commands.
@@ -182,17 +196,21 @@ class TargetNode(TickingNode):
         if not self.began < math.inf:
             self.get_logger().info(f"waiting for {self._topic}", throttle_duration_sec=_WAIT_WARNING)
             return
+        since = now - self.began - self._beginning
+        header = Header(stamp=stamp_of(self.stamp), frame_id=self._frame)
+        if since < 0.0:
+            self._play(self._table, now - self.began, header)
+            return
         if self._listener is not None:
             self.destroy_subscription(self._listener)
             self._listener = None
-        stamp = stamp_of(self.stamp)
-        header, since = Header(stamp=stamp, frame_id=self._frame), now - self.began
-        if self._table is not None:
+        if self._table is not None and not self._beginning:
             self._play(self._table, since, header)
             return
         if self._commands is not None:
-            setpoint = self._setpoints.value(since)
-            self._commands.publish(cables_message([self._actuator], [setpoint], (), header))
+            # Without a name all actuators are free to follow the targets, also those of the table.
+            own = ([self._actuator], [self._setpoints.value(since)]) if self._actuator else ([], [])
+            self._commands.publish(cables_message(*own, (), header))
         self._publish_stiffness(since, header)
         if len(self._ahead):
             places = [self._ramped.position(since + time) for time in self._ahead]

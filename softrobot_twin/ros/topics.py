@@ -410,9 +410,11 @@ TARGET_TOPICS = _by_name(
     _of_twin("target_stiffness/<effector>", OUT, NEWEST,
              "wanted stiffness, NaN along the other axes; with `target_stiffness`"),
     _of_twin("command/cables", OUT, NEWEST,
-             "setpoint of `target_actuator`; with `target_commands` those of all actuators"),
+             "setpoint of `target_actuator`; with `target_commands` or `target_beginning` those of all "
+             "actuators"),
     _of_twin("command/pose/<guided body>", OUT, NEWEST,
-             "pose of a guided body; with `target_commands` that have columns of it"),
+             "pose of a guided body; with `target_commands` or `target_beginning` that has columns of "
+             "it"),
 )  # fmt: skip
 """Topics of the target, by name."""
 

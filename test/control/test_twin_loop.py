@@ -23,6 +23,21 @@ def test_without_a_target_the_cables_stay_at_rest(drive):
     )
 
 
+def test_commands_are_followed_before_a_target_comes_and_what_they_do_not_name_stays(drive):
+    driver = drive()
+    simulation = driver.loop.simulation
+    rest = simulation.rest_setpoints
+    wound = np.append(rest[0] - 0.004, rest[1:])
+    assert driver.choose(simulation.actuator_names[:1], wound[:1]) is None
+    outcome = driver.tick(10)
+    assert outcome.activity is Activity.COMMANDED and outcome.cause == ""
+    assert outcome.command.setpoints == pytest.approx(wound, abs=1e-9)
+    driver.target(*INSIDE)
+    assert driver.tick().activity is Activity.FOLLOWING
+    assert driver.choose([]) is None
+    assert driver.tick(30).tracking_errors[0] < 2e-5
+
+
 def test_a_target_inside_the_workspace_is_reached(drive):
     driver = drive()
     driver.target(*INSIDE)

@@ -192,3 +192,30 @@ def test_a_table_that_the_scene_does_not_know_is_refused_at_start_up(make_target
         make_target(**given)
     with pytest.raises(ParameterError, match="target_commands.*no such file"):
         make_target(**{**given, "target_commands": "nowhere.csv"})
+
+
+def test_a_table_that_is_played_before_the_path_ends_in_targets_from_where_the_effector_is_then(
+    world, make_target, tmp_path
+):
+    given = table_of(tmp_path, "0.0,0.0,0,0,0", "0.5,0.01,0,0,0.02")
+    make_target(target_beginning=given.pop("target_commands"), target_ramp_time=60.0, **given)
+    commands = world.hear(JointState, "/twin/command/cables", 1000)
+    poses = world.hear(PoseStamped, "/twin/command/pose/palm", 1000)
+    targets = world.hear(PointStamped, "/twin/target/cube", 1000)
+    effectors = world.speaker(PointStamped, "/twin/effectors/cube")
+    world.run(0.3)
+    assert not commands and not poses, "it must wait for the twin"
+
+    def lifted():
+        """The effector follows the palm, as the twin tells."""
+        height = poses[-1].pose.position.z if poses else 0.0
+        header = Header(stamp=world.stamp(), frame_id="base_link")
+        effectors.publish(PointStamped(header=header, point=Point(x=0.0, y=0.0, z=height - 0.1)))
+        return len(targets) > 20
+
+    world.until(lifted)
+    named = [len(message.name) for message in commands]
+    assert named == [3] * named.count(3) + [0] * named.count(0) and named.count(3) and named[-1] == 0
+    assert 0.01 < max(message.pose.position.z for message in poses) <= 0.02
+    # A tick or two behind the palm.
+    assert places(targets)[0] == pytest.approx([0.0, 0.0, poses[-1].pose.position.z - 0.1], abs=4e-3)
