@@ -30,6 +30,7 @@ from softrobot_twin.study.training_options import (
     SPARE_MODES,
     TEST_STATES,
     TOLERANCE,
+    VIBRATIONS,
     TargetBox,
     TrainingOptions,
 )
@@ -642,7 +643,7 @@ def reduce(
     surface_loads: PositiveCount | None = None, tilts: Tilt = 0.0, seed: Count = 0,
     error: Annotated[float, Read(share)] | None = None, energy: float | None = None,
     modes: PositiveCount | None = None, spare_modes: Count = SPARE_MODES,
-    tolerance: float = TOLERANCE, states: Count = FRESH_STATES,
+    vibration_modes: Count | None = None, tolerance: float = TOLERANCE, states: Count = FRESH_STATES,
     workers: PositiveCount | None = None, scheduler: str | None = None,
 ) -> int:  # fmt: skip
     """Make the reduced model of a deformable body.
@@ -699,6 +700,8 @@ def reduce(
         energy (SHARE): Share of the energy that the modes leave out (default $ENERGY).
         modes (N): Number of modes in place of that, rounded up to a multiple of three.
         spare_modes (N): Modes beyond, for the estimate of the error (default $default).
+        vibration_modes (N): So many of the modes are the slowest vibrations at rest (default
+            $VIBRATIONS where the scene has inertia, else none).
         tolerance (SHARE): Virtual work that the sampled points leave out (default $default).
         states (N): Fresh states for the error (default $default; 0 for none).
     """
@@ -722,7 +725,7 @@ def reduce(
     options = TrainingOptions(
         body, output, snapshots, tuple(range_), tuple(targets), loads, tuple(load_points or ()),
         surface_loads or 0, tilts, ENERGY if energy is None else energy, modes, spare_modes,
-        tolerance, error, states, seed, workers, scheduler, along, around or AROUND,
+        tolerance, error, states, seed, workers, scheduler, along, around or AROUND, vibration_modes,
     )  # fmt: skip
     if export is not None:
         return reduce_and_export(scene, options, export)

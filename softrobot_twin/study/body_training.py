@@ -16,7 +16,7 @@ full model is solved and the states are added (greedy sampling; Paul-Dubois-Tain
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -44,6 +44,9 @@ from softrobot_twin.study.reduction_basis import (
     proper_modes,
     rest_stiffness,
     sampled_points,
+    shaken,
+    vibration_modes,
+    with_vibrations,
 )
 from softrobot_twin.study.reduction_states import (
     CLOSE,
@@ -76,6 +79,7 @@ from softrobot_twin.study.terminal import console, table, terminal_status, warn
 from softrobot_twin.study.training_options import (
     FIRST_SNAPSHOTS,
     SNAPSHOTS,
+    VIBRATIONS,
     TrainingOptions,
 )
 from softrobot_twin.study.workspace import Axis, sampled_axes
@@ -137,7 +141,7 @@ class Trained(NamedTuple):
         mode_count: How many are in use.
         sampled: Points with the modes in use, and the error that they leave.
         spare_sampled: The same with the spare modes.
-        coordinates: Of the states of the training [m], shape (state_count, all modes).
+        coordinates: Of the states of the training, and of vibrations [m], shape (count, all modes).
     """
 
     modes: Modes
@@ -152,7 +156,7 @@ class Trained(NamedTuple):
 
 def train(
     body: Body, K, states: States, mode_count: int | None, options: TrainingOptions,
-    tolerance: float,
+    tolerance: float, vibrations: np.ndarray | None = None,
 ) -> Trained:  # fmt: skip
     """Make a reduced model of the states of a full one.
 
@@ -163,12 +167,17 @@ def train(
         mode_count: Modes in use; None to follow from the energy.
         options: Says the energy, and the number of spare modes.
         tolerance: Error of the virtual work that sampled points leave.
+        vibrations: Vibrations among the modes in use, see `vibration_modes`; None for none.
 
     Raises:
         TrainingError: There are too few states for as many modes.
     """
-    displacements = states.found().displacements
-    modes = proper_modes(displacements, K, MOST_MODES + options.spare)
+    displacements, most = states.found().displacements, MOST_MODES + options.spare
+    count_of_vibrations = 0 if vibrations is None else len(vibrations)
+    if vibrations is None:
+        modes = proper_modes(displacements, K, most)
+    else:
+        modes = with_vibrations(vibrations, displacements, K, most)
     available = 3 * (modes.basis.shape[2] // 3)
     count = mode_count or min(mode_count_of(modes.shares, options.energy), MOST_MODES)
     count = min(3 * -(-count // 3), available)
@@ -176,16 +185,20 @@ def train(
         raise TrainingError(
             f"{len(displacements)} states have {modes.basis.shape[2]} modes: at least 3 are needed"
         )
+    if count < count_of_vibrations:
+        raise TrainingError(f"{count} modes are fewer than the {count_of_vibrations} vibrations among them: "
+                            "see --vibration-modes")  # fmt: skip
     total = min(count + 3 * -(-options.spare // 3), available)
     modes = leading(modes, total)
     coordinates = modes.coordinates(K, displacements)
     rng = np.random.default_rng(options.seed)
     used = leading(modes, count)
-    sampled = sampled_points(body, used, coordinates[:, :count], tolerance, rng)
+    sampled = sampled_points(body, used, coordinates[:, :count], tolerance, rng, count_of_vibrations)
     # The estimate begins where the spare coordinates are zero.
     without = coordinates * (np.arange(total) < count)
     both = np.concatenate([coordinates[::2], without[1::2]])
-    spare_sampled = sampled_points(body, modes, both, SPARE_SHARE * tolerance, rng)
+    spare_sampled = sampled_points(body, modes, both, SPARE_SHARE * tolerance, rng, count_of_vibrations)
+    coordinates = np.concatenate([coordinates, shaken(body, modes, count_of_vibrations)])
     return Trained(modes, count, sampled, spare_sampled, coordinates)
 
 
@@ -228,6 +241,7 @@ class Training:
         store: Keeps them.
         causes: Why states were lost.
         way: The path of targets along which states are sampled; None without.
+        vibrations: See `train`.
     """
 
     scene: Scene
@@ -241,6 +255,7 @@ class Training:
     store: StateStore
     causes: list[str] = field(default_factory=list)
     way: TargetWay | None = None
+    vibrations: np.ndarray | None = None
 
     def training_samples(self, count: int) -> np.ndarray:
         """Samples of a training: with the corners of the box, or from wider boxes of targets.
@@ -406,6 +421,8 @@ def begin_training(path: Path, options: TrainingOptions) -> Training:
         options: What is asked.
     """
     scene = without_reductions(load_scene(path))
+    if options.vibrations is None:
+        options = replace(options, vibrations=VIBRATIONS if scene.integration == "dynamic" else 0)
     names = [body.name for body in scene.deformables]
     name = options.body or (names[0] if len(names) == 1 else None)
     if name not in names:
@@ -435,7 +452,9 @@ def begin_training(path: Path, options: TrainingOptions) -> Training:
     crew = workers_of(options.workers, options.scheduler)
     job = Job(FinderMaker(sampling), path.resolve(), content)
     store = StateStore(output_path(scene, body, options), run)
-    return Training(scene, options, sampling, simulation, body, axes, crew, job, store, way=way)
+    vibrations = vibration_modes(plain, body, options.vibrations) if options.vibrations else None
+    return Training(scene, options, sampling, simulation, body, axes, crew, job, store, way=way,
+                    vibrations=vibrations)  # fmt: skip
 
 
 def _way(simulation: Simulation, options: TrainingOptions) -> TargetWay:
@@ -508,7 +527,7 @@ def _train_by_need(training: Training) -> tuple[Trained, States, list[Round], bo
     states, fresh = training.states("first states", first, training.fresh_samples(JUDGES, seed))
     for number in range(1, MOST_ROUNDS + 1):
         with terminal_status(f"round {number}: modes, points, and the error at candidates"):
-            trained = train(body, K, states, mode_count, options, tolerance)
+            trained = train(body, K, states, mode_count, options, tolerance, training.vibrations)
             reduction = reduction_of(body, trained, np.full(2, np.nan), {})
             judged = training.judge(reduction, "in_use", fresh)
             candidates = training.samples(CANDIDATES, options.seed + seed + 1, MARGIN)
@@ -593,7 +612,8 @@ def train_once(training: Training) -> tuple[Trained, States]:
     states = training.states(f"{training.scene.name}: states of the full model", *groups)[0]
     with terminal_status("modes and sampled points"):
         K = rest_stiffness(training.body)
-        trained = train(training.body, K, states, options.modes, options, options.tolerance)
+        trained = train(
+            training.body, K, states, options.modes, options, options.tolerance, training.vibrations)  # fmt: skip
     return trained, states
 
 
@@ -620,7 +640,7 @@ def reduce(path: Path, options: TrainingOptions) -> int:
         else:
             trained, states = train_once(training)
         training_time = time.perf_counter() - begin
-        made = _said(path, options, trained, states, training_time) | _targets_said(training, states)
+        made = _said(path, training.options, trained, states, training_time) | _targets_said(training, states)
         reduction = reduction_of(training.body, trained, np.full(2, np.nan), made)
         judgement = None
         if options.states:
@@ -695,7 +715,7 @@ def _said(
         "targets": [list(box) for box in options.targets], "ranges": list(options.ranges),
         "along": None if options.along is None else options.along.name,
         "around [m]": options.around,
-        "wanted error": options.error, "time [s]": seconds,
+        "vibration modes": options.vibrations, "wanted error": options.error, "time [s]": seconds,
     }  # fmt: skip
 
 

@@ -2,7 +2,8 @@
 
 The modes are those of a proper orthogonal decomposition of displacements, orthogonal in the norm of
 the body's stiffness at rest. In that norm a force is as large as the displacement that it causes,
-so points that are sampled for forces are sampled for displacements.
+so points that are sampled for forces are sampled for displacements. Of a body that moves in time, its slowest
+vibrations come first, and the others are those of what is left.
 
 Points and weights are sampled so that they do the same virtual work along the modes as all points
 together, at states of the training: energy-conserving sampling and weighting (Farhat et al.
@@ -17,7 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, kron
+from scipy.sparse.linalg import eigsh
 
 from softrobot_twin.geometry.cell_mesh import CellBlock
 from softrobot_twin.mechanics.elements import Elements
@@ -27,7 +29,8 @@ from softrobot_twin.mechanics.reduced_elements import (
     all_points,
     point_gradients,
 )
-from softrobot_twin.simulation.build import bound_factorization
+from softrobot_twin.simulation import Simulation
+from softrobot_twin.simulation.build import bound_factorization, build_terms
 from softrobot_twin.simulation.building.deformable_body import Body
 from softrobot_twin.solvers.superlu import SuperLU
 
@@ -41,6 +44,9 @@ MOST_EQUATIONS, MOST_CANDIDATES = 14_400, 8_000
 LEAST_STATES = 48
 # States at which the size of the forces of all points is taken.
 SIZE_STATES = 4
+# Greatest displacement at the states that points are sampled at for vibrations, by the body's size, and
+# what their forces count beside those of the other states: a larger share takes more points.
+SHAKEN_SIZE, SHAKEN_SHARE = 0.01, 0.3
 # So many points at least are added at once, or this share of those that are chosen.
 ADDED_SHARE = 0.08
 # A residual that falls by less than this share of it in a round falls no more.
@@ -123,6 +129,71 @@ def proper_modes(displacements: np.ndarray, K: csr_array, most: int) -> Modes:
     modes = (U.T @ vectors[:, :count]).reshape(*displacements.shape[1:], count)
     longest = np.sqrt((modes * modes).sum(axis=1).max(axis=0))
     return Modes(modes / longest, energies[:count] / longest**2, np.maximum(shares, 0.0))
+
+
+def vibration_modes(simulation: Simulation, body: Body, count: int) -> np.ndarray:
+    """The slowest vibrations of a body at rest, shape (count, node_count, 3).
+
+    Springs and tubes vibrate with it; other bodies are held, and actuators are free.
+
+    Args:
+        simulation: The scene in statics; its state is not used.
+        body: The body, one of its model.
+        count: How many; fewer of a mesh that has few more unknowns.
+    """
+    terms, nodes = build_terms(simulation.scene), simulation.model.nodes
+    made = bound_factorization(SuperLU, terms.forces, nodes.free_node_count)
+    made.clear()
+    forces, still = np.zeros((2, nodes.free_node_count, 3))
+    for term in terms.forces:
+        if term.remembers_start:
+            term.begin_step(nodes.rest_positions, still, np.inf)
+        term.add(nodes.rest_positions, forces, made.storage, False)
+    free = np.flatnonzero(~body.fixed & body.mesh.are_points)
+    own, unknowns = ((3 * of[:, None] + np.arange(3)).ravel()
+                     for of in (free, nodes.free_index[body.first_node + free]))  # fmt: skip
+    K = made.matrix().tocsr()[unknowns][:, unknowns].tocsc()
+    mass = body.mass_matrix(body.entry.mass_model == "consistent")[free][:, free]
+    count, start = min(count, len(own) // 3), np.random.default_rng(0).standard_normal(len(own))
+    _, found = eigsh(K, count, kron(mass, np.eye(3), format="csc"), sigma=0.0, v0=start)
+    shapes = np.zeros((count, 3 * body.mesh.node_count))
+    shapes[:, own] = found.T
+    return shapes.reshape(count, -1, 3)
+
+
+def with_vibrations(vibrations: np.ndarray, displacements: np.ndarray, K: csr_array, most: int) -> Modes:
+    """Modes of vibrations, and the proper modes of what displacements have beside them.
+
+    Args:
+        vibrations: See `vibration_modes`.
+        displacements: Of the nodes [m], shape (n, node_count, 3).
+        K: The stiffness at rest.
+        most: Most modes in all.
+    """
+    own = proper_modes(vibrations, K, len(vibrations))
+    count = own.basis.shape[2]
+    beside = displacements - np.tensordot(own.coordinates(K, displacements), own.basis.transpose(2, 0, 1), 1)
+    others = proper_modes(beside, K, most - count)
+    left, whole = (np.sum(U * (K @ U.T).T) for U in (
+        of.reshape(len(of), -1).astype(float) for of in (beside, displacements)))  # fmt: skip
+    return Modes(
+        np.concatenate([own.basis, others.basis], axis=2),
+        np.concatenate([own.stiffness, others.stiffness]),
+        np.concatenate([np.ones(count), others.shares * left / whole]),
+    )  # fmt: skip
+
+
+def shaken(body: Body, modes: Modes, count: int) -> np.ndarray:
+    """States of small vibrations to both sides, in coordinates [m], shape (2 count, mode_count).
+
+    Args:
+        body: The body.
+        modes: The modes.
+        count: Number of vibrations among them, which come first.
+    """
+    size = float(np.linalg.norm(np.ptp(body.mesh.node_positions, axis=0)))
+    states = SHAKEN_SIZE * size * np.eye(modes.basis.shape[2])[:count]
+    return np.concatenate([states, -states])
 
 
 def mode_count_of(shares: np.ndarray, energy: float) -> int:
@@ -330,8 +401,9 @@ def _non_negative(
 
 
 def sampled_points(
-    body: Body, modes: Modes, states: np.ndarray, tolerance: float, rng: np.random.Generator
-) -> tuple[SampledPoints, float]:
+    body: Body, modes: Modes, states: np.ndarray, tolerance: float, rng: np.random.Generator,
+    vibrations: int = 0,
+) -> tuple[SampledPoints, float]:  # fmt: skip
     """Points of a body that stand for all at states.
 
     Args:
@@ -340,6 +412,7 @@ def sampled_points(
         states: Coordinates [m], shape (state_count, mode_count).
         tolerance: Error of the virtual work that is left, as a share.
         rng: Draws states, where there are many, and candidates.
+        vibrations: Number of vibrations among the modes, whose stiffness at rest counts too.
 
     Returns:
         The points, by their cells, and the error that is left.
@@ -347,7 +420,14 @@ def sampled_points(
     count = max(LEAST_STATES, MOST_EQUATIONS // states.shape[1])
     if len(states) > count:
         states = states[np.sort(rng.choice(len(states), count, replace=False))]
-    work = work_of(body, modes, states, rng)
+    work = work_of(body, modes, np.concatenate([states, shaken(body, modes, vibrations)]), rng)
+    if vibrations:
+        # Small as they are, vibrations would count for nothing beside the states.
+        sizes = np.linalg.norm(work.total.reshape(-1, states.shape[1]), axis=1)
+        factors = SHAKEN_SHARE * sizes[: len(states)].mean() / sizes[len(states) :]
+        factors = np.repeat(factors, states.shape[1])
+        work.total[-len(factors) :] *= factors
+        work.columns[-len(factors) :] *= factors[:, None].astype(np.float32)
     found = sparse_weights(work.columns, work.total, tolerance)
     cells, points = (field[found.chosen] for field in work.points[:2])
     order = np.lexsort((points, cells))

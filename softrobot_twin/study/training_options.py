@@ -14,6 +14,8 @@ ENERGY = 3.0e-6
 """Share of the energy of all displacements that the modes in use leave out."""
 SPARE_MODES = 24
 """Modes beyond those in use, for the estimate of the error."""
+VIBRATIONS = 12
+"""Slowest vibrations at rest among the modes of a body that moves in time."""
 TOLERANCE = 3.0e-3
 """Error of the virtual work that the sampled points leave, as a share."""
 SNAPSHOTS, FIRST_SNAPSHOTS = 300, 120
@@ -70,6 +72,8 @@ class TrainingOptions:
         energy: Share of the energy that the modes in use leave out.
         modes: Number of modes in place of that; None for the energy.
         spare: Number of spare modes.
+        vibrations: Slowest vibrations at rest among the modes in use; None for the default where the
+            scene has inertia, else none.
         tolerance: Error of the virtual work that sampled points leave.
         error: Wanted error at fresh states, as a share of the effectors' displacement; None for a
             training of a given number of states.
@@ -99,3 +103,4 @@ class TrainingOptions:
     scheduler: str | None = None
     along: Path | None = None
     around: float = AROUND
+    vibrations: int | None = None

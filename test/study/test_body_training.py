@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 import yaml
 
-from softrobot_twin.simulation import CommandSetpoints, Simulation
+from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Simulation
 from softrobot_twin.simulation.building.reduced_body import read_body_reduction
+from softrobot_twin.simulation.linear_model import ModalTangent
 from softrobot_twin.study import body_training, sample_workers
 from softrobot_twin.study.sample_workers import LocalWorkers
 from test.scene_changes import repeat_step
@@ -219,3 +220,72 @@ def test_an_error_that_fresh_states_exceed_after_the_last_round_is_said(capsys):
     assert not body_training.tell_whether_met(options, [], True, judged)
     assert "is exceeded at 1 of the 3 fresh states" in capsys.readouterr().err
     assert body_training.tell_whether_met(options, [], True, judged._replace(shares=shares / 3))
+
+
+def in_motion(column, file=None, **changes):
+    """The column as it moves in time, reduced by a file or with all nodes."""
+    mapping = yaml.safe_load(column.read_text()) | {"integration": "dynamic", "time_scheme": "generalized_alpha"}
+    mapping |= {"solver": {"newton_iterations": 20, "residual_tolerance": 1e-9}} | changes
+    mapping["body"]["damping"] = {"mass": 1.0, "stiffness": 1e-3}
+    for cable in mapping["cables"]:
+        cable.pop("rate", None)
+        cable["shortening"] = [-0.05, 0.05]
+    if file is not None:
+        mapping["body"]["reduced"] = {"file": str(file)}
+    scene = column.parent / f"moving_{'full' if file is None else file.stem}.yaml"
+    scene.write_text(yaml.safe_dump(mapping))
+    return scene
+
+
+def slowest(simulation, count):
+    """Frequencies of the slowest modes under tensions [Hz]."""
+    for _ in range(200):
+        simulation.step(CommandEfforts(np.full(4, 0.3), 0.1))
+    for _ in range(10):
+        simulation.step(CommandEfforts(np.full(4, 0.3), 0.01))
+    return np.sort(ModalTangent(simulation, np.ones(4, bool)).at_state(None).frequencies)[:count]
+
+
+@pytest.fixture(scope="module")
+def moving(column, tmp_path_factory):
+    """The full column in motion, that reduced with vibrations and that without."""
+    from softrobot_twin.__main__ import main
+    scene, folder = in_motion(column), tmp_path_factory.mktemp("moving")
+    simulations = [Simulation.from_scene_file(scene)]
+    for name, more in (("shaken", ()), ("still", ("--vibration-modes", 0))):
+        file = folder / f"{name}.npz"
+        small = ("--snapshots", 48, "--states", 0, "--spare-modes", 3, *RANGE)
+        arguments = ["reduce", scene, "--output", file, "--workers", 1, *small, *more]
+        assert main([str(argument) for argument in arguments]) == 0
+        assert read_body_reduction(file).training["vibration modes"] == (0 if more else 12)
+        simulations.append(Simulation.from_scene_file(in_motion(column, file)))
+    return simulations
+
+
+def test_where_a_scene_moves_slow_vibrations_are_among_the_modes(moving):
+    full, shaken, still = (slowest(simulation, 6) for simulation in moving)
+    print(f"full {full.round(2)} Hz, with vibrations {shaken.round(2)}, without {still.round(2)}")
+    assert shaken == pytest.approx(full, rel=0.01)
+    assert np.abs(still / full - 1.0).max() > 0.2
+
+
+def test_pulled_and_let_go_a_trained_body_swings_as_the_full_one(moving):
+    swings = []
+    for simulation in moving[:2]:
+        simulation.reset()
+        own = []
+        for pull in 60 * [0.6] + 150 * [0.0]:
+            simulation.step(CommandEfforts(np.array([pull, 0.0, 0.2 * pull, 0.0]), 0.1 if pull else 0.002))
+            own.append(simulation.effector_positions()[0])
+        swings.append(np.array(own[59:]))
+    full, shaken = swings
+    apart = np.linalg.norm(shaken - full, axis=1)
+    size = np.linalg.norm(full - full[-1], axis=1)
+    print(f"apart by {apart.max() / size.max():.3f} of the swing")
+    assert apart.max() < 0.05 * size.max()
+
+
+def test_fewer_modes_than_vibrations_are_refused(column, call, tmp_path):
+    done = call("reduce", in_motion(column), "--output", tmp_path / "r.npz", "--workers", 1, "--snapshots", 24,
+                "--modes", 9, "--states", 0, *RANGE)  # fmt: skip
+    assert done.code == 2 and "--vibration-modes" in done.errors

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse import diags_array, sparray
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.errors import MeshError
@@ -31,7 +32,7 @@ from softrobot_twin.geometry.point_location import (
 from softrobot_twin.geometry.regions import nodes_in_box, nodes_in_sphere
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.element_kinds import HEXAHEDRAL, element_named
-from softrobot_twin.mechanics.inertia import lumped_masses, uniform_masses
+from softrobot_twin.mechanics.inertia import lumped_masses, scalar_mass_matrix, uniform_masses
 from softrobot_twin.mechanics.laws import law_named
 from softrobot_twin.mechanics.material import (
     INCOMPRESSIBLE,
@@ -406,6 +407,16 @@ class Body:
     def density(self) -> float | np.ndarray:
         """Its mass per volume [kg/m³]: one for all cells, or of each cell, shape (cell_count,)."""
         return cell_values(self.materials, "density", self.mesh.cell_count)
+
+    def mass_matrix(self, is_consistent: bool) -> sparray:
+        """Mass between nodes, the same along each axis [kg], sparse, shape (node_count, node_count).
+
+        Args:
+            is_consistent: Whether it is consistent, and not diagonal.
+        """
+        if is_consistent:
+            return scalar_mass_matrix(self.mesh, self.density)
+        return diags_array(self.node_masses(), format="csr")
 
     def node_masses(self) -> np.ndarray:
         """Mass of each node where the mass is diagonal, none negative [kg], shape (node_count,)."""

@@ -31,13 +31,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import diags_array
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.geometry.cell_mesh import points_of
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
-from softrobot_twin.mechanics.inertia import borne_masses, scalar_mass_matrix
+from softrobot_twin.mechanics.inertia import borne_masses
 from softrobot_twin.mechanics.laws import law_named
 from softrobot_twin.mechanics.reduced_elements import SampledPoints, point_gradients
 from softrobot_twin.mechanics.reduced_points import Platform, ReducedPoints
@@ -573,7 +572,7 @@ class ReducedNodes:
             body: The body.
             is_consistent: Whether M is consistent, and not diagonal.
         """
-        M = scalar_mass_matrix(body.mesh, body.density) if is_consistent else diags_array(body.node_masses())
+        M = body.mass_matrix(is_consistent)
         return sum(modes.T @ (M @ modes) for modes in self.basis.transpose(1, 0, 2))
 
     def weights_of(self, body: Body, gravity: np.ndarray) -> np.ndarray:
