@@ -409,6 +409,7 @@ class Contacts(VaryingTerm):
         directions: Normal and two tangents of each, shape (capacity, 3, 3).
         memory: Forces of the last solution.
         time_step: Duration of the step that was begun last [s].
+        sums_at_start: `sums_of_pairs` where the step began [N], in scenes that ask for grip margins.
         curvature: Stiffness by the curvature of round shapes that facets press on, or None.
     """
 
@@ -448,6 +449,7 @@ class Contacts(VaryingTerm):
         self._alarm, self._distance = alarm_distance, contact_distance
         self._push_out_speed, self._allowed = push_out_speed, np.inf
         self.memory = ContactMemory(self._most_rows)
+        self.sums_at_start = np.zeros((2, len(pairs)))
         sides = [side for pair in pairs for side in (pair.first, pair.second)]
         self._rigid = {side for side in sides if isinstance(side, RigidSurface)}
         # Nodes of one side of a contact, at most.
@@ -532,23 +534,30 @@ class Contacts(VaryingTerm):
         """
         return np.array([[own == name for own in self.pair_names] for name in names])
 
-    def friction_used(
-        self, groups: np.ndarray, pairs: np.ndarray, normal: np.ndarray, along: np.ndarray
-    ) -> np.ndarray:
+    def sums_of_pairs(self, pairs: np.ndarray, forces: np.ndarray) -> np.ndarray:
+        """Σ λ_n and Σ |λ_t| of the contacts of each pair [N], shape (2, pair_count).
+
+        Args:
+            pairs: Pair of each contact of a solution, shape (count,).
+            forces: λ of each contact [N], the columns of those with one row zero but for the first,
+                shape (count, 3).
+        """
+        normal, along = forces[:, 0], np.hypot(forces[:, 1], forces[:, 2])
+        return np.array([np.bincount(pairs, of, len(self.pairs)) for of in (normal, along)])
+
+    def friction_used(self, groups: np.ndarray, sums: np.ndarray) -> np.ndarray:
         """Share of its friction that each group of pairs uses, Σ |λ_t| / Σ µ λ_n; NaN if none presses.
 
         Args:
             groups: Which pairs each has, shape (group_count, pair_count).
-            pairs: Pair of each contact of a solution, shape (count,).
-            normal: λ_n of each contact [N], same shape.
-            along: |λ_t| of each contact [N], same shape.
+            sums: See `sums_of_pairs`.
 
         Returns:
             Shares, shape (group_count,).
         """
-        members, used = groups[:, pairs], np.full(len(groups), np.nan)
-        most = members @ (self.friction_of_pair[pairs] * normal)
-        return np.divide(members @ along, most, out=used, where=most > 0.0)
+        normal, along = sums
+        most = groups @ (self.friction_of_pair * normal)
+        return np.divide(groups @ along, most, out=np.full(len(groups), np.nan), where=most > 0.0)
 
     def touch(self, multipliers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Which contacts press in a solution, and which of these slip.

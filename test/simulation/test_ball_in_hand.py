@@ -50,6 +50,23 @@ def test_a_target_beyond_reach_is_missed_with_its_limit_named_and_the_ball_stays
     assert np.min(margins[-50:]) > LEAST - 0.01
 
 
+@pytest.mark.parametrize("way", [(0, 0, 2), (6, 0, 0)])
+def test_a_restored_state_takes_the_step_at_a_least_margin_that_it_would_have_taken(held_ball, way):
+    simulation, state = held_ball
+    simulation.restore(state)
+    target = simulation.effector_positions() + 1e-3 * np.array(way)
+    follow(held_ball, 1e-3 * np.array(way), 20)
+    before = simulation.state
+    straight = simulation.step(FollowTargets(target, STEP))
+    simulation.restore(before)
+    again = simulation.step(FollowTargets(target, STEP))
+    margins = [[*result.report.figures.values()] for result in (straight, again)]
+    assert np.min(margins) < LEAST + 0.01
+    np.testing.assert_allclose(*margins, atol=1e-3)
+    moved = np.abs(straight.setpoints - before.setpoints).max()
+    assert np.abs(again.setpoints - straight.setpoints).max() < 0.05 * moved
+
+
 @pytest.mark.slow
 def test_the_palm_carries_the_ball_along_a_path_while_targets_lead_it_in_the_fingers(held_ball):
     """The palm goes 60 mm up and 30 mm aside at 50 mm/s, and the ball 1 mm to each side in the hand."""

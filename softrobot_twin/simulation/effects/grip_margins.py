@@ -38,13 +38,23 @@ class GripMargins(StepPart):
         self.figures = tuple(map(".".join, least))
         self._groups = contacts.pairs_named(list(least))
 
+    def memory_at_rest(self) -> dict[str, np.ndarray]:
+        """See `StepPart`: Σ λ_n and Σ |λ_t| of each pair, which targets are bound by."""
+        return {"sums": np.zeros((2, len(self._contacts.pairs)))}
+
+    def recall(self, state: State) -> None:
+        """See `StepPart`."""
+        self._contacts.sums_at_start = self.recalled(state)["sums"]
+
+    def end(self, positions: np.ndarray, efforts: np.ndarray) -> dict[str, np.ndarray]:
+        """See `StepPart`."""
+        solution = self._contacts.memory
+        return {"sums": self._contacts.sums_of_pairs(solution.pairs, solution.forces)}
+
     def report(self, state: State) -> PartReport:
         """See `StepPart`; NaN of pairs that do not press."""
-        solution = self._contacts.memory
-        normal, *along = solution.forces.T
-        margins = 1.0 - self._contacts.friction_used(
-            self._groups, solution.pairs, normal, np.hypot(*along)
-        )
+        sums = self.recalled(state)["sums"]
+        margins = 1.0 - self._contacts.friction_used(self._groups, sums)
         low = tuple(f"{name}.{GRIP}" for name, few in zip(self.figures, margins < self._least) if few)
         return PartReport(low, dict(zip(self.figures, margins.tolist())))
 

@@ -285,19 +285,29 @@ class Grips(NamedTuple):
         return cls(names, is_of, np.array([least for *_, least in found]),
                    np.array([key == keys[1] for _, key, _ in found]))  # fmt: skip
 
-    def used(self, contacts: Contacts, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def used(self, contacts: Contacts, sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What share of its friction each pair uses, one without forces, and its normal forces [N].
+
+        Args:
+            contacts: The contact term.
+            sums: See `Contacts.sums_of_pairs`.
+        """
+        used = contacts.friction_used(self.is_of, sums)
+        return np.where(np.isnan(used), 1.0, used), self.is_of @ sums[0]
+
+    @staticmethod
+    def sums_of(contacts: Contacts, forces: np.ndarray) -> np.ndarray:
+        """See `Contacts.sums_of_pairs`.
 
         Args:
             contacts: The contact term.
             forces: λ of a solution [N], shape (contact_row_count,).
         """
-        starts, pairs = contacts.row_starts, contacts.pair[: contacts.count]
-        rubs, normal = np.flatnonzero(np.diff(starts) == 3), forces[starts[:-1]]
-        along = np.zeros(contacts.count)
-        along[rubs] = np.hypot(forces[starts[rubs] + 1], forces[starts[rubs] + 2])
-        used = contacts.friction_used(self.is_of, pairs, normal, along)
-        return np.where(np.isnan(used), 1.0, used), self.is_of[:, pairs] @ normal
+        starts = contacts.row_starts
+        rubs, of_each = np.flatnonzero(np.diff(starts) == 3), np.zeros((contacts.count, 3))
+        of_each[:, 0] = forces[starts[:-1]]
+        of_each[rubs, 1:] = forces[starts[rubs][:, None] + (1, 2)]
+        return contacts.sums_of_pairs(contacts.pair[: contacts.count], of_each)
 
     def sums(self, contacts: Contacts, forces: np.ndarray) -> tuple[np.ndarray, ...]:
         """The forces of pairs in a solution, linearized around it.
@@ -311,8 +321,8 @@ class Grips(NamedTuple):
             what that is a share of, shape (count,).
         """
         members, starts = self.is_of[:, contacts.pair[: contacts.count]], contacts.row_starts
-        used, pressed = self.used(contacts, forces)
-        used_before, before = self.used(contacts, contacts.memory.at_start)
+        used, pressed = self.used(contacts, self.sums_of(contacts, forces))
+        used_before, before = self.used(contacts, contacts.sums_at_start)
         by = before / np.maximum(pressed, LACKS * before + (before == 0.0))
         rows, is_force = np.zeros((len(members), len(forces))), ~self.is_margin
         rows[:, starts[:-1]] = np.where(is_force, 1.0, by * used)[:, None] * members
@@ -334,8 +344,8 @@ class Grips(NamedTuple):
             held: λ when the actuators stay [N], shape (contact_row_count,).
             found: λ of what they would do, same shape.
         """
-        now, stay, go = (1.0 - self.used(contacts, forces)[0]
-                         for forces in (contacts.memory.at_start, held, found))  # fmt: skip
+        all_sums = contacts.sums_at_start, self.sums_of(contacts, held), self.sums_of(contacts, found)
+        now, stay, go = (1.0 - self.used(contacts, sums)[0] for sums in all_sums)
         is_low = self.is_margin & (now < self.least - LACKS)
         return bool((is_low & (go < np.minimum(stay + RISES, self.least))).any())
 
