@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
+from softrobot_twin.__main__ import main
 from softrobot_twin.control.arrival import Arrival
 from softrobot_twin.control.dynamic_control import OFF, SINGLE_ACTUATORS, TOO_FAR
 from softrobot_twin.control.loop_settings import LoopSettings, Mode
@@ -180,6 +181,23 @@ def test_the_error_at_60_percent_of_the_first_mode_is_a_fifth_of_that_of_statics
     print(f"RMS {1e3 * predicted:.2f} mm by prediction, {1e3 * np.array(list(errors.values()))} in statics")
     # The better of both laws of today.
     assert predicted < 0.2 * min(errors.values())
+
+
+def test_a_reduced_twin_leads_a_robot_as_the_full_one_does(twin, softer, path, tmp_path):
+    scene, file = tmp_path / "finger.yaml", tmp_path / "finger.npz"
+    scene.write_text(yaml.safe_dump(finger(control=CONTROL)))
+    assert main(f"reduce {scene} --output {file} --workers 1 --snapshots 60 --states 0".split()) == 0
+    mapping = finger(control=CONTROL)
+    mapping["body"]["reduced"] = {"file": str(file)}
+    reduced, errors = Simulation(scene_from_mapping(mapping), with_warnings=False), []
+    assert reduced.model.nodes.free_node_count < 0.1 * twin.model.nodes.free_node_count
+    for own in (twin, reduced):
+        softer.reset()
+        drive = Fast(own, softer)
+        errors.append(rms(drive.run(path, 150)))
+        assert set(drive.whys) == {""} and drive.loop.dynamic.margin.is_enough
+    print(f"RMS {1e3 * errors[1]:.3f} mm by a reduced twin, {1e3 * errors[0]:.3f} by the full one")
+    assert errors[1] < 1.1 * errors[0]
 
 
 @pytest.mark.exhaustive

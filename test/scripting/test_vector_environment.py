@@ -14,6 +14,7 @@ import pytest
 
 import softrobot_twin as st
 from softrobot_twin.errors import CommandError, SceneError
+from softrobot_twin.scene import load_scene
 from softrobot_twin.study.sample_workers import WorkerError
 
 gymnasium = pytest.importorskip("gymnasium")
@@ -160,6 +161,19 @@ def test_the_reduced_model_beside_a_scene_is_taken_and_said():
     full = st.vector_env(SCENES / "finger.yaml", 1, 1)
     assert full.model == (f"full model of 1500 unknowns, {SCENES / 'finger.yaml'}; there is no "
                           "finger_reduced.yaml beside it")
+
+
+def test_reduced_robots_in_motion_play_the_same_in_two_workers():
+    """By a file that was made for statics."""
+    scene = load_scene(SCENES / "diamond_reduced.yaml").changed(integration="dynamic")
+    runs = []
+    for workers in (1, 2):
+        environments = st.vector_env(scene, 2, workers, most_steps=3, states=4, travel=0.3)
+        runs.append(play(environments, 5))
+        environments.close()
+    assert_same(*runs)
+    places = np.array([step[0] for step in runs[0]])
+    assert np.isfinite(places).all() and np.ptp(places, axis=0).max() > 0.0
 
 
 def test_what_a_reduced_model_cannot_take_is_refused_before_any_worker_starts():

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Hold, Status
+from softrobot_twin.simulation.effects.touches import Touched
 from softrobot_twin.simulation.linear_model import ModalTangent
 
 from .building.test_reduced_body import saved, spanning_basis
@@ -158,6 +159,23 @@ def test_pulled_and_let_go_it_vibrates_and_decays_as_the_full_model(few, scheme)
     found = [frequency_and_decay(own, 0.002) for own in np.array(swings).T]
     print(f"frequency [Hz] and decay [1/s] of the full and the reduced beam: {found}")
     assert found[1] == pytest.approx(found[0], rel=0.07)
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_pushed_and_released_a_spanning_basis_moves_as_the_full_model(spanned, scheme):
+    def touched(mapping):
+        without_cables(mapping)
+        mapping["touches"] = [{"name": "hand", "body": "beam", "points": [[0.01, 0.01, 0.09]]}]
+    pair, nowhere = spanned(moving(scheme, {"stiffness": 1e-3}), touched), np.full((1, 3), np.nan)
+    sides = []
+    for step in range(60):
+        push = Touched(np.array([[0.5 if step < 20 else 0.0, 0.0, 0.1 if step < 20 else 0.0]]), nowhere)
+        for simulation in pair:
+            assert simulation.step(Hold(0.004), measured=push).status is Status.OK
+        places = [simulation.effector_positions() for simulation in pair]
+        np.testing.assert_allclose(places[1], places[0], atol=1e-10)
+        sides.append(places[1][0, 0] - 0.01)
+    assert max(sides[:20]) > 1e-3 and min(sides[20:]) < -1e-3
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.4])
