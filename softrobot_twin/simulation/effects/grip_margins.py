@@ -44,7 +44,7 @@ class GripMargins(StepPart):
 
     def recall(self, state: State) -> None:
         """See `StepPart`."""
-        self._contacts.sums_at_start = self.recalled(state)["sums"]
+        self._contacts.sums_at_start[:] = self.recalled(state)["sums"]
 
     def end(self, positions: np.ndarray, efforts: np.ndarray) -> dict[str, np.ndarray]:
         """See `StepPart`."""

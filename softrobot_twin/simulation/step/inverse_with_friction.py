@@ -128,6 +128,55 @@ def tie(first, row_starts, friction, forces, presses, slips, slid, own, least, t
     return count
 
 
+@njit(**KERNEL)
+def grip(
+    is_of, is_margin, shall, friction, at_start, pair, row_starts, forces, rows, least, whole, left
+):  # fmt: skip
+    """Forces of pairs in a solution, see `Grips.sums`.
+
+    Args:
+        is_of: See `Grips`.
+        is_margin: See `Grips`.
+        shall: Least forces and margins, see `Grips`.
+        friction: µ of each pair, shape (pair_count,).
+        at_start: Σ λ_n and Σ |λ_t| of each pair where the step began [N], shape (2, pair_count).
+        pair: Pair of each contact, shape (contact_count or more,).
+        row_starts: First row of each contact and the number of rows, shape (contact_count + 1,).
+        forces: λ of each row [N], shape (contact_row_count,).
+        rows: Takes derivatives by λ, zeros before, shape (count, contact_row_count).
+        least: Takes what these come to at least [N], shape (count,).
+        whole: Takes what that is a share of [N], same shape.
+        left: Takes the share of its friction that each has left, zero without forces, same shape.
+    """
+    for g in range(len(shall)):
+        before, most_before, along_before, pressed, most, along = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for p in range(len(friction)):
+            if is_of[g, p]:
+                before += at_start[0, p]
+                most_before += friction[p] * at_start[0, p]
+                along_before += at_start[1, p]
+        for c in range(len(row_starts) - 1):
+            r, p = row_starts[c], pair[c]
+            if is_of[g, p]:
+                pressed += forces[r]
+                most += friction[p] * forces[r]
+                along += np.hypot(forces[r + 1], forces[r + 2])
+        left[g] = 1.0 - along / most if most > 0.0 else 0.0
+        whole[g], least[g], by_normal, by = shall[g], shall[g], 1.0, 0.0
+        if is_margin[g]:
+            left_before = 1.0 - along_before / most_before if most_before > 0.0 else 0.0
+            whole[g], least[g] = before, before * (min(shall[g], left_before) - left[g])
+            by = before / max(pressed, LACKS * before) if before > 0.0 else 0.0
+            by_normal = by * (1.0 - left[g])
+        for c in range(len(row_starts) - 1):
+            r, p = row_starts[c], pair[c]
+            if is_of[g, p]:
+                rows[g, r] = by_normal
+                size = np.hypot(forces[r + 1], forces[r + 2]) * friction[p]
+                if size > 0.0:
+                    rows[g, r + 1], rows[g, r + 2] = -by * forces[r + 1] / size, -by * forces[r + 2] / size
+
+
 def slid_by(linear: Linearized, found: Actuation) -> tuple[np.ndarray, np.ndarray]:
     """λ of all condensed rows in a solution [N], and δ of those of contacts there [m].
 
@@ -285,30 +334,6 @@ class Grips(NamedTuple):
         return cls(names, is_of, np.array([least for *_, least in found]),
                    np.array([key == keys[1] for _, key, _ in found]))  # fmt: skip
 
-    def used(self, contacts: Contacts, sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What share of its friction each pair uses, one without forces, and its normal forces [N].
-
-        Args:
-            contacts: The contact term.
-            sums: See `Contacts.sums_of_pairs`.
-        """
-        used = contacts.friction_used(self.is_of, sums)
-        return np.where(np.isnan(used), 1.0, used), self.is_of @ sums[0]
-
-    @staticmethod
-    def sums_of(contacts: Contacts, forces: np.ndarray) -> np.ndarray:
-        """See `Contacts.sums_of_pairs`.
-
-        Args:
-            contacts: The contact term.
-            forces: λ of a solution [N], shape (contact_row_count,).
-        """
-        starts = contacts.row_starts
-        rubs, of_each = np.flatnonzero(np.diff(starts) == 3), np.zeros((contacts.count, 3))
-        of_each[:, 0] = forces[starts[:-1]]
-        of_each[rubs, 1:] = forces[starts[rubs][:, None] + (1, 2)]
-        return contacts.sums_of_pairs(contacts.pair[: contacts.count], of_each)
-
     def sums(self, contacts: Contacts, forces: np.ndarray) -> tuple[np.ndarray, ...]:
         """The forces of pairs in a solution, linearized around it.
 
@@ -317,24 +342,16 @@ class Grips(NamedTuple):
             forces: λ of the solution [N], shape (contact_row_count,).
 
         Returns:
-            Derivatives by λ, shape (count, contact_row_count); what they shall be at least [N], and
-            what that is a share of, shape (count,).
+            Derivatives by λ, shape (count, contact_row_count); what they shall be at least [N], what
+            that is a share of, and what share of its friction each pair has left, shape (count,).
         """
-        members, starts = self.is_of[:, contacts.pair[: contacts.count]], contacts.row_starts
-        used, pressed = self.used(contacts, self.sums_of(contacts, forces))
-        used_before, before = self.used(contacts, contacts.sums_at_start)
-        by = before / np.maximum(pressed, LACKS * before + (before == 0.0))
-        rows, is_force = np.zeros((len(members), len(forces))), ~self.is_margin
-        rows[:, starts[:-1]] = np.where(is_force, 1.0, by * used)[:, None] * members
-        rubs = np.flatnonzero(np.diff(starts) == 3)
-        along = (starts[rubs][:, None] + (1, 2)).T
-        sizes = np.hypot(*forces[along]) * contacts.friction[rubs]
-        ways = np.divide(forces[along], sizes, out=np.zeros(along.shape), where=sizes > 0.0)
-        for way, row in zip(ways, along):
-            rows[:, row] = np.where(is_force, 0.0, -by)[:, None] * members[:, rubs] * way
-        lack = before * (np.minimum(self.least, 1.0 - used_before) - 1.0 + used)
-        least = np.where(is_force, self.least, lack)
-        return rows, least, np.where(is_force, self.least, before)
+        count = len(self.least)
+        rows, (least, whole, left) = np.zeros((count, len(forces))), np.zeros((3, count))
+        grip(
+            self.is_of, self.is_margin, self.least, contacts.friction_of_pair, contacts.sums_at_start,
+            contacts.pair, contacts.row_starts, forces, rows, least, whole, left,
+        )  # fmt: skip
+        return rows, least, whole, left
 
     def slips_on(self, contacts: Contacts, held: np.ndarray, found: np.ndarray) -> bool:
         """Whether a pair has less than its least margin, and would not win some of it back.
@@ -344,8 +361,8 @@ class Grips(NamedTuple):
             held: λ when the actuators stay [N], shape (contact_row_count,).
             found: λ of what they would do, same shape.
         """
-        all_sums = contacts.sums_at_start, self.sums_of(contacts, held), self.sums_of(contacts, found)
-        now, stay, go = (1.0 - self.used(contacts, sums)[0] for sums in all_sums)
+        now = 1.0 - np.nan_to_num(contacts.friction_used(self.is_of, contacts.sums_at_start), nan=1.0)
+        stay, go = (self.sums(contacts, forces)[-1] for forces in (held, found))
         is_low = self.is_margin & (now < self.least - LACKS)
         return bool((is_low & (go < np.minimum(stay + RISES, self.least))).any())
 
@@ -367,7 +384,7 @@ class Grips(NamedTuple):
         normals = linear.groups.contacts.start + contacts.row_starts[:-1]
         yields = LEAST_FIRST * (members @ linear.W[normals, normals])
         yields /= np.maximum(members.sum(axis=1), 1)
-        rows, least, _ = self.sums(contacts, forces)
+        rows, least, *_ = self.sums(contacts, forces)
         return yields[:, None] * rows, yields * least
 
     def met(self, contacts: Contacts, forces: np.ndarray) -> tuple[str, ...]:
@@ -377,7 +394,7 @@ class Grips(NamedTuple):
             contacts: The contact term.
             forces: λ of all rows [N], shape (contact_row_count,).
         """
-        rows, least, whole = self.sums(contacts, forces)
+        rows, least, whole, _ = self.sums(contacts, forces)
         more = rows @ forces - least
         is_missed = (more < -LACKS * whole) & ~self.is_margin
         return tuple(f"{name}_missed" if few else name
@@ -512,6 +529,8 @@ class InverseWithFriction(InverseActuation):
         # Compiled now, not when the first contact presses.
         none, no, matrix = np.zeros(0), np.zeros(0, bool), np.zeros((0, 0))
         tie(0, np.zeros(1, np.int64), none, none, no, no, none, none, 0.0, matrix, matrix, none)
+        if self._grips is not None:
+            self._grips.sums(model.contacts, none)
 
     def reset(self) -> None:
         """See `InverseActuation`."""
