@@ -337,7 +337,7 @@ class ContactMemory:
         # Of a contact with fewer rows than others the last columns are zero.
         self._tables = np.zeros((3, 0, self._most_rows))
         self.guess = self.expected = self._start = np.zeros(0)
-        self._row_starts = np.zeros(1, np.int64)
+        self._row_starts, self._is_over = np.zeros(1, np.int64), False
 
     @property
     def at_start(self) -> np.ndarray:
@@ -360,7 +360,10 @@ class ContactMemory:
         return list(zip(*self._known.tolist(), strict=True))
 
     def begin_step(self) -> None:
-        """Note how λ changed in the step that is over."""
+        """Note how λ changed in the step that is over, once."""
+        if not self._is_over:
+            return
+        self._is_over = False
         multipliers, at_start, change = self._tables
         np.subtract(multipliers, at_start, out=change)
         at_start[:] = multipliers
@@ -384,7 +387,7 @@ class ContactMemory:
         Args:
             multipliers: λ of the contacts' rows [N], shape (row_count,).
         """
-        self._before = self._known
+        self._before, self._is_over = self._known, True
         self._tables = np.zeros((3, len(self._row_starts) - 1, self._most_rows))
         fill_tables(self._row_starts, multipliers, self._start, self._tables)
 

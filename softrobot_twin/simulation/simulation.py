@@ -336,8 +336,8 @@ class Simulation(Readouts):
         Most of a step's time is its first linearization, which depends on the state alone (the
         preparation phase of Diehl et al. 2005, real-time iterations). The next step takes what is
         prepared, if nothing else was asked of the simulation since; its result is the same to the
-        bit, in any case. Nothing is prepared with contacts, where measurements or guided bodies change
-        the forces, and where the tangent is not positive definite.
+        bit, in any case. Nothing is prepared where measurements or guided bodies change the forces, and
+        where the tangent is not positive definite.
 
         Args:
             command: Of the kind and the duration of the next one; nothing else of it counts.
@@ -349,9 +349,9 @@ class Simulation(Readouts):
         if self._parts_with["begin"] or self._parts_with["lead"]:
             return
         clock = StageClock(self.now)
-        self._reading.read(command, self.state)
+        held = self._held_actuators(command, self._reading.read(command, self.state))
         self._begin_motion(command, False)
-        if self.newton.prepare(self._positions, self.state.efforts, clock):
+        if self.newton.prepare(self._positions, self.state.efforts, clock, held):
             self._prepared = Prepared(self.state, command, clock.total)
 
     def step(

@@ -330,28 +330,46 @@ class Newton:
             if term.is_slender:
                 term.on_points.follow_move(self.move.start)
 
-    def prepare(self, positions: np.ndarray, efforts: np.ndarray, clock: StageClock) -> bool:
+    def prepare(
+        self, positions: np.ndarray, efforts: np.ndarray, clock: StageClock,
+        held: HeldActuators | None,
+    ) -> bool:  # fmt: skip
         """Linearize ahead of the command of a step, whose first linearization this is then.
 
-        Not where the tangent may be augmented by what the command holds, or was projected; and not
-        with contacts, which remember each step that began.
+        Not where the tangent may be augmented by what the command holds, or was projected.
 
         Args:
             positions: Node positions where the step begins [m], shape (node_count, 3).
             efforts: Efforts of the actuators there [N], shape (actuator_count,).
             clock: Books the stages.
+            held: See `linearize`; of it counts only whether displacements are prescribed.
 
         Returns:
             Whether it did.
         """
-        if self._rows.varies or self._is_indefinite or self.projected_tangent:
+        if self._is_indefinite or self.projected_tangent:
             return False
-        if self.is_folded is None:
-            self._sum_forces(positions)
+        self._look(positions, clock, held)
         self.is_augmented = False
+        self._rows.limit_stiffness(False)
         self._ahead = self._factored(positions, self._rows.multipliers(efforts), clock)
         self.factor_age = None if self._ahead is None else 0
         return self._ahead is not None
+
+    def _look(
+        self, positions: np.ndarray, clock: StageClock, held: HeldActuators | None
+    ) -> None:
+        """Find what is folded and what touches where a linearization begins."""
+        self._follows = held is not None and not held.is_prescribed
+        if self.is_folded is None:
+            self._sum_forces(positions)
+        self._was_folded = self.is_folded
+        if self._rows.varies:
+            self._rows.detect(positions)
+            if self.merit is not None:
+                self.merit.see_overlaps()
+            self._rows.choose_stiffness(held is not None and held.is_prescribed)
+            clock.mark("detect")
 
     def linearize(
         self,
@@ -377,16 +395,8 @@ class Newton:
         Returns:
             The condensed system, or None when the tangent cannot be factorized.
         """
-        self._follows = held is not None and not held.is_prescribed
-        if self.is_folded is None:
-            self._sum_forces(positions)
-        self._was_folded = self.is_folded
-        if self._rows.varies:
-            self._rows.detect(positions)
-            if self.merit is not None:
-                self.merit.see_overlaps()
-            self._rows.choose_stiffness(held is not None and held.is_prescribed)
-            clock.mark("detect")
+        if self._ahead is None:
+            self._look(positions, clock, held)
         if with_stale_factor:
             self.factor_age += 1
             self._rows.tell_efforts(efforts)
