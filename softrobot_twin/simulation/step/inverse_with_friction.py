@@ -515,13 +515,13 @@ class InverseWithFriction(InverseActuation):
             direct: See `InverseActuation`.
             qp_solvers: See there.
         """
+        self._grips = Grips.of(model)
         super().__init__(model, direct, qp_solvers)
         self._place_count = model.effectors.position_row_count
         # Squares of misses that make no difference, of weight one.
         self._least = NO_MATTER * self._tolerance
         most = float(model.contacts.friction_of_pair.max())
         self._brakes = model.is_dynamic
-        self._grips = Grips.of(model)
         self._judges_forces = self.force_limit < np.inf or self._grips is not None
         self._friction = min(1.0, most / MUCH_FRICTION)
         self._left_out = (1.0 - SHARE) * self._friction
@@ -539,6 +539,8 @@ class InverseWithFriction(InverseActuation):
         self._search = Search(self._learns)
         self._targets = self._moved = None
         self._calm_count, self._calm = 0, 0.0
+        # Least forces and margins that lacked in the last optimum.
+        self._lacked = np.zeros(0 if self._grips is None else len(self._grips.least), bool)
 
     def solve(
         self, linear: Linearized, target_rows: np.ndarray, held: Actuation, bounds: Bounds,
@@ -590,31 +592,44 @@ class InverseWithFriction(InverseActuation):
                 )
 
             rows, from_normals = extra, self._on_normals(at)
-            found = asked(errors, weights)
             if self._grips is None:
-                return found
-            wanted = np.zeros(len(self._grips.least), bool)
+                return asked(errors, weights)
             (a, _, c), (ties, offset) = tied.groups, tied.ties
             grip, least = self._grips.rows(linear, self._contacts, at.contact.multipliers)
             least = least - grip @ offset[c.start :]
             grip = np.delete(grip @ ties[c.start :], np.arange(a.stop, c.start), axis=1)
-            while found is not None:
-                forces = np.append(found.efforts, found.contact.multipliers)
-                low = ~wanted & (grip @ forces < least)
-                if not low.any():
-                    break
-                wanted |= low
-                rows = grip[wanted]
-                if extra is not None:
+
+            def lacking(found: Actuation) -> np.ndarray:
+                return grip @ np.append(found.efforts, found.contact.multipliers) < least
+
+            def with_least(wanted: np.ndarray) -> Actuation | None:
+                nonlocal rows
+                rows = grip[wanted] if wanted.any() else extra
+                if extra is not None and wanted.any():
                     more = ((0, 0), (0, grip.shape[1] - a.stop))
                     rows = np.concatenate([np.pad(extra, more), rows])
                 weight = FORCES_FIRST * weights.max(initial=0.0)
-                closer = asked(np.append(errors, -least[wanted]),
-                               np.append(weights, np.full(wanted.sum(), weight)))
+                return asked(np.append(errors, -least[wanted]),
+                             np.append(weights, np.full(wanted.sum(), weight)))
+
+            # What lacked before lacks again in most steps. Where it does although it was asked for,
+            # it would without; what lacks no more was held down.
+            wanted = self._lacked
+            found = with_least(wanted)
+            if wanted.any() and (found is None or not lacking(found)[wanted].all()):
+                wanted = np.zeros(len(least), bool)
+                found = with_least(wanted)
+            while found is not None:
+                low = ~wanted & lacking(found)
+                if not low.any():
+                    break
+                wanted = wanted | low
+                closer = with_least(wanted)
                 if closer is None:
                     # What lacks a least force counts so much that the actuators stay instead.
                     break
                 found = closer
+            self._lacked = wanted
             return found
 
         beyond = self._beyond if self._judges_forces else None
