@@ -19,11 +19,13 @@ class PastMotion:
             (a - v̇)/h [m/s³] and [rad/s³], same shape.
         contact_forces: Forces of contacts on the unknowns in the last three steps, newest first
             [N] and [N m], shape (3, free_node_count, 3); (3, 0, 3) without contact.
+        time_step: Length of the last step [s].
     """
 
     accelerations: np.ndarray
     acceleration_rates: np.ndarray
     contact_forces: np.ndarray
+    time_step: float
 
     def __post_init__(self):
         for array in (self.accelerations, self.acceleration_rates, self.contact_forces):

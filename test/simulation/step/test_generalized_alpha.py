@@ -114,6 +114,22 @@ def test_steps_of_different_lengths_keep_the_second_order(hanging):
     np.testing.assert_allclose(np.log2(np.array(errors[:-1]) / errors[1:]), 2.0, atol=0.2)
 
 
+@pytest.mark.parametrize("radius", [0.0, 0.5, 0.8, 0.95])
+@pytest.mark.parametrize("lengths", ["one short", "one long", "random", "taking turns"])
+def test_stiff_vibrations_never_grow_however_lengths_of_steps_change(hanging, radius, lengths, drawn_rng):
+    """Stiff against the steps, by up to 60 in a step, without any damping but that of the scheme."""
+    simulation = hanging(by_alpha(radius), stiffness=1e3 * STIFFNESS, gravity=0.0)
+    simulation.restore(replace(simulation.state, positions=simulation.state.positions - [0.0, 0.0, 0.01]))
+    far = []
+    for index in range(600):
+        step = {
+            "one short": 0.01 if index % 4 == 3 else 0.1, "one long": 0.1 if index % 4 == 3 else 0.01,
+            "random": 10.0 ** drawn_rng.uniform(-3.0, -1.0), "taking turns": 0.1 if index % 2 else 0.005,
+        }[lengths]  # fmt: skip
+        far.append(abs(simulation.step(Hold(step)).state.positions[0, 2] - simulation.model.nodes.rest_positions[0, 2]))
+    assert max(far) < 1.5 * far[0] + 0.015 and max(far[-50:]) <= 0.011
+
+
 # --- deformable bodies ----------------------------------------------------------------------------
 
 HELD = [{"box": {"minimum": [-1, -1, -1e-6], "maximum": [1, 1, 1e-6]}}]
