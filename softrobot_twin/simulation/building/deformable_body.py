@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import diags_array, sparray
+from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.errors import MeshError
@@ -408,7 +408,7 @@ class Body:
         """Its mass per volume [kg/m³]: one for all cells, or of each cell, shape (cell_count,)."""
         return cell_values(self.materials, "density", self.mesh.cell_count)
 
-    def mass_matrix(self, is_consistent: bool) -> sparray:
+    def mass_matrix(self, is_consistent: bool) -> csr_array:
         """Mass between nodes, the same along each axis [kg], sparse, shape (node_count, node_count).
 
         Args:
@@ -416,7 +416,8 @@ class Body:
         """
         if is_consistent:
             return scalar_mass_matrix(self.mesh, self.density)
-        return diags_array(self.node_masses(), format="csr")
+        nodes = np.arange(self.mesh.node_count)
+        return csr_array((self.node_masses(), (nodes, nodes)))
 
     def node_masses(self) -> np.ndarray:
         """Mass of each node where the mass is diagonal, none negative [kg], shape (node_count,)."""
