@@ -350,6 +350,7 @@ class Simulation(Readouts):
             return
         clock = StageClock(self.now)
         held = self._held_actuators(command, self._reading.read(command, self.state))
+        self._recall_parts()
         self._begin_motion(command, False)
         if self.newton.prepare(self._positions, self.state.efforts, clock, held):
             self._prepared = Prepared(self.state, command, clock.total)
@@ -401,11 +402,12 @@ class Simulation(Readouts):
         )
         hurry = pressed and newton.may_keep_factor
         first, iterations, enough = None, 0, False
+        doing, sought = (command, asked), None
         inverted = newton.inverted_count
         while not enough:
             iterations, begin, ahead = iterations + 1, clock.total - ahead, 0.0
             before = positions.copy() if hurry else positions
-            done = self._iterate(positions, efforts, command, asked, clock, hurry)
+            done = self._iterate(positions, efforts, *doing, clock, hurry)
             if done is None:
                 return self._failed(command, clock, iterations)
             first = first or (done.linear, done.still)
@@ -418,6 +420,11 @@ class Simulation(Readouts):
             if not hurry:
                 time_budget.learn(clock.total - begin)
             enough = hurry or self._is_enough(done, iterations, clock.total, budget)
+            if sought is None and self._seeks_once(command, done):
+                sought = done.actuation
+                doing = self._as_commanded(sought, command, asked)
+        if sought is not None and iterations > 1:
+            done = done._replace(actuation=self.inverse.told(done.actuation, sought))
         reached = self._balance(done, budget) if led else Balance.MISSED
         self.is_balanced = reached is not Balance.MISSED
         self._goes_on = not (self.is_balanced or self.model.is_dynamic)
@@ -514,6 +521,7 @@ class Simulation(Readouts):
             What is to be done, and whether the stiffness is another than before.
         """
         left, changes = _each(measured), False
+        self._recall_parts()
         for part in self._parts_with["begin"]:
             own = [one for one in left if part.takes is not None and isinstance(one, part.takes)]
             changes |= part.begin(self.state, own[0] if own else None)
@@ -524,6 +532,10 @@ class Simulation(Readouts):
             what = type(left[0]).__name__.lower()
             raise CommandError(what, f"nothing in this scene can be {what}")
         return command, changes
+
+    def _recall_parts(self) -> None:
+        for part in self._parts_with["recall"]:
+            part.recall(self.state)
 
     def _begin_motion(self, command: Command, has_other_stiffness: bool) -> float:
         """Let all that remembers begin a step, at the state and in a time step.
@@ -538,8 +550,6 @@ class Simulation(Readouts):
         prepared, self._prepared = self._prepared, None
         if prepared is not None and prepared.serves(self.state, command):
             return prepared.time
-        for part in self._parts_with["recall"]:
-            part.recall(self.state)
         self._positions[:] = self.state.positions
         is_changed = self._motion.begin_step(
             self._beginners, self._positions, self.state.velocities, self.state.past,
@@ -592,6 +602,19 @@ class Simulation(Readouts):
         else:
             share, residual, actuation = self._move_and_settle(positions, actuation, clock)
         return Correction(linear, actuation, held, still, share, residual)
+
+    def _seeks_once(self, command: Command, done: Correction) -> bool:
+        """Whether bodies come to balance under what was found before something else is sought."""
+        follows = isinstance(command, FollowTargets) and done.actuation.solved
+        return follows and self.inverse.seeks_once and done.linear.contact_row_count > 0
+
+    def _as_commanded(
+        self, found: Actuation, command: Command, asked: Asked
+    ) -> tuple[Command, Asked]:
+        """What moves the actuators as they were found, while the bodies come to balance."""
+        drives = found.drives(self.limits)
+        setpoints = self.actuators.setpoints(drives)
+        return CommandSetpoints(setpoints, command.time_step), asked._replace(wanted=drives)
 
     def _rows_of_parts(
         self, positions: np.ndarray, efforts: np.ndarray, clock: StageClock

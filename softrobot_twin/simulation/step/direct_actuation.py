@@ -108,6 +108,7 @@ class DirectActuation:
         # A scene without contact allocates no contact solver.
         self.solvers = ContactSolvers(model.scene.contact) if model.rows.varies else None
         self._efforts = self._before = np.zeros(model.actuators.count)
+        self._expected: np.ndarray | None = None
         # Pairs with friction, and others without.
         self._mixes = model.contacts is not None and len(set(model.contacts.rows_of_pair)) > 1
 
@@ -129,6 +130,15 @@ class DirectActuation:
             efforts = efforts.copy()
             efforts[self._moved] = 0.0
         self._efforts = efforts
+
+    def expect(self, efforts: np.ndarray, forces: np.ndarray) -> None:
+        """Start the next solution in contact, and no other, from what it is expected to be.
+
+        Args:
+            efforts: See `remember`.
+            forces: λ of the contacts [N], shape (contact_row_count,).
+        """
+        self._expected = np.concatenate([efforts[: self._row_count], forces])
 
     def last_solution(self, linear: Linearized) -> tuple[np.ndarray, np.ndarray]:
         """Multipliers of the last linearization's solution.
@@ -379,6 +389,9 @@ class DirectActuation:
 
     def _guesses(self) -> tuple[np.ndarray, np.ndarray]:
         """All multipliers of the last solution, and the extrapolated ones of this step [N]."""
+        if self._expected is not None:
+            expected, self._expected = self._expected, None
+            return expected, expected
         memory, efforts = self._contacts.memory, self._efforts[: self._row_count]
         return (np.concatenate([efforts, memory.guess]),
                 np.concatenate([efforts, memory.expected]))

@@ -430,6 +430,7 @@ class InverseActuation:
     """
 
     least_progress = 1.0
+    seeks_once = False
 
     def __init__(self, model: Model, direct: DirectActuation, qp_solvers: tuple | None = None):
         """Lay out the problem.

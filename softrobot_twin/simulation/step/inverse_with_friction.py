@@ -9,9 +9,14 @@ the normal forces: λ = T z + t. So the problem is that without friction in othe
     is open     λ_t = 0
 
 which is the derivative of the solution with friction (implicit differentiation of Coulomb's law).
-What the optimum asks of the actuators is then done with friction, in the same linearization. Where
-contacts switch between sticking and slipping on the way, effectors do not go where the optimum
-promised. Then it is sought again by what the contacts do there, and the nearest of all is made.
+What the optimum asks of the actuators is then done with friction, in the same linearization. A step
+seeks them once: its other linearizations bring the bodies to balance under them.
+
+Where targets leave nothing open, contacts that press first stay closed and the others open: what is left
+is a problem in efforts alone, and friction tells whether contacts do so. Where it comes near, or as near
+as it promised at the actuators' rates, it is made. Else a search finds which contacts press. Where they switch between
+sticking and slipping on the way, effectors do not go where the optimum promised. Then it is sought
+again by what the contacts do there, and the nearest of all is made.
 
 Where these come hardly nearer, a kink is in the way, and contacts do something else beyond it. Towards
 targets that move, the optimum is sought as if nothing rubbed: made with friction, it tells how contacts
@@ -40,10 +45,15 @@ from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.step.actuation import NO_EFFORT, Actuation, ContactLoads
 from softrobot_twin.simulation.step.apparent_stiffness import StiffnessRows
 from softrobot_twin.simulation.step.direct_actuation import DirectActuation
-from softrobot_twin.simulation.step.inverse_actuation import InverseActuation, keep_within
+from softrobot_twin.simulation.step.inverse_actuation import (
+    MOST_PROGRAMS,
+    InverseActuation,
+    keep_within,
+)
 from softrobot_twin.simulation.step.linearized import Linearized
 from softrobot_twin.simulation.step.target_trust import Situation
 from softrobot_twin.solvers.inverse_problem import Bounds
+from softrobot_twin.solvers.inverse_solver import InverseSolver
 
 # Share of its own compliance that a sticking row yields by, where several rows hold the same.
 YIELDS = 1.0e-9
@@ -66,6 +76,8 @@ LONGEST = 2.0
 # A detour is made at once where squares of misses would fall below the first share, else where they
 # would fall below the second one. After so many in vain, none is tried.
 NEARER, WORTH, MOST_IN_VAIN = 0.1, 0.5, 3
+# Where contacts go on as they do, friction makes what is promised to this share of the way's square.
+SO_NEAR = 0.01
 # Where targets are reached, actuators that moved by no more than a share of their scales in so many
 # steps stay, until effectors leave by a share of the tolerance: where contacts creep by what their
 # solution leaves, a new optimum in each step would never rest.
@@ -81,8 +93,11 @@ NO_MATTER = 1.0e-3
 
 
 @njit(**KERNEL)
-def tie(first, row_starts, friction, forces, presses, slips, slid, own, least, ties, held, yields):
-    """T of contacts, and the directions along which they stick.
+def tie(
+    first, row_starts, friction, forces, presses, slips, slid, own, least, closes, ties, held, bearing,
+    yields,
+):  # fmt: skip
+    """T of contacts, and the directions in which they hold.
 
     Args:
         first: First row of the contacts.
@@ -94,11 +109,14 @@ def tie(first, row_starts, friction, forces, presses, slips, slid, own, least, t
         slid: δ of each row [m], shape (contact_row_count,).
         own: Displacement of each row by its own force [m/N], same shape.
         least: Friction that displaces its contact by no more is none [m].
-        ties: Takes T but for what sticks, identity before the contacts, zeros before, shape
-            (first + contact_row_count, first + contact_count).
-        held: Takes the directions that stick, zeros before, shape (2 contact_count, first +
+        closes: Whether those that press hold along their normals too, and others stay open.
+        ties: Takes T but for what holds, identity before the contacts, zeros before, shape
+            (first + contact_row_count, first + contact_count); without columns of contacts where
+            these hold.
+        held: Takes the directions that hold, zeros before, shape (3 pressing_count, first +
             contact_row_count).
-        yields: Takes by what each yields [m/N], shape (2 contact_count,).
+        bearing: Takes the forces by which they hold, zeros before, same shape.
+        yields: Takes by what each yields [m/N], shape (3 pressing_count,).
 
     Returns:
         Number of these directions.
@@ -107,24 +125,35 @@ def tie(first, row_starts, friction, forces, presses, slips, slid, own, least, t
         ties[i, i] = 1.0
     count = 0
     for c in range(len(friction)):
-        r = row_starts[c]
-        ties[first + r, first + c] = 1.0
-        limit = friction[c] * forces[r]
-        if row_starts[c + 1] - r == 3 and presses[c]:
-            if limit * max(own[r + 1], own[r + 2]) <= least:
-                continue
-            if slips[c]:
-                size = np.hypot(forces[r + 1], forces[r + 2])
-                along, across = forces[r + 1] / size, forces[r + 2] / size
-                ties[first + r + 1, first + c] = friction[c] * along
-                ties[first + r + 2, first + c] = friction[c] * across
-                held[count, first + r + 1], held[count, first + r + 2] = -across, along
-                yields[count] = np.hypot(slid[r + 1], slid[r + 2]) / limit
-                count += 1
+        r = first + row_starts[c]
+        normal = count
+        if not closes:
+            ties[r, first + c] = 1.0
+        elif presses[c]:
+            held[count, r] = bearing[count, r] = 1.0
+            count += 1
+        limit = friction[c] * forces[r - first]
+        if row_starts[c + 1] - row_starts[c] < 3 or not presses[c]:
+            continue
+        if limit * max(own[r - first + 1], own[r - first + 2]) <= least:
+            continue
+        if slips[c]:
+            size = np.hypot(forces[r - first + 1], forces[r - first + 2])
+            along, across = forces[r - first + 1] / size, forces[r - first + 2] / size
+            held[count, r + 1], held[count, r + 2] = -across, along
+            bearing[count, r + 1], bearing[count, r + 2] = -across, along
+            yields[count] = np.hypot(slid[r - first + 1], slid[r - first + 2]) / limit
+            count += 1
+            if closes:
+                bearing[normal, r + 1] = friction[c] * along
+                bearing[normal, r + 2] = friction[c] * across
             else:
-                for k in range(2):
-                    held[count, first + r + 1 + k], yields[count] = 1.0, 0.0
-                    count += 1
+                ties[r + 1, first + c] = friction[c] * along
+                ties[r + 2, first + c] = friction[c] * across
+        else:
+            for k in range(2):
+                held[count, r + 1 + k] = bearing[count, r + 1 + k] = 1.0
+                count += 1
     return count
 
 
@@ -190,33 +219,39 @@ def slid_by(linear: Linearized, found: Actuation) -> tuple[np.ndarray, np.ndarra
 
 
 def tied_by_contacts(
-    linear: Linearized, contacts: Contacts, found: Actuation, least: float = 0.0
-) -> Linearized:
+    linear: Linearized, contacts: Contacts, found: Actuation, least: float = 0.0,
+    closes: bool = False,
+) -> Linearized:  # fmt: skip
     """The system in efforts and normal forces, by what contacts do in a solution.
 
     Args:
-        linear: The system condensed onto all rows.
+        linear: The condensed system.
         contacts: The contact term.
         found: The solution.
         least: Friction that displaces its contact by no more is none [m].
+        closes: Whether the contacts that press stay closed and the others open: then the system is
+            one in efforts alone.
     """
     c, n, count = linear.groups.contacts, len(linear.violation), contacts.count
     forces, (multipliers, slid) = found.contact.multipliers, slid_by(linear, found)
-    ties, held = np.zeros((n, c.start + count)), np.zeros((2 * count, n))
-    yields = np.zeros(2 * count)
+    ties = np.zeros((n, c.start + (0 if closes else count)))
     own, (presses, slips) = linear.W.diagonal()[c].copy(), contacts.touch(forces)
-    sticking = tie(
+    most = 3 * np.count_nonzero(presses)
+    held, bearing, yields = *np.zeros((2, most, n)), np.zeros(most)
+    holding = tie(
         c.start, contacts.row_starts, contacts.friction, forces, presses, slips, slid, own, least,
-        ties, held, yields,
+        closes, ties, held, bearing, yields,
     )  # fmt: skip
-    offset, held = np.zeros(n), held[:sticking]
-    if sticking:
+    offset, held, bearing = np.zeros(n), held[:holding], bearing[:holding]
+    if holding:
         moved = held @ linear.W
-        yielding = moved @ held.T
-        yielding[np.diag_indices(sticking)] += yields[:sticking] + YIELDS * yielding.diagonal()
+        yielding = moved @ bearing.T
+        yielding[np.diag_indices(holding)] += yields[:holding] + YIELDS * yielding.diagonal()
         given = np.column_stack([moved @ ties, held @ linear.violation])
-        bearing = -held.T @ np.linalg.solve(yielding, given)
-        ties, offset = ties + bearing[:, :-1], bearing[:, -1]
+        forces_by = -bearing.T @ np.linalg.solve(yielding, given)
+        ties, offset = ties + forces_by[:, :-1], forces_by[:, -1]
+    if closes:
+        return linear.tied(np.arange(c.start), ties, offset)
     rows = np.concatenate([np.arange(c.start), c.start + contacts.row_starts[:-1]])
     tied = linear.tied(rows, ties, offset)
     # Gaps are solved to a tolerance. Here the solution is exact, else no optimum may start from it.
@@ -424,6 +459,34 @@ class Task(NamedTuple):
     before: float
     negligible: float
 
+    @property
+    def leaves_open(self) -> bool:
+        """Whether there are more actuators than targets determine, which the energy decides."""
+        return np.count_nonzero(self.is_free) > np.count_nonzero(self.aim.weights)
+
+
+class Made(NamedTuple):
+    """An optimum by what contacts do in a solution, as friction makes it.
+
+    Attributes:
+        actuation: What comes of its drives.
+        missed: What that misses [m²].
+        promise: What the optimum misses [m²].
+    """
+
+    actuation: Actuation
+    missed: float
+    promise: float
+
+    def nearer_than(self, other: Self | None) -> Self:
+        """This, or another one that misses no more."""
+        return self if other is None or self.missed < other.missed else other
+
+    def keeps_promise(self, task: Task) -> bool:
+        """Whether what was missed falls by most of what the optimum promised."""
+        promised = KEPT_PROMISE * (task.before - self.promise)
+        return task.before - self.missed >= promised - task.negligible
+
 
 class Turn(Enum):
     """What a step tries."""
@@ -522,13 +585,17 @@ class InverseWithFriction(InverseActuation):
         self._least = NO_MATTER * self._tolerance
         most = float(model.contacts.friction_of_pair.max())
         self._brakes = model.is_dynamic
+        self.seeks_once = not model.is_dynamic
         self._judges_forces = self.force_limit < np.inf or self._grips is not None
         self._friction = min(1.0, most / MUCH_FRICTION)
         self._left_out = (1.0 - SHARE) * self._friction
         self._rubs = most > LITTLE_FRICTION
         # Compiled now, not when the first contact presses.
         none, no, matrix = np.zeros(0), np.zeros(0, bool), np.zeros((0, 0))
-        tie(0, np.zeros(1, np.int64), none, none, no, no, none, none, 0.0, matrix, matrix, none)
+        tie(
+            0, np.zeros(1, np.int64), none, none, no, no, none, none, 0.0, False, matrix, matrix,
+            matrix, none,
+        )  # fmt: skip
         if self._grips is not None:
             self._grips.sums(model.contacts, none)
 
@@ -537,6 +604,7 @@ class InverseWithFriction(InverseActuation):
         super().reset()
         # In motion, a linearization sees no further than its step.
         self._search = Search(self._learns)
+        self._among_open_ones = InverseSolver((), MOST_PROGRAMS, is_exact=True)
         self._targets = self._moved = None
         self._calm_count, self._calm = 0, 0.0
         # Least forces and margins that lacked in the last optimum.
@@ -558,6 +626,18 @@ class InverseWithFriction(InverseActuation):
         if self._begins:
             self._note_motion(target_rows)
         return super().solve(linear, target_rows, held, bounds, stiffness)
+
+    def told(self, done: Actuation, sought: Actuation) -> Actuation:
+        """What actuators and contacts do by drives that were sought, with all that is told of it.
+
+        Args:
+            done: What they do.
+            sought: What was sought.
+        """
+        contact = done.contact._replace(limits=self._limits_met(done.contact.multipliers))
+        return done._replace(
+            qp_solver=sought.qp_solver, is_refused=sought.is_refused, contact=contact
+        )
 
     def _note_motion(self, target_rows: np.ndarray) -> None:
         """Note how targets move from step to step; other ones are sought anew."""
@@ -591,7 +671,7 @@ class InverseWithFriction(InverseActuation):
                     tied, *more, from_normals, bounds, commanded, rows, chosen
                 )
 
-            rows, from_normals = extra, self._on_normals(at)
+            rows, from_normals = extra, self._on_normals(at, tied)
             if self._grips is None:
                 return asked(errors, weights)
             (a, _, c), (ties, offset) = tied.groups, tied.ties
@@ -653,7 +733,8 @@ class InverseWithFriction(InverseActuation):
         if aim.missed(best) > before + negligible:
             half = 0.5 * (held.drives(self._limits) + best.drives(self._limits))
             best = self._with_friction(linear, half, bounds, best)
-        self._search.note(before > negligible and aim.missed(best) > (1.0 - PROGRESS) * before)
+        is_stalled = aim.missed(best) > (1.0 - PROGRESS) * before
+        self._search.note(before > LEFT**2 * reached and is_stalled)
         slips = self._grips is not None and self._grips.slips_on(
             self._contacts, held.contact.multipliers, best.contact.multipliers
         )
@@ -679,19 +760,59 @@ class InverseWithFriction(InverseActuation):
         if turn is Turn.DETOUR:
             self._look_for_detour(task)
             return task.held
-        found = self._nearest(task, task.held, task.linear, task.bounds, MOST_ROUNDS)
+        if task.before <= task.negligible and not task.leaves_open:
+            return task.held
+        given, found = (task, task.held, task.linear, task.bounds), None
+        if not task.leaves_open:
+            found, is_good = self._as_contacts_are(*given)
+            if is_good:
+                return found
+        other = self._nearest(*given, MOST_ROUNDS)
+        found = min((one for one in (found, other) if one), key=aim.missed, default=None)
         may_slide = moves and self._rubs and self._learns
         if may_slide and found is not None and aim.missed(found) > (1.0 - PROGRESS) * task.before:
             return min(found, self._slid(task) or found, key=aim.missed)
         return found
 
+    def _as_contacts_are(
+        self, task: Task, at: Actuation, system: Linearized, bounds: Bounds
+    ) -> tuple[Actuation | None, bool]:
+        """The nearest that is made where contacts that press in a solution go on pressing.
+
+        It takes a fraction of the time of a search over which contacts press.
+
+        Returns:
+            It; and whether that search would hardly find anything nearer.
+        """
+        own, best, is_good = (self._solver, self._touching), None, False
+        self._solver, self._touching = self._among_open_ones, {}
+        for _ in range(MOST_ROUNDS):
+            made = self._made(task, at, system, bounds, self._least, closes=True)
+            if made is None:
+                break
+            at, best = made.actuation, made.nearer_than(best)
+            is_good |= self._is_good(task, made, bounds)
+            if made.missed - made.promise <= SO_NEAR * task.before + task.negligible:
+                break
+        self._solver, self._touching = own
+        return best and best.actuation, is_good
+
+    def _is_good(self, task: Task, made: Made, bounds: Bounds) -> bool:
+        """Whether it comes near, or as near as promised by moves as long as they may be."""
+        if made.missed <= NEARER * task.before + task.negligible:
+            return True
+        drives, slack = made.actuation.drives(self._limits), self._at_limit
+        least, most = self._limits.drive_bounds(bounds)
+        is_bounded = ((drives <= least + slack) | (drives >= most - slack)).any()
+        is_nearer = made.missed <= (1.0 - PROGRESS) * task.before
+        return is_bounded and is_nearer and made.keeps_promise(task)
+
     def _slid(self, task: Task) -> Actuation | None:
         """The nearest by what contacts do where they are pushed as if they had no friction."""
-        promised, _ = self._promise(task, task.held, task.linear, task.bounds, np.inf)
-        if promised is None:
+        made = self._made(task, task.held, task.linear, task.bounds, np.inf)
+        if made is None:
             return None
-        drives = promised.drives(self._limits)
-        at = self._with_friction(task.linear, drives, task.bounds, promised)
+        at = made.actuation
         found = self._nearest(task, at, task.linear, task.bounds, 1)
         return min(at, found or at, key=task.aim.missed)
 
@@ -702,8 +823,11 @@ class InverseWithFriction(InverseActuation):
         if far is None:
             return
         if not task.aim.pressed_too_hard(far):
-            back = self._nearest(task, far, self._from(task.linear, far), wide, MOST_ROUNDS)
-            left = np.inf if back is None else task.aim.missed(back)
+            later = self._from(task.linear, far)
+            backs = [self._nearest(task, far, later, wide, MOST_ROUNDS)]
+            if not task.leaves_open:
+                backs.append(self._as_contacts_are(task, far, later, wide)[0])
+            left = min((task.aim.missed(back) for back in backs if back), default=np.inf)
         goal = self._search.judge(far.drives(self._limits), left, task.before)
         if goal is not None:
             self.trust.go_to(goal)
@@ -712,26 +836,32 @@ class InverseWithFriction(InverseActuation):
         self, task: Task, at: Actuation, system: Linearized, bounds: Bounds, rounds: int
     ) -> Actuation | None:
         """The nearest of what is best by what contacts do in a solution, and in what came of it."""
-        best, before = None, task.before
+        best = None
         for _ in range(rounds):
-            promised, tied = self._promise(task, at, system, bounds, self._least)
-            if promised is None:
+            made = self._made(task, at, system, bounds, self._least)
+            if made is None:
                 break
-            at = self._with_friction(system, promised.drives(self._limits), bounds, promised)
-            now, promise = task.aim.missed(at), task.aim.missed(promised, tied)
-            best = at if best is None else min(best, at, key=task.aim.missed)
-            if before - now >= KEPT_PROMISE * (before - promise) - task.negligible:
+            at, best = made.actuation, made.nearer_than(best)
+            if made.keeps_promise(task):
                 break
-        return best
+        return best and best.actuation
 
-    def _promise(
-        self, task: Task, at: Actuation, system: Linearized, bounds: Bounds, least: float
-    ) -> tuple[Actuation | None, Linearized]:
-        """What is best by what contacts do in a solution, and the system in which they do so."""
-        tied = tied_by_contacts(system, self._contacts, at, least)
-        errors = task.aim.errors.copy()
+    def _made(
+        self, task: Task, at: Actuation, system: Linearized, bounds: Bounds, least: float,
+        closes: bool = False,
+    ) -> Made | None:  # fmt: skip
+        """What is best by what contacts do in a solution, made with friction; None without any."""
+        tied = tied_by_contacts(system, self._contacts, at, least, closes)
+        errors, (ties, offset), (a, _, c) = task.aim.errors.copy(), tied.ties, tied.groups
         errors[: len(tied.effectors)] += tied.effectors - task.linear.effectors
-        return task.optimise(tied, errors, at, bounds), tied
+        found = task.optimise(tied, errors, at, bounds)
+        if found is None:
+            return None
+        forces = ties[c.start :, a] @ found.efforts[a] + offset[c.start :]
+        forces += ties[c.start :, c.start :] @ found.contact.multipliers
+        self._direct.expect(found.efforts, forces)
+        made = self._with_friction(system, found.drives(self._limits), bounds, found)
+        return Made(made, task.aim.missed(made), task.aim.missed(found, tied))
 
     def _displaced(
         self, task: Task, bounds: Bounds, choice: int, lengths: tuple[float, ...]
@@ -769,13 +899,12 @@ class InverseWithFriction(InverseActuation):
         self, linear: Linearized, drives: np.ndarray, bounds: Bounds, promised: Actuation
     ) -> Actuation:
         """What comes of drives with friction, within the same linearization."""
-        found = self._direct.at_drives(linear, drives, bounds)
-        limited = found.contact._replace(limits=self._limits_met(found.contact.multipliers))
-        return found._replace(qp_solver=promised.qp_solver, contact=limited)
+        return self.told(self._direct.at_drives(linear, drives, bounds), promised)
 
-    def _on_normals(self, found: Actuation) -> Actuation:
-        """An actuation with the normal forces of the contacts alone."""
+    def _on_normals(self, found: Actuation, tied: Linearized) -> Actuation:
+        """An actuation with the forces of a tied system: along normals, or none."""
         normals = found.contact.multipliers[self._contacts.row_starts[:-1]]
+        normals = normals[: tied.contact_row_count]
         return found._replace(contact=found.contact._replace(multipliers=normals))
 
     def _settled(
@@ -783,7 +912,7 @@ class InverseWithFriction(InverseActuation):
         solver: str,
     ) -> Actuation:  # fmt: skip
         """Set actuators to the paths found; what comes of them is found with friction."""
-        if not linear.contact_row_count:
+        if linear.ties is None:
             return super()._settled(linear, efforts, contact, bounds, solver)
         if linear.augmentation is None:
             efforts = np.minimum(np.maximum(efforts, bounds.effort_min), bounds.effort_max)
@@ -835,6 +964,8 @@ class InverseWithFriction(InverseActuation):
 
     def _limits_met(self, forces: np.ndarray) -> tuple[str, ...]:
         """The same of the forces of all rows, or of normal forces alone."""
+        if not len(forces):
+            return ()
         forces, normals = self._of_all_rows(forces), self._contacts.row_starts[:-1]
         limits = super()._limits_met(forces[normals])
         return limits if self._grips is None else limits + self._grips.met(self._contacts, forces)
@@ -862,5 +993,5 @@ class InverseWithFriction(InverseActuation):
         """
         if linear.contact_row_count:
             linear = tied_by_contacts(linear, self._contacts, held, self._least)
-            held = self._on_normals(held)
+            held = self._on_normals(held, linear)
         return super().is_held_by_energy(linear, target_rows, held, bounds, tolerance)

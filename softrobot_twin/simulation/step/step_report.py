@@ -264,7 +264,7 @@ class Outcome(NamedTuple):
     Attributes:
         positions: Node positions [m], shape (node_count, 3).
         actuation: Efforts and displacements of the actuators.
-        held: The same with all actuators held.
+        held: The same with all actuators held; None where nothing asked for it.
         linear: The last linearization.
         balance: Residual forces of the state.
         residual: Largest residual force on a node [N].
@@ -275,7 +275,7 @@ class Outcome(NamedTuple):
 
     positions: np.ndarray
     actuation: Actuation
-    held: Actuation
+    held: Actuation | None
     linear: Linearized
     balance: Balance
     residual: float
@@ -455,6 +455,9 @@ class StepResults:
         nearer = most - np.fmax.reduce(after, initial=0.0)
         if nearer > tolerance or nearer > self._inverse.least_progress * most:
             return (REACH,)
+        if outcome.held is None:
+            # The bodies moved on since actuators were sought.
+            return ()
         is_held = self._inverse.is_held_by_energy(
             outcome.linear, asked.wanted, outcome.held, asked.bounds, tolerance
         )
