@@ -762,13 +762,16 @@ class InverseWithFriction(InverseActuation):
             return task.held
         if task.before <= task.negligible and not task.leaves_open:
             return task.held
-        given, found = (task, task.held, task.linear, task.bounds), None
+        given, as_is = (task, task.held, task.linear, task.bounds), None
         if not task.leaves_open:
-            found, is_good = self._as_contacts_are(*given)
+            as_is, is_good = self._as_contacts_are(*given)
             if is_good:
-                return found
-        other = self._nearest(*given, MOST_ROUNDS)
-        found = min((one for one in (found, other) if one), key=aim.missed, default=None)
+                return as_is
+        found = self._nearest(*given, MOST_ROUNDS)
+        if as_is is not None:
+            # Actuators do not wind up against contacts that stick for what makes no difference.
+            other = task.before if found is None else min(task.before, aim.missed(found))
+            found = as_is if aim.missed(as_is) < other - task.negligible else found
         may_slide = moves and self._rubs and self._learns
         if may_slide and found is not None and aim.missed(found) > (1.0 - PROGRESS) * task.before:
             return min(found, self._slid(task) or found, key=aim.missed)
