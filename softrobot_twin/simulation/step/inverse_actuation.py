@@ -427,6 +427,7 @@ class InverseActuation:
     Attributes:
         trust: How far the linearizations are trusted, learnt from what they promised.
         least_progress: A step that shortens the way by this share is on its way.
+        seeks_once: Whether the first linearization of a step in contact alone seeks the actuators.
     """
 
     least_progress = 1.0
