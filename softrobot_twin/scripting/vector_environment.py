@@ -247,7 +247,7 @@ class _Robots:
     def __init__(self, scene: Scene, count: int, modes: dict[str, Any], of_each: dict[str, Any]):
         self._each = [partial(ReachingEnvironment, scene, **of_each)] * count
         self._modes, self._seen = modes, np.empty(0)
-        self._unprepared: list[ReachingEnvironment] = []
+        self._unprepared: list[Any] = []
 
     def build(self) -> None:
         """Builds them."""
