@@ -20,7 +20,7 @@ TIME_STEP, GRIP, RADIUS = 0.02, 0.018, 0.001  # s, m, m
 
 entries = yaml.safe_load((ROOT / "config/scenes/grasper.yaml").read_text())
 entries["bodies"][0]["mesh"]["file"] = str(ROOT / "meshes/grasper_finger_158.vtk")
-entries["contact"]["between"][0]["least_grip_margin"] = 0.1
+entries["contact"]["between"][0]["least_grip_margin"] = 0.05
 del entries["motors"]  # each cable has a winch of its own
 hand = st.build(**entries)
 

@@ -479,11 +479,19 @@ class Made(NamedTuple):
     promise: float
 
     def nearer_than(self, other: Self | None) -> Self:
-        """This, or another one that misses no more."""
+        """This, or another one that misses no more.
+
+        Args:
+            other: The other one; None without any.
+        """
         return self if other is None or self.missed < other.missed else other
 
     def keeps_promise(self, task: Task) -> bool:
-        """Whether what was missed falls by most of what the optimum promised."""
+        """Whether what was missed falls by most of what the optimum promised.
+
+        Args:
+            task: What the step is to find.
+        """
         promised = KEPT_PROMISE * (task.before - self.promise)
         return task.before - self.missed >= promised - task.negligible
 
