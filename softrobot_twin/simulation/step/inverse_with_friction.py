@@ -593,11 +593,11 @@ class InverseWithFriction(InverseActuation):
         self._least = NO_MATTER * self._tolerance
         most = float(model.contacts.friction_of_pair.max())
         self._brakes = model.is_dynamic
-        self.seeks_once = not model.is_dynamic
         self._judges_forces = self.force_limit < np.inf or self._grips is not None
         self._friction = min(1.0, most / MUCH_FRICTION)
         self._left_out = (1.0 - SHARE) * self._friction
         self._rubs = most > LITTLE_FRICTION
+        self.seeks_once = self._rubs and not model.is_dynamic
         # Compiled now, not when the first contact presses.
         none, no, matrix = np.zeros(0), np.zeros(0, bool), np.zeros((0, 0))
         tie(
@@ -768,10 +768,11 @@ class InverseWithFriction(InverseActuation):
         if turn is Turn.DETOUR:
             self._look_for_detour(task)
             return task.held
-        if task.before <= task.negligible and not task.leaves_open:
+        goes_on = self._rubs and not task.leaves_open
+        if goes_on and task.before <= task.negligible:
             return task.held
         given, as_is = (task, task.held, task.linear, task.bounds), None
-        if not task.leaves_open:
+        if goes_on:
             as_is, is_good = self._as_contacts_are(*given)
             if is_good:
                 return as_is
