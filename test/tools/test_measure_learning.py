@@ -18,11 +18,12 @@ FINGER = Path(__file__).resolve().parents[2] / "config" / "scenes" / "finger.yam
 
 @pytest.mark.slow
 def test_it_prints_what_a_step_costs_and_what_two_workers_give(capsys):
-    measure(FINGER, 2, 3, 1)
+    measure(FINGER, 2, 3, 1, 0.0)
     told = capsys.readouterr().out
     assert "finger: 2 robots, full model of 1500 unknowns" in told
-    figures = [float(one) for one in re.findall("median ([0-9.]+)", told)]
-    assert len(figures) == 5 and min(figures) > 0.0
+    # No round may have been quiet.
+    figures = [float(one) for one in re.findall("median (nan|[0-9.]+)", told)]
+    assert len(figures) == 8 and np.nanmin(figures) > 0.0
 
 
 def test_the_simulations_alone_are_commanded_as_the_robots_are():
