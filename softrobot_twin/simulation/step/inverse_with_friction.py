@@ -14,9 +14,9 @@ seeks them once: its other linearizations bring the bodies to balance under them
 
 Where targets leave nothing open, contacts that press first stay closed and the others open: what is left
 is a problem in efforts alone, and friction tells whether contacts do so. Where it comes near, or as near
-as it promised at the actuators' rates, it is made. Else a search finds which contacts press. Where they switch between
-sticking and slipping on the way, effectors do not go where the optimum promised. Then it is sought
-again by what the contacts do there, and the nearest of all is made.
+as it promised at the actuators' rates, it is made. Else a search finds which contacts press. Where they
+switch between sticking and slipping on the way, effectors do not go where the optimum promised. Then it
+is sought again by what the contacts do there, and the nearest of all is made.
 
 Where these come hardly nearer, a kink is in the way, and contacts do something else beyond it. Towards
 targets that move, the optimum is sought as if nothing rubbed: made with friction, it tells how contacts
@@ -125,24 +125,24 @@ def tie(
         ties[i, i] = 1.0
     count = 0
     for c in range(len(friction)):
-        r = first + row_starts[c]
-        normal = count
+        own_row, normal = row_starts[c], count
+        r = first + own_row
         if not closes:
             ties[r, first + c] = 1.0
         elif presses[c]:
             held[count, r] = bearing[count, r] = 1.0
             count += 1
-        limit = friction[c] * forces[r - first]
-        if row_starts[c + 1] - row_starts[c] < 3 or not presses[c]:
+        limit = friction[c] * forces[own_row]
+        if row_starts[c + 1] - own_row < 3 or not presses[c]:
             continue
-        if limit * max(own[r - first + 1], own[r - first + 2]) <= least:
+        if limit * max(own[own_row + 1], own[own_row + 2]) <= least:
             continue
         if slips[c]:
-            size = np.hypot(forces[r - first + 1], forces[r - first + 2])
-            along, across = forces[r - first + 1] / size, forces[r - first + 2] / size
+            size = np.hypot(forces[own_row + 1], forces[own_row + 2])
+            along, across = forces[own_row + 1] / size, forces[own_row + 2] / size
             held[count, r + 1], held[count, r + 2] = -across, along
             bearing[count, r + 1], bearing[count, r + 2] = -across, along
-            yields[count] = np.hypot(slid[r - first + 1], slid[r - first + 2]) / limit
+            yields[count] = np.hypot(slid[own_row + 1], slid[own_row + 2]) / limit
             count += 1
             if closes:
                 bearing[normal, r + 1] = friction[c] * along
@@ -189,7 +189,9 @@ def grip(
             if is_of[g, p]:
                 pressed += forces[r]
                 most += friction[p] * forces[r]
-                along += np.hypot(forces[r + 1], forces[r + 2])
+                # A contact without friction has one row.
+                if row_starts[c + 1] - r == 3:
+                    along += np.hypot(forces[r + 1], forces[r + 2])
         left[g] = 1.0 - along / most if most > 0.0 else 0.0
         whole[g], least[g], by_normal, by = shall[g], shall[g], 1.0, 0.0
         if is_margin[g]:
@@ -201,6 +203,8 @@ def grip(
             r, p = row_starts[c], pair[c]
             if is_of[g, p]:
                 rows[g, r] = by_normal
+                if row_starts[c + 1] - r < 3:
+                    continue
                 size = np.hypot(forces[r + 1], forces[r + 2]) * friction[p]
                 if size > 0.0:
                     rows[g, r + 1], rows[g, r + 2] = -by * forces[r + 1] / size, -by * forces[r + 2] / size
