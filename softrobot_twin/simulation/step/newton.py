@@ -68,6 +68,9 @@ MOVES_AFTER_OVERSHOOT = 2
 # Places of the traced stages, of terms and of rows apart from them; moves are with the rows.
 MOVE, LOAD, GATHER, ASSEMBLE, ASSEMBLE_LATER = range(5)
 EVALUATE, ADD_STIFFNESS = GATHER, ASSEMBLE
+# A move goes back where it is less than minus the first share of the one before, and at least the
+# second share of its square is along that.
+BACK, ALONG = 0.5, 0.9
 # Halvings of a move that still folds an element.
 MOST_UNFOLDINGS = 40
 
@@ -128,6 +131,9 @@ class Newton:
         self._conserves = model.actuators.conserves
         self._judged: Actuation | None = None
         self._judges_projection = False
+        # What the last move of the step displaced, where contacts may lead to and fro.
+        may_swing = self._rows.varies and not (has_merit or model.is_dynamic)
+        self._last_way = np.zeros_like(self.move.displacement) if may_swing else None
         # A single point has no size, and no round-off that could be told from a move.
         finite = np.isfinite(model.nodes.size)
         self._round_off = ROUND_OFF * model.nodes.size if finite else 0.0
@@ -297,6 +303,8 @@ class Newton:
         inertial = INERTIAL_SHARE * time_step * self._model.nodes.longest(velocities)
         self._step_limit = self._whole_limit + inertial
         self._moves_to_make = 0
+        if self._last_way is not None:
+            self._last_way[:] = 0.0
         if time_step != self._time_step:
             self.factor_age = None
         self.expect(time_step)
@@ -777,7 +785,9 @@ class Newton:
         elif self.inverts:
             settled *= self.upright_share(self.move.start, positions)
         elif not is_judging:
-            return share
+            settled = self._share_without_swing(share)
+            if settled == share:
+                return share
         elif self.merit.trusts(self.forces):
             may_lengthen = self.projected_tangent and not self._was_folded
             if may_lengthen and self._left_slope() > TOO_SHORT * abs(self._slope):
@@ -843,6 +853,32 @@ class Newton:
         self.move.make(positions, 0.0)
         self.gather_forces(positions)
         return 0.0
+
+    def _share_without_swing(self, share: float) -> float:
+        """Shorten a move that takes the one before it back and leaves the bodies out of balance.
+
+        Where contacts close by one move and open by the next, moves lead to and fro between two
+        states, and no energy tells which of them goes too far. Aitken's extrapolation leads to where
+        they would end if each were the same share of the one before.
+
+        Args:
+            share: Share of the move that was made.
+
+        Returns:
+            The share to make.
+        """
+        last = self._last_way
+        if last is None:
+            return share
+        way = share * self.move.displacement
+        along, squared = float(np.vdot(way, last)), float(np.vdot(last, last))
+        goes_back = along < -BACK * squared and along**2 > ALONG * squared * float(np.vdot(way, way))
+        if goes_back and self._largest[0] > self._model.scene.solver.residual_tolerance:
+            shorter = squared / (squared - along)
+            share *= shorter
+            way *= shorter
+        copy_vectors(way, last)
+        return share
 
     def _left_slope(self) -> float:
         """Work of the forces b + Hᵀλ that were taken last along the whole last move [J]."""
