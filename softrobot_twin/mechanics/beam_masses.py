@@ -418,7 +418,7 @@ class BeamInertia(MassTerm, InertiaTerm):
         frames = self._frames
         first = frames.first_unknown
         D, m = self._derivatives(positions), self.masses
-        M = block_diag([np.kron(own, np.eye(3)) for own in m.matrices], format="csr")
+        M = block_diag([coo_array(np.kron(own, np.eye(3))) for own in m.matrices], format="csr")
         M = (D.T @ M @ D).tocsr()[3 * first :, 3 * first :]
         size = M.shape[0] // 3
         blocks = np.zeros((size, 3, 3))
