@@ -44,7 +44,8 @@ CONE = 0.5
 KEPT = 0.95
 """After each measurement so much is left of the weight of those before, where a place is looked for."""
 NOTICEABLE = 0.25
-"""The model bears a changed force when it is off by this share of its deviation."""
+"""The model bears a changed force when it is off by this share of its deviation, or goes a part of a
+long way towards it."""
 DOUBT = 0.1
 """A linearization may be wrong by this share of how far the markers are from the model."""
 UNSETTLED = 0.3
@@ -347,7 +348,7 @@ class ForceObserver:
             if self._places[place].is_found and not is_detected[place]:
                 self._loads[own] = 0.0
         least = NOTICEABLE * np.sqrt(by_noise.diagonal())
-        if (np.abs(self._loads - given) > least).any():
+        if self.is_settling or (np.abs(self._loads - given) > least).any():
             given = self._loads
         wrenches, spreads = np.zeros((2, len(self._places), 6))
         for place, own in enumerate(self._own):
