@@ -68,8 +68,8 @@ MOVES_AFTER_OVERSHOOT = 2
 # Places of the traced stages, of terms and of rows apart from them; moves are with the rows.
 MOVE, LOAD, GATHER, ASSEMBLE, ASSEMBLE_LATER = range(5)
 EVALUATE, ADD_STIFFNESS = GATHER, ASSEMBLE
-# A move goes back where it is less than minus the first share of the one before, and at least the
-# second share of its square is along that.
+# A move takes the one before it back where it goes at least the first share of that one the other way,
+# and at least the second share of its square lies along that one.
 BACK, ALONG = 0.5, 0.9
 # Halvings of a move that still folds an element.
 MOST_UNFOLDINGS = 40
