@@ -363,7 +363,9 @@ def is_exhaustive(item, own: set[str], drawn: Counter) -> bool:
         own: Its names.
         drawn: Cases so far of each test, and of each of its cases but for the seed; is changed.
     """
-    places = dict(item.callspec.indices) if hasattr(item, "callspec") else {}
+    # `callspec.indices` number the cases where parameters are stacked, and not each parameter.
+    values = item.callspec.params if hasattr(item, "callspec") else {}
+    places = {name: id(value) for name, value in values.items()}
     same = (item.path, item.originalname)
     if places.pop("seed", None) is not None:
         drawn[*same, *places.items()] += 1
