@@ -7,11 +7,14 @@ of a vertex and a triangle, or of two edges, permanently if in the rest shape
 - they were near each other along the surface and did not face each other across a gap of air, as
   the two flanks of a notch do, or
 - they were near each other through the body, as the two faces of a thin sheet are: later, a vertex
-  at such a small distance behind a triangle would look like one that has passed through it.
+  at such a small distance behind a triangle would look like one that has passed through it. The way
+  from the triangle to the vertex then begins inside the body, by the sign of `signed_distance`: for
+  a feature at which the distance has a local minimum, this is the sign of its gap.
 
 `FixedPairs` measures only the pairs that a scene names.
 
 Arguments of the kernels here:
+    grid: Grid of all triangles at rest.
     marked: Reason for excluding a pair, 0 for none, shape (vertex_count, triangle_count).
     rows, columns: Vertex and triangle of each excluded pair, shape (pair_count,).
 Those of a surface are as in `closed_surface`, those of pairs are as in `proximities`.
@@ -23,15 +26,23 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from softrobot_twin.compilation import KERNEL, njit
+from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.errors import MeshError
+from softrobot_twin.geometry.broad_phase import (
+    CellGrid,
+    bounding_box,
+    cell_at,
+    empty_grid,
+    fill_grid,
+    have_room,
+)
 from softrobot_twin.geometry.closed_surface import (
     ClosedSurface,
     compute_normals,
     mean_edge_length,
     mean_normal,
 )
-from softrobot_twin.geometry.closest_features import closest_weights
+from softrobot_twin.geometry.closest_features import closest_weights, signed_distance
 from softrobot_twin.geometry.proximities import Proximities, write_row
 from softrobot_twin.geometry.surface_pairs import SurfacePairDetector
 from softrobot_twin.geometry.triangle_pairs import (
@@ -58,12 +69,39 @@ _DEPTH_IN_EDGES = 0.5
 _THROUGH_THE_BODY = 2.0
 # Ratio of the length of a path along edges to that of a straight path over triangles, at most.
 _DETOUR = 1.5
+# Share of the way from a triangle to a vertex after which its side of the surface is looked up.
+_BEGIN_OF_WAY = 1.0e-3
 # Number of vertices handled at once, which bounds the memory.
 _CHUNK = 256
 
 
+@njit(**INNER)
+def _begins_inside(x, links, fans, normals, grid, reach, foot, away):
+    """Whether the way from a point of the surface begins inside the body.
+
+    Args:
+        x: Points at rest [m].
+        links: See `ClosedSurface`.
+        fans: See `ClosedSurface`.
+        normals: What `compute_normals` gives.
+        grid: Boxes enlarged by `reach`.
+        reach: No less than the begin of the way [m].
+        foot: The point of the surface [m].
+        away: The way [m].
+    """
+    begin = add_scaled(foot, away, _BEGIN_OF_WAY)
+    cell = cell_at(grid.frame, grid.counts, begin)
+    distance = signed_distance(
+        begin, x, links, fans, normals, grid.boxes, grid.items, grid.starts[cell],
+        grid.starts[cell + 1], reach,
+    )  # fmt: skip
+    return distance < 0.0
+
+
 @njit(**KERNEL)
-def mark_excluded_pairs(x, links, normals, fans, vertices, paths, alarm, through, marked):
+def mark_excluded_pairs(
+    x, links, normals, fans, grid, vertices, paths, along, through, marked
+):
     """Mark the excluded pairs of some vertices and all triangles.
 
     Args:
@@ -71,10 +109,12 @@ def mark_excluded_pairs(x, links, normals, fans, vertices, paths, alarm, through
         links: See `ClosedSurface`.
         normals: What `compute_normals` gives.
         fans: See `ClosedSurface`.
+        grid: Boxes enlarged by `through`.
         vertices: The vertices.
         paths: Length of the shortest path along edges from each of these to each point [m],
             infinite if long, shape (len(vertices), point_count).
-        alarm: Distance along the surface below which a pair must face each other across air [m].
+        along: Distance along the surface below which a pair must face each other across air [m],
+            at least `through`.
         through: Distance through the body below which it must [m].
         marked: Output: reason for excluding a pair, 0 for none, shape (len(vertices),
             triangle_count).
@@ -89,20 +129,25 @@ def mark_excluded_pairs(x, links, normals, fans, vertices, paths, alarm, through
                 marked[i, t] = TOUCHING
                 continue
             n = row(normals, t)
-            if abs(dot(p, n) - normals[t, 3]) > max(alarm, through):
+            if abs(dot(p, n) - normals[t, 3]) > along:
                 continue
             a, b, c = row(x, links[t, 0]), row(x, links[t, 1]), row(x, links[t, 2])
             w = closest_weights(p, a, b, c)
-            away = subtract(p, add_scaled(add_scaled(scaled(a, w[0]), b, w[1]), c, w[2]))
+            foot = add_scaled(add_scaled(scaled(a, w[0]), b, w[1]), c, w[2])
+            away = subtract(p, foot)
             distance = norm(away)
+            if distance <= through and _begins_inside(
+                x, links, fans, normals, grid, through, foot, away
+            ):
+                marked[i, t] = NEIGHBOUR
+                continue
             rise = dot(away, n)
             if rise > FACING_SINE * distance and dot(away, outward) < -FACING_SINE * distance:
                 continue
             # The path to the triangle may end inside it, far from its corners.
             size = max(norm(subtract(b, a)), max(norm(subtract(c, b)), norm(subtract(a, c))))
             path = min(paths[i, links[t, 0]], min(paths[i, links[t, 1]], paths[i, links[t, 2]]))
-            near_along = distance <= alarm and path <= _DETOUR * alarm + size
-            if near_along or (distance <= through and rise <= 0.0):
+            if distance <= along and path <= _DETOUR * along + size:
                 marked[i, t] = NEIGHBOUR
 
 
@@ -117,6 +162,35 @@ def surrounded(links, fans, marked, rows, columns):
                 if marked[rows[k], fans[v, 1 + 3 * m]] == 0:
                     result[k] = 0
     return result
+
+
+@njit(**KERNEL)
+def fill_whole(x, links, vertices, reach, every, grid):
+    """Fill a grid with all triangles.
+
+    Args:
+        x: Points at rest [m].
+        links: See `ClosedSurface`.
+        vertices: See `ClosedSurface`.
+        reach: Distance by which the boxes are enlarged [m].
+        every: A mask of length 0.
+        grid: Output.
+
+    Returns:
+        See `fill_grid`.
+    """
+    region = bounding_box(x, vertices)
+    return fill_grid(x, links, 3, reach, region, every, grid)
+
+
+def _grid_of(surface: ClosedSurface, points: np.ndarray, reach: float) -> CellGrid:
+    """Grid of all triangles of a surface, boxes enlarged by `reach` [m]."""
+    grids, every = [empty_grid(len(surface.links))], np.empty(0, np.bool_)
+    while not have_room(grids, (fill_whole(
+        points, surface.links, surface.vertices, float(reach), every, grids[0]
+    ),)):  # fmt: skip
+        pass  # With a longer list.
+    return grids[0]
 
 
 def find_excluded_pairs(
@@ -136,6 +210,7 @@ def find_excluded_pairs(
     """
     normals = np.empty((len(surface.links), 4))
     compute_normals(points, surface.links, normals)
+    grid, along = _grid_of(surface, points, through), max(float(alarm_distance), through)
     starts, ends = surface.edges[:, 0], surface.edges[:, 1]
     lengths = np.linalg.norm(points[ends] - points[starts], axis=1)
     # Older versions of SciPy need 32-bit indices here.
@@ -146,12 +221,12 @@ def find_excluded_pairs(
     triangles, codes = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
     for start in range(0, len(surface.vertices), _CHUNK):
         vertices = surface.vertices[start : start + _CHUNK]
-        limit = _DETOUR * alarm_distance + longest
+        limit = _DETOUR * along + longest
         paths = dijkstra(graph, directed=False, indices=vertices, limit=limit)
         marked = np.empty((len(vertices), len(surface.links)), dtype=np.int8)
         mark_excluded_pairs(
-            points, surface.links, normals, surface.fans, vertices, paths, float(alarm_distance),
-            float(through), marked,
+            points, surface.links, normals, surface.fans, grid, vertices, paths, along, through,
+            marked,
         )  # fmt: skip
         rows, columns = np.nonzero(marked)
         counts[vertices] = np.bincount(rows, minlength=len(vertices))
@@ -165,7 +240,7 @@ def find_excluded_pairs(
         stamps=np.zeros(len(surface.links), dtype=np.int64),
         points=points,
         normals=normals,
-        near=max(float(alarm_distance), through),
+        near=along,
     )
 
 

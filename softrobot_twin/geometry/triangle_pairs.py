@@ -567,13 +567,22 @@ def _cross_edges(x, edges, normals, e, y, others, other_normals, f, margin, dept
     return inside, s, t, n, gap
 
 
+@njit(**INLINED)
+def _is_behind(normals, edges, e, away, most):
+    """Whether a way from a convex edge is behind both of its triangles, or above by `most` [m]."""
+    return dot(away, row(normals, edges[e, 2])) <= most and dot(away, row(normals, edges[e, 3])) <= most
+
+
 @njit(**INNER)
 def overlap(a, b, e, s, f, t):
     """Whether the foot point on e is inside b and that on f inside a, neither too deep."""
     p, q = _point_at(a.x, a.surface.edges, e, s), _point_at(b.x, b.surface.edges, f, t)
-    deep = norm(subtract(p, q))
+    away = subtract(p, q)
+    deep = norm(away)
     return (
-        deep <= _depth_to_ends(a.x, a.surface.edges, e, s)
+        _is_behind(b.normals, b.surface.edges, f, away, _OVERLAP_TOLERANCE * deep)
+        and _is_behind(a.normals, a.surface.edges, e, scaled(away, -1.0), _OVERLAP_TOLERANCE * deep)
+        and deep <= _depth_to_ends(a.x, a.surface.edges, e, s)
         and deep <= _depth_to_ends(b.x, b.surface.edges, f, t)
         and is_inside(b, q, p)
         and is_inside(a, p, q)

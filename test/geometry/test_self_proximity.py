@@ -4,7 +4,9 @@ import pytest
 from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.self_proximity import FixedPairs, SelfDetector
 from softrobot_twin.geometry.surface import boundary_triangles
+from test.cad_parts import need_gmsh
 from test.near_pairs import near
+from test.thin_walled_meshes import bent, halved, random_thin_walls
 
 MARGIN = 2e-3
 
@@ -224,3 +226,20 @@ def test_invalid_pairs_are_refused():
         FixedPairs([0], [[0, 1, 2]])
     with pytest.raises(MeshError, match="-1"):
         FixedPairs([-1], [[0, 1, 2]])
+
+
+@pytest.mark.parametrize("seed", range(200))
+def test_a_thin_walled_body_that_crosses_nowhere_overlaps_nowhere(seed):
+    need_gmsh()
+    random = np.random.default_rng([61, seed])
+    points, cells = random_thin_walls(random)
+    triangles = boundary_triangles(cells)
+    bodies = [(points, triangles)]
+    if len(triangles) < 800:
+        bodies.append(halved(points, triangles))
+    for rest, faces in bodies:
+        alarm = 10.0 ** random.uniform(-3.7, -2.3)
+        detector = SelfDetector(faces, rest, alarm)
+        for strain in (0.0, 0.1, 0.3):
+            found = near(detector, bent(rest, random, strain), alarm)
+            assert found.gaps.min(initial=0.0) > -1e-12, f"seed {seed}, strain {strain}"

@@ -5,7 +5,9 @@ import pytest
 
 from softrobot_twin.simulation import Hold, Simulation
 from test.builder import builder
+from test.cad_parts import need_gmsh
 from test.scene_changes import repeat_step
+from test.thin_walled_meshes import random_thin_walls
 
 STEP, OPENING, RADIUS, ANGLE = 0.01, 0.0, 0.03, 5.9
 
@@ -84,3 +86,24 @@ def test_with_given_pairs_the_ends_come_to_rest_on_each_other(clasp):
     contacts.detect(result.state.positions)
     assert contacts.gaps(result.state.positions).min() > -2e-5
     assert rest.shape == result.state.positions.shape
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_body_with_thin_walls_rests_as_it_is_drawn(scene_of, tmp_path, seed):
+    need_gmsh()
+    import meshio
+
+    element = ("linear", "smoothed", "quadratic")[seed % 3]
+    points, cells = random_thin_walls(np.random.default_rng([62, seed]))
+    file = tmp_path / "walls.vtk"
+    meshio.write(file, meshio.Mesh(points, [("tetra", cells)]))
+    simulation = scene_of(
+        gravity=[0, 0, 0], contact={"between": [{"pair": ["walls", "walls"]}], "alarm_distance": 1e-3},
+        body={"name": "walls", "mesh": {"file": str(file)}, "element": element,
+              "material": {"young_modulus": 1e6, "poisson_ratio": 0.4, "density": 1000.0},
+              "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [2e-3, 1, 1]}}]},
+    )  # fmt: skip
+    result = simulation.step(Hold(STEP))
+    assert result.status.value == "ok", f"seed {seed}"
+    rest = simulation.model.nodes.rest_positions
+    assert np.abs(result.state.positions - rest).max() < 1e-9, f"seed {seed}"
