@@ -26,7 +26,7 @@ def functions_of(file: str) -> set[str]:
 
 
 def test_the_page_has_each_case_once():
-    assert [number(row) for row in ROWS] == [*range(1, 55)]
+    assert [number(row) for row in ROWS] == [*range(1, max(54, len(ROWS)) + 1)]
 
 
 @pytest.mark.parametrize("row", ROWS, ids=number)
