@@ -52,6 +52,7 @@ setup(
         "rich>=13.7.1",
         "scipy>=1.11.4",
         "shtab>=1.7.1",
+        "trimesh>=4.6",
     ],
     extras_require={
         "study": ["matplotlib>=3.8", "pandas>=2.2", "pillow>=8"],
@@ -63,8 +64,8 @@ setup(
         "docs": ["latex2mathml>=3.77", "mkdocs>=1.6", "mkdocs-material>=9.5.24"],
         # The gymnasium environment.
         "learning": ["gymnasium>=1.1"],
-        # Meshes from CAD files. gmsh has no wheel for aarch64.
-        "mesh": ["gmsh>=4.12; platform_machine == 'x86_64'"],
+        # Meshes from CAD files. gmsh has no wheel for aarch64. manifold3d unites solids: mesh --repair.
+        "mesh": ["gmsh>=4.12; platform_machine == 'x86_64'", "manifold3d>=3.1"],
         # The parameter `record` of the twin, and `replay`.
         "record": ["mcap>=1.5"],
         # colcon uses commands that setuptools 80 removed.

@@ -44,7 +44,7 @@ ENTRANCE = {
 # Where a library may be imported; gmsh only in the process that meshes CAD files.
 HOMES = {
     "rerun": {"view"}, "matplotlib": {"study"}, "mpl_toolkits": {"study"}, "gmsh": {"geometry"},
-    "mcap": {"record"}}
+    "mcap": {"record"}, "trimesh": {"geometry"}, "manifold3d": {"geometry"}}
 ROS_LIBRARIES = {"rclpy", "rpyutils", "ament_index_python", "std_srvs", "builtin_interfaces"}
 ROS_SUFFIXES = ("_msgs", "_interfaces")
 DOTTED_NAME = re.compile(r"\w+(\.\w+)*")
@@ -279,7 +279,7 @@ def loaded_modules() -> tuple[set[str], set[str]]:
 def test_only_an_open_view_loads_rerun_and_only_a_picture_matplotlib():
     _, loaded = loaded_modules()
     assert {"softrobot_twin.simulation", "softrobot_twin.study", "softrobot_twin.ros"} <= loaded
-    assert not loaded & {"rerun", "matplotlib", "gmsh"}
+    assert not loaded & {"rerun", "matplotlib", "gmsh", "trimesh", "manifold3d"}
 
 
 def test_only_nodes_and_the_commands_that_start_them_load_ros():

@@ -227,6 +227,7 @@ def mesh(
     step_time: Annotated[float, Read(step_time)] | None = None, output: Path | None = None,
     unit: Unit | None = None,
     element: Annotated[str, Read(choices=("linear", "smoothed", "quadratic"))] = "quadratic",
+    repair: bool = False,
 ) -> int:  # fmt: skip
     """Fill a part from a CAD program with tetrahedra.
 
@@ -234,27 +235,32 @@ def mesh(
     ..., that cavities of a scene name as their part; the solids of a STEP file become named regions.
     The mesh is in metres. Quality, the time of a step on this machine and an estimate of the mesh's
     error are printed. With --rate or --step-time the size is searched: some meshes are made and
-    measured.
+    measured. A surface that is open, or consists of solids that overlap, is refused; --repair closes
+    its holes and unites its solids.
 
     Examples:
         softrobot_twin mesh finger.stl --size 6mm --output finger.msh
         softrobot_twin mesh finger.step --rate 50 --output finger.msh
         softrobot_twin mesh finger.stl --unit cm --step-time 5ms --element linear
+        softrobot_twin mesh scan.obj --repair --output scan.stl
 
     Args:
-        part (PART): CAD file: .stl, .step or .stp.
+        part (PART): CAD file: .stl, .obj, .ply, .off, .step or .stp.
         size (LENGTH): Edge of the tetrahedra, such as 6mm.
         rate (HZ): Search the least size whose steps keep this rate.
         step_time (TIME): Search the least size whose steps take at most this time, such as 5ms.
-        output (FILE): Mesh file, .msh (default: the part's name, in the current folder).
-        unit: Unit of an STL file, which states none (default: mm).
+        output (FILE): Mesh file, .msh (default: the part's name, in the current folder); with
+            --repair also .stl, for the repaired surface alone, without a size.
+        unit: Unit of a file of triangles, which states none (default: mm).
         element: Elements whose step is measured (default: quadratic).
+        repair: Close holes, and unite solids that overlap or touch.
     """
     from softrobot_twin.study.choice import MARGIN
     from softrobot_twin.study.meshing import mesh_part
 
     return mesh_part(part, output or Path(f"{part.stem}.msh"), size=size,
-                     step=step_time if rate is None else MARGIN / rate, unit=unit, element=element)
+                     step=step_time if rate is None else MARGIN / rate, unit=unit, element=element,
+                     repair=repair)
 
 
 def init(
@@ -272,7 +278,7 @@ def init(
         softrobot_twin init finger.stl --size 6mm --output scenes/finger.yaml
 
     Args:
-        mesh (MESH): Mesh file (.msh, .vtk, .vtu, .inp), or CAD file (.stl, .step, .stp).
+        mesh (MESH): Mesh file (.msh, .vtk, .vtu, .inp), or CAD file (.stl, .obj, .ply, .off, .step, .stp).
         output (SCENE): Scene to write (default: beside the mesh, with its name).
         size (LENGTH): Edge of the tetrahedra of a CAD file, such as 6mm (default: a coarse mesh).
         unit: Unit of the file (default: guessed; STEP files state theirs).
@@ -859,7 +865,7 @@ COMMANDS = (
 )  # fmt: skip
 """The commands in the order of their list."""
 EXCLUSIVE = {
-    mesh: (("size", "rate", "step_time"), True),
+    mesh: (("size", "rate", "step_time"), False),
     simulate: (("targets", "commands", "seconds", "steps"), True),
     replay: (("scene", "set_"), False),
 }

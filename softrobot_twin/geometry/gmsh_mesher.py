@@ -1,7 +1,7 @@
-"""Meshes a part with gmsh, in a process of its own: ``python gmsh_mesher.py FOLDER``.
+"""Meshes a part with gmsh, or writes a mesh of gmsh anew: ``python gmsh_mesher.py FOLDER``.
 
 A process of its own keeps gmsh, its threads and its libraries of windows out of a running twin, can
-be stopped at any time, and an abort of gmsh on a bad file ends only it. `cad_meshing` writes
+be stopped at any time, and an abort of gmsh on a bad file ends only it. `gmsh_process` writes
 ``job.json`` and, of surfaces, ``shells.npz`` to the folder; ``mesh.npz`` or ``error.json`` is read.
 All lengths are in millimetres here, in which gmsh's tolerances suit parts of robots. Only numpy and
 gmsh are imported.
@@ -43,7 +43,11 @@ def main(folder: Path) -> int:
         return _failed(folder, "library", str(error))
     gmsh.initialize(["gmsh"], readConfigFiles=False, interruptible=False)
     gmsh.logger.start()
+    gmsh.option.setNumber("General.Terminal", 0)
     try:
+        if "rewrite" in job:
+            np.savez(folder / "mesh.npz", content=_without_parameters(gmsh, job, folder))
+            return 0
         if job["size"] is None:
             _, extents, volume = _imported(gmsh, job["file"])
             np.savez(folder / "mesh.npz", extents=extents, volume=volume)
@@ -74,13 +78,24 @@ def _failed(folder: Path, kind: str, text: str) -> int:
 def _set_options(gmsh, size: float) -> None:
     """The same edge length everywhere, and one thread, so that each run gives the same mesh."""
     options = {
-        "General.Terminal": 0, "General.NumThreads": 1, "Mesh.MeshSizeMax": size,
+        "General.NumThreads": 1, "Mesh.MeshSizeMax": size,
         "Mesh.MeshSizeFromPoints": 0, "Mesh.MeshSizeFromCurvature": 0,
         "Mesh.MeshSizeExtendFromBoundary": 0, "Mesh.Algorithm": 6, "Mesh.Algorithm3D": 1,
         "Mesh.Optimize": 1, "Mesh.OptimizeNetgen": 1, "Mesh.ElementOrder": 1,
     }  # fmt: skip
     for name, value in options.items():
         gmsh.option.setNumber(name, value)
+
+
+def _without_parameters(gmsh, job: dict, folder: Path) -> np.ndarray:
+    """The bytes of a mesh of gmsh as a file whose nodes have no parameters."""
+    gmsh.open(job["rewrite"])
+    gmsh.option.setNumber("Mesh.SaveParametric", 0)
+    gmsh.option.setNumber("Mesh.SaveAll", 1)  # cells without a physical group too
+    gmsh.option.setNumber("Mesh.MshFileVersion", 4.1)
+    gmsh.option.setNumber("Mesh.Binary", 1)
+    gmsh.write(str(folder / "plain.msh"))
+    return np.fromfile(folder / "plain.msh", np.uint8)
 
 
 def _solids_of_shells(gmsh, shells, solids: list[list[int]]) -> None:

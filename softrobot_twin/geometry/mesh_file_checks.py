@@ -15,7 +15,7 @@ MOST_BYTES = 200_000_000
 _FARTHEST = 1e9
 # Lines that state how many nodes or cells follow, for which readers allocate memory.
 _COUNTS = re.compile(
-    rb"(?:^|\n)\s*(?:\$(Nodes|Elements)\s*\n|(POINTS|CELLS|CELL_TYPES) |element (vertex|face) )"
+    rb"(?:^|\n)\s*(?:\$(Nodes|Elements)\s*\n|(POINTS|CELLS|CELL_TYPES|POLYGONS) |element (vertex|face) )"
     rb"([0-9 ]{1,200})"
 )
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import io
 import shlex
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,8 +16,10 @@ import meshio
 import meshio.abaqus
 import meshio.gmsh
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from softrobot_twin.errors import MeshError
+from softrobot_twin.geometry.gmsh_process import run_gmsh
 
 # Kinds of cells of each kind of part, and how many of their first nodes are corners.
 _TETS, _HEXAHEDRA = ("tetra", "tetra10"), ("hexahedron",)
@@ -121,14 +124,19 @@ def read_abaqus(path: str) -> meshio.Mesh:
     """Reads an Abaqus file, its element sets as `cell_sets`.
 
     The sets are read here, because meshio mixes up sets that belong to several blocks of elements.
+    So are parts and instances: meshio joins the nodes of parts, which have the same numbers.
 
     Args:
         path: File to read.
 
     Returns:
-        The content; each set has one array of cell indices for each block of cells.
+        The content; each set has one array of cell indices for each block of cells. Its `info` are
+        notes on what was left out.
+
+    Raises:
+        Exception: The file is damaged, or has what is not read.
     """
-    text = Path(path).read_text()
+    text = Path(path).read_text(errors="replace")
     elements, commands = io.StringIO(), []
     elements.name = path  # meshio finds included files by it
     for line in text.splitlines(keepends=True):
@@ -138,15 +146,122 @@ def read_abaqus(path: str) -> meshio.Mesh:
             commands.append((line, []))
         elif commands:
             commands[-1][1].append(line)
+    commands, notes = _assembled(commands)
+    # Of several blocks of nodes meshio keeps the last one.
+    nodes = [row for command, rows in commands if _keyword(command) == "NODE" for row in rows]
+    if nodes:
+        elements.writelines(["*NODE\n", *nodes])
     for command, rows in commands:
-        if _keyword(command) not in ("ELSET", "NSET"):
+        if _keyword(command) not in ("NODE", "ELSET", "NSET"):
             elements.write(_for_meshio(command))
             elements.writelines(rows)
     elements.seek(0)
     content = meshio.abaqus.read(elements)
     if not any(_keyword(command) == "INCLUDE" for command, _ in commands):
         content.cell_sets = _abaqus_sets(commands, content)
+    content.info = notes
     return content
+
+
+# Commands that make or move nodes and elements, and are not read.
+_UNREAD = ("SYSTEM", "NGEN", "NFILL", "NMAP", "NCOPY", "ELGEN", "ELCOPY")
+
+
+def _assembled(commands: list) -> tuple[list, list[str]]:
+    """The commands with the nodes, elements and sets of each instance, numbered on and placed.
+
+    A set of a part has its own name; where several instances have sets of one name, ``instance.set``.
+    """
+    parts, placed, instances, others, within = {}, set(), [], [], None
+    for command, rows in commands:
+        keyword, given = _keyword(command), _parameters(command)
+        if keyword in _UNREAD or given.get("SYSTEM", "R").upper() != "R":
+            raise ValueError(f"*{keyword.title()} is not read; let the program write each node and "
+                             "element in Cartesian coordinates")  # fmt: skip
+        if keyword == "PART":
+            within = parts.setdefault(given["NAME"].casefold(), [])
+        elif keyword == "INSTANCE":
+            part = given.get("PART", "").casefold()
+            within = list(parts[part]) if part else []
+            placed.add(part)
+            instances.append((given["NAME"], within, [row for row in rows if row.strip()]))
+        elif keyword in ("END PART", "END INSTANCE"):
+            within = None
+        else:
+            (others if within is None else within).append((command, rows))
+    if not instances:
+        if len(parts) > 1:
+            raise ValueError(f"it has the parts {', '.join(parts)}, and no *Instance that places them")
+        return commands, []
+    set_names = [name for _, own, _ in instances
+                 for name in {_set_name(command) for command, _ in own} - {""}]  # fmt: skip
+    made, first, starts = [], 0, {}
+    for instance, own, placement in instances:
+        starts[instance.casefold()] = first
+        several = {name for name in set_names if set_names.count(name) > 1}
+        prefix = f"{instance}."
+        numbered = [_numbered(command, rows, first, prefix, several) for command, rows in own]
+        place = _placement(placement)
+        for (command, rows), at in zip(numbered, own, strict=True):
+            made.append((command, place(rows) if _keyword(at[0]) == "NODE" else rows))
+        numbers = [int(row.partition(",")[0]) for command, rows in numbered
+                   if _keyword(command) in ("NODE", "ELEMENT") for row in rows
+                   if row.partition(",")[0].strip().isdigit()]  # fmt: skip
+        first = max(numbers, default=first)
+    for command, rows in others:
+        given = _parameters(command)
+        start = starts[given["INSTANCE"].casefold()] if "INSTANCE" in given else first
+        made.append(_numbered(command, rows, start, "", set()))
+    return made, [f"Left out the part {name}, which no *Instance places." for name in parts
+                  if name not in placed]  # fmt: skip
+
+
+def _set_name(command: str) -> str:
+    return _parameters(command).get("ELSET", "").casefold()
+
+
+def _numbered(command: str, rows: list[str], first: int, prefix: str, several: set[str]) -> tuple:
+    """A command with its numbers of nodes and elements higher by `first`, and sets renamed."""
+    keyword, name = _keyword(command), _parameters(command).get("ELSET", "")
+    if keyword not in ("NODE", "ELEMENT", "ELSET"):
+        return command, rows
+    if name.casefold() in several:
+        words = command.strip().split(",")
+        words = [f"ELSET={prefix}{name}" if word.strip().upper().startswith("ELSET=") else word
+                 for word in words]  # fmt: skip
+        command = ",".join(words) + "\n"
+    # Only these numbers of a row are those of nodes and elements.
+    count = {"NODE": 1, "ELSET": 2 if "GENERATE" in _parameters(command) else None}.get(keyword)
+    moved = []
+    for row in rows:
+        words = [word.strip() for word in row.split(",")]
+        for place, word in enumerate(words[:count]):
+            if word.isdigit():
+                words[place] = str(int(word) + first)
+            elif word.strip('"').casefold() in several:
+                words[place] = prefix + word.strip('"')
+        moved.append(", ".join(words) + "\n")
+    return command, moved
+
+
+def _placement(rows: list[str]) -> Callable[[list[str]], list[str]]:
+    """Moves rows of nodes as the data of an instance say: a translation, then a turn [degrees]
+    about the axis through two points."""
+    numbers = [[float(word) for word in row.split(",") if word.strip()] for row in rows]
+    shift = np.array((numbers[0] if numbers else [0.0] * 3)[:3])
+    turn, origin = Rotation.identity(), np.zeros(3)
+    if len(numbers) > 1:
+        origin, end, angle = np.array(numbers[1][:3]), np.array(numbers[1][3:6]), numbers[1][6]
+        turn = Rotation.from_rotvec(np.radians(angle) * (end - origin) / np.linalg.norm(end - origin))
+
+    def placed(own: list[str]) -> list[str]:
+        words = [[word for word in row.split(",") if word.strip()] for row in own]
+        points = np.array([row[1:4] for row in words if row], float).reshape(-1, 3)
+        points = turn.apply(points + shift - origin) + origin
+        return [f"{row[0].strip()}, {x!r}, {y!r}, {z!r}\n"
+                for row, (x, y, z) in zip(filter(None, words), points.tolist(), strict=True)]
+
+    return placed if numbers else lambda own: own
 
 
 def _keyword(command: str) -> str:
@@ -228,26 +343,21 @@ def read_gmsh(path: str) -> meshio.Mesh:
     entities whose group is negative: those that belong to it with the opposite orientation. A wall
     between two chambers is in the surface of one of them like this.
 
+    Script lines after the last section, which gmsh appends, are left out. Nodes with parameters,
+    which meshio refuses, are written anew by gmsh.
+
     Args:
         path: File to read.
 
     Returns:
         The content; each set has one array of cell indices for each block of cells. A cell whose
         orientation is opposite in the set has the index ~i.
+
+    Raises:
+        MeshError: gmsh is needed and missing.
     """
-    raw = Path(path).read_bytes()
-    version, is_binary, size = _section(raw, b"MeshFormat").split()[:3]
-    groups = None
-    if version == b"4.1":
-        groups = _groups_of_entities(_section(raw, b"Entities"), is_binary == b"1", int(size))
-    if groups and any(groups.values()) and not all(groups.values()):
-        content = _without_entities(raw)
-        content.cell_data["gmsh:physical"] = [
-            np.array([own[0] if own else 0 for own in _group_tags(content, index, groups)])
-            for index in range(len(content.cells))
-        ]
-    else:
-        content = meshio.gmsh.read(path)
+    raw = _sections(Path(path).read_bytes())
+    content, groups = _gmsh_content(path, raw)
     content.cell_sets = {}
     names = _physical_names(_section(raw, b"PhysicalNames"))
     for index, block in enumerate(content.cells):
@@ -263,13 +373,40 @@ def read_gmsh(path: str) -> meshio.Mesh:
     return content
 
 
-def _without_entities(raw: bytes) -> meshio.Mesh:
-    """The content without its entities: meshio refuses files where only some of them have groups."""
+def _gmsh_content(path: str, raw: bytes) -> tuple[meshio.Mesh, dict | None]:
+    """Cells and nodes, and the physical groups of entities of files that have such."""
+    version, is_binary, size = _section(raw, b"MeshFormat").split()[:3]
+    groups = None
+    if version == b"4.1":
+        groups = _groups_of_entities(_section(raw, b"Entities"), is_binary == b"1", int(size))
+    # meshio refuses files where only some entities have groups.
+    some = bool(groups) and any(groups.values()) and not all(groups.values())
     start, end = raw.find(b"$Entities"), raw.find(b"$EndEntities")
+    readable = raw[:start] + raw[end + len(b"$EndEntities") :].lstrip() if some else raw
     with tempfile.NamedTemporaryFile(suffix=".msh") as file:
-        file.write(raw[:start] + raw[end + len(b"$EndEntities") :].lstrip())
+        file.write(readable)
         file.flush()
-        return meshio.gmsh.read(file.name)
+        try:
+            content = meshio.gmsh.read(file.name)
+        except Exception as error:  # of a damaged file, any
+            if "parametric" not in str(error) and b"$ParametricNodes" not in raw:
+                raise
+            rewritten = run_gmsh(Path(path), {"rewrite": str(Path(path).resolve())})
+            return _gmsh_content(path, rewritten["content"].tobytes())
+    if some:
+        content.cell_data["gmsh:physical"] = [
+            np.array([own[0] if own else 0 for own in _group_tags(content, index, groups)])
+            for index in range(len(content.cells))
+        ]
+    return content, groups
+
+
+def _sections(raw: bytes) -> bytes:
+    """The file to the end of its last section."""
+    last = raw.rfind(b"\n$End")
+    end = raw.find(b"\n", last + 1)
+    # A section that begins and does not end is damage, not script.
+    return raw if last < 0 or end < 0 or b"\n$" in raw[end:] else raw[: end + 1]
 
 
 def _section(raw: bytes, name: bytes) -> bytes:

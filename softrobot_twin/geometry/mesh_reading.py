@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import meshio
-import meshio.vtk
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -48,14 +47,14 @@ from softrobot_twin.geometry.quadratic_mesh import place_mid_edge_nodes
 from softrobot_twin.geometry.quality import radius_ratios
 from softrobot_twin.geometry.shape_functions import LINEAR_TETRAHEDRON
 from softrobot_twin.geometry.tet_mesh import TetMesh
-from softrobot_twin.geometry.vtu_reading import read_vtu
+from softrobot_twin.geometry.vtk_reading import read_legacy_vtk, read_vtk_xml
 
 # Number of nodes of each kind of cell that is read.
 _NODES_OF = {"tetra": 4, "tetra10": 10, "hexahedron": 8}
 _READERS = {
     "Gmsh": read_gmsh,
-    "legacy VTK": meshio.vtk.read,
-    "VTK XML": read_vtu,
+    "legacy VTK": read_legacy_vtk,
+    "VTK XML": read_vtk_xml,
     "Abaqus": read_abaqus,
 }
 _FORMAT_OF_SUFFIX = {
@@ -80,6 +79,7 @@ class MeshFile(NamedTuple):
         parts: Named parts.
         format_name: Format of the content.
         expected_format: Format according to the suffix of the file.
+        notes: One sentence for each part that was left out.
     """
 
     node_positions: np.ndarray
@@ -90,6 +90,7 @@ class MeshFile(NamedTuple):
     parts: FileParts
     format_name: str
     expected_format: str
+    notes: tuple[str, ...]
 
 
 def read_mesh_file(path: Path) -> MeshFile:
@@ -113,6 +114,8 @@ def read_mesh_file(path: Path) -> MeshFile:
         try:
             content = _READERS[format_name](str(path))
             parts = file_parts(content, format_name)
+        except MeshError:
+            raise
         except Exception as error:  # a damaged file may raise any exception
             detail = " ".join(str(error).split()) or "no reason given"
             raise MeshError(
@@ -173,7 +176,7 @@ def _solids(
     return MeshFile(
         positions, tets, mid_nodes if (mid_nodes >= 0).any() else None, hexahedra,
         {kind: count for kind, count in unnamed.items() if count}, parts, format_name,
-        expected_format,
+        expected_format, tuple(content.info or ()),
     )  # fmt: skip
 
 
@@ -398,7 +401,7 @@ def _check_nodes(path: Path, file: MeshFile, scale: float) -> None:
 
 def _content_notes(path: Path, file: MeshFile, rotation: Sequence[float]) -> list[str]:
     """Warnings on how the file is read and placed."""
-    notes = []
+    notes = list(file.notes)
     if file.format_name != file.expected_format:
         notes.append(f"Read as {file.format_name} in spite of the suffix '{path.suffix}'.")
     if file.dropped_cells:

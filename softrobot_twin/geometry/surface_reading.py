@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import io
+import re
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,17 +15,26 @@ import meshio
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components
-from scipy.spatial import cKDTree
+from scipy.spatial import ConvexHull, QhullError, cKDTree
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.closed_surface import flatten_regions
+from softrobot_twin.geometry.ear_clipping import clip_ears
 from softrobot_twin.geometry.mass_properties import MassProperties, surface_mass_properties
 from softrobot_twin.geometry.mesh_file_checks import check_file, check_positions, check_size
+from softrobot_twin.geometry.mesh_parts import read_gmsh
 from softrobot_twin.geometry.mesh_repair import first_of_duplicates
 from softrobot_twin.geometry.point_location import closest_on_triangles
+from softrobot_twin.geometry.solid_shells import (
+    connected_shells,
+    enclosed_volume,
+    is_inside,
+    nested,
+    refuse_open,
+)
 from softrobot_twin.geometry.surface import half_edges
-from softrobot_twin.geometry.vtu_reading import read_vtu
+from softrobot_twin.geometry.vtk_reading import read_legacy_vtk, read_vtk_xml
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,22 +73,12 @@ class SolidSurface:
         corners = self.points[self.triangles]
         found = np.zeros(len(points))
         for index, point in enumerate(np.asarray(points, float)):
-            if _is_inside(point, corners):
+            if is_inside(point, corners):
                 continue
             weights = closest_on_triangles(np.tile(point, (len(corners), 1)), corners)
             nearest = np.einsum("tc,tci->ti", weights, corners)
             found[index] = np.linalg.norm(nearest - point, axis=1).min()
         return found
-
-
-def _is_inside(point: np.ndarray, corners: np.ndarray) -> bool:
-    """Whether a closed surface is wound around a point: by the sum of its solid angles."""
-    a, b, c = np.moveaxis(corners - point, 1, 0)
-    p, q, r = (np.linalg.norm(arm, axis=1) for arm in (a, b, c))
-    volume = np.einsum("ti,ti->t", a, np.cross(b, c))
-    product = p * q * r + r * np.sum(a * b, axis=1) + p * np.sum(b * c, axis=1)
-    product += q * np.sum(c * a, axis=1)
-    return float(np.arctan2(volume, product).sum()) > np.pi
 
 
 # Tolerance relative to the size of the surface: points nearer to an edge lie on it, and triangles
@@ -132,6 +133,10 @@ def repair_surface(points: np.ndarray, triangles: np.ndarray) -> RepairedSurface
         )
         triangles = cut
     consistent = _with_consistent_orientation(triangles)
+    unfolded = _unfolded(points, consistent)
+    if unfolded is not consistent:
+        notes.append("split polygons with inward corners anew: their triangles lay on each other")
+        triangles = consistent = unfolded
     count = int((consistent != triangles).any(axis=1).sum())
     outward, was_inward = _outward(points, consistent)
     if was_inward and not (outward != triangles).any():
@@ -224,6 +229,94 @@ def _with_consistent_orientation(triangles: np.ndarray) -> np.ndarray:
     return np.where(turned[:, None], triangles[:, ::-1], triangles)
 
 
+# Neighbours whose normals differ by less lie in a plane: 1 - cosine of a quarter of a degree.
+_COPLANAR = 1.0e-5
+
+
+def _unfolded(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Splits flat polygons anew whose triangles lie on each other, as a fan of a polygon with
+    inward corners does."""
+    for _ in range(_MOST_ROUNDS):
+        corners = points[triangles]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        _, edges, place, counts = half_edges(triangles)
+        order = np.argsort(place, kind="stable")
+        halves = order[np.repeat(counts == 2, counts)].reshape(-1, 2)
+        one, other = (halves // 3).T
+        folds = np.einsum("ni,ni->n", normals[one], normals[other]) < -1.0 + _COPLANAR
+        gone, made = np.zeros(len(triangles), dtype=bool), []
+        for triangle, ends in zip(one[folds], edges[place[halves[folds, 0]]], strict=True):
+            fans = []
+            for apex in ends:
+                around = np.flatnonzero((triangles == apex).any(axis=1))
+                flat = np.abs(normals[around] @ normals[triangle]) > 1.0 - _COPLANAR
+                fans.append(_connected_fan(triangles, around[flat], triangle, apex))
+            for fan in sorted(fans, key=len, reverse=True):
+                split = None if gone[fan].any() else _split_anew(points, triangles[fan])
+                if split is not None:
+                    gone[fan] = True
+                    made.append(split)
+                    break
+        if not made:
+            return triangles
+        triangles = np.vstack([triangles[~gone], *made])
+    return triangles
+
+
+def _connected_fan(
+    triangles: np.ndarray, around: np.ndarray, first: int, apex: int
+) -> np.ndarray:
+    """Triangles at an apex that are connected to the first one by edges from the apex."""
+    fan, reached = {int(first)}, set(triangles[first].tolist()) - {int(apex)}
+    while True:
+        more = {int(one) for one in around if reached & set(triangles[one].tolist())} - fan
+        if not more:
+            return np.array(sorted(fan))
+        fan |= more
+        reached |= set(triangles[list(more)].ravel().tolist()) - {int(apex)}
+
+
+def _split_anew(points: np.ndarray, fan: np.ndarray) -> np.ndarray | None:
+    """Triangles of the polygon around a fan; None where it is not a simple one."""
+    loops = boundary_loops(fan)
+    if len(loops) != 1 or len(loops[0]) != len(np.unique(fan)) or len(loops[0]) != len(fan) + 2:
+        return None
+    loop = np.array(loops[0])
+    ears = clip_ears(points[loop])
+    return None if ears is None else loop[ears]
+
+
+def boundary_loops(triangles: np.ndarray) -> list[list[int]]:
+    """The closed paths along the edges that belong to one triangle only, in its direction.
+
+    Args:
+        triangles: Point indices, shape (triangle_count, 3).
+
+    Returns:
+        Points of each loop in order.
+    """
+    halves, _, place, counts = half_edges(triangles)
+    after: dict[int, list[int]] = {}
+    for start, end in halves[counts[place] == 1].tolist():
+        after.setdefault(start, []).append(end)
+    loops = []
+    while after:
+        loop = [next(iter(after))]
+        while loop[-1] in after:
+            ends = after[loop[-1]]
+            loop.append(ends.pop())
+            if not ends:
+                del after[loop[-2]]
+            if loop[-1] in loop[:-1]:
+                # A path that meets itself is a loop from there on.
+                start = loop.index(loop[-1])
+                loops.append(loop[start:-1])
+                del loop[start + 1 :]
+        # What is left of a path is open: triangles there have no common direction.
+    return loops
+
+
 def _outward(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, bool]:
     """Reverses all triangles if they enclose a negative volume; also returns whether they did."""
     corners = points[triangles] - points[np.unique(triangles)].mean(axis=0)
@@ -232,23 +325,30 @@ def _outward(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, boo
     return triangles[:, ::-1], True
 
 
-SUFFIXES = (".stl", ".obj", ".ply", ".vtk", ".vtu", ".msh")
+SUFFIXES = (".stl", ".obj", ".ply", ".off", ".vtk", ".vtu", ".vtp", ".msh")
 # Distance, relative to the size of the surface, below which points are merged: STL files repeat
 # the corners of every triangle, and CAD programs round the corners of two faces differently.
 _COINCIDENT = 1.0e-5
+# Flat cells, and how many of their first nodes are corners; polygons have corners only.
+_CORNERS_OF = {"triangle": 3, "triangle6": 3, "quad": 4, "quad8": 4, "quad9": 4, "polygon": None}
+# A larger share of a file that is left out is told.
+_SMALL_SHARE = 0.01
 
 
 def read_surface(
-    path: Path, *, scale: float = 1.0,
-    rotation: Sequence[float] = (0.0, 0.0, 0.0), translation: Sequence[float] = (0.0, 0.0, 0.0),
+    path: Path, *, scale: float = 1.0, rotation: Sequence[float] = (0.0, 0.0, 0.0),
+    translation: Sequence[float] = (0.0, 0.0, 0.0), notes: list[str] | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Reads triangles and places them: x = translation + Rz Ry Rx (scale · x_file).
 
+    Quadrilaterals and polygons are split. trimesh reads .stl, .obj, .ply and .off.
+
     Args:
-        path: File of triangles: .stl, .obj, .ply, .vtk, .vtu or .msh.
+        path: File of triangles, of one of the `SUFFIXES`.
         scale: Metres in one unit of the file.
         rotation: Angles about the fixed x, then y, then z axis [rad], shape (3,).
         translation: Shift after scale and rotation [m], shape (3,).
+        notes: List to which a note on what was left out is appended.
 
     Returns:
         Points [m], shape (point_count, 3), and triangles, shape (triangle_count, 3).
@@ -257,21 +357,99 @@ def read_surface(
         MeshError: The file cannot be read, or contains no triangles.
     """
     path = Path(path)
+    suffix = path.suffix.lower()
     check_file(path, SUFFIXES, "surface")
     check_size(path)
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         try:
-            content = read_vtu(str(path)) if path.suffix.lower() == ".vtu" else meshio.read(path)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # of numpy, on text that is no number
+                read = _READERS.get(suffix, _by_trimesh)
+                points, blocks = read(path)
+        except MeshError:
+            raise
         except (Exception, SystemExit) as error:  # a damaged file may raise any exception
             detail = " ".join(str(error).split()) or "no reason given"
             raise MeshError(path, f"cannot be read ({type(error).__name__}: {detail})") from None
-    triangles = [block.data for block in content.cells if block.type == "triangle"]
-    if sum(map(len, triangles)) == 0:
+    fans = [np.asarray(block, np.int64)[:, [0, corner, corner + 1]] for block in blocks
+            for corner in range(1, block.shape[1] - 1)]  # fmt: skip
+    if sum(map(len, fans)) == 0:
         raise MeshError(path, "has no triangles")
-    points = np.asarray(content.points, float)
+    triangles = np.concatenate(fans)
+    points = np.asarray(points, float)
+    if triangles.min() < 0 or triangles.max() >= len(points):
+        raise MeshError(path, f"has triangles of point {triangles.max()}, but only {len(points)} "
+                        "points")  # fmt: skip
     check_positions(path, points, scale, "point")
     placed = Rotation.from_euler("xyz", rotation).apply(scale * points) + translation
-    return _merged(placed, np.concatenate(triangles).astype(np.int64))
+    merged = _merged(placed, triangles)
+    lost = 1.0 - len(merged[1]) / len(triangles)
+    if notes is not None and lost > _SMALL_SHARE:
+        notes.append(
+            f"{path.name}: left out {len(triangles) - len(merged[1])} of {len(triangles)} triangles "
+            f"({100.0 * lost:.0f} %) whose corners are nearer than "
+            f"{1e3 * _COINCIDENT * np.linalg.norm(np.ptp(placed, axis=0)):.2g} mm: one point there."
+        )
+    return merged
+
+
+def _by_trimesh(path: Path) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Points and triangles of a file that trimesh reads, in the form in which it does."""
+    import trimesh
+
+    raw, suffix = path.read_bytes(), path.suffix.lower()
+    if suffix == ".stl":
+        # No text is so long that its bytes at the place of the number of triangles fit.
+        end = 84 + 50 * int.from_bytes(raw[80:84], "little")
+        is_binary = len(raw) >= 84 and end <= len(raw)
+        if is_binary:
+            raw = raw[:end]  # programs append their own data
+        elif not re.match(rb"(\xef\xbb\xbf)?\s*solid\b", raw, re.I) or (
+            b"endsolid" not in raw[-1000:].lower()):  # fmt: skip
+            needed = f"{(end - 84) // 50} triangles need {end} bytes, " if len(raw) >= 84 else ""
+            if raw.lstrip()[:5].lower() == b"solid":
+                needed = "it has no endsolid, and "
+            reason = f"is no STL file, or only a part of one: {needed}it has {len(raw)} bytes"
+            raise MeshError(path, reason)
+    else:
+        is_binary = suffix == ".ply" and b"format ascii" not in raw[:1000]
+    if not is_binary:
+        text = raw.removeprefix(b"\xef\xbb\xbf").decode("latin-1")
+        text = text.replace("\r\n", "\n").replace("\r", "\n")
+        # Names, and with them words of another alphabet or of the format.
+        text = re.sub(r"(?im)^(\s*(?:end)?solid)\b.*$", r"\1", text) if suffix == ".stl" else text
+        raw = (_off_as_obj(text) if suffix == ".off" else text).encode("ascii", "replace")
+    kind = ".obj" if suffix == ".off" else suffix
+    found = trimesh.load_mesh(io.BytesIO(raw), file_type=kind[1:], process=False)
+    return found.vertices, [np.asarray(found.faces)]
+
+
+def _off_as_obj(text: str) -> str:
+    """An OFF file as OBJ, of which trimesh reads polygons too."""
+    lines = [line.partition("#")[0].split() for line in text.splitlines()]
+    words = [row for row in lines if row]
+    if not words or words[0][0].upper() not in ("OFF", "COFF"):
+        raise ValueError("it does not begin with OFF")
+    words = words[1:] if len(words[0]) == 1 else [words[0][1:], *words[1:]]
+    first = int(words[0][0]) + 1
+    rows = ["v " + " ".join(row[:3]) for row in words[1:first]]
+    for row in words[first : first + int(words[0][1])]:
+        rows.append("f " + " ".join(str(int(word) + 1) for word in row[1 : int(row[0]) + 1]))
+    return "\n".join(rows) + "\n"
+
+
+def _flat_cells(content: meshio.Mesh) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Points and corners of the flat cells of a mesh."""
+    return content.points, [block.data[:, : _CORNERS_OF[block.type]] for block in content.cells
+                            if block.type in _CORNERS_OF and len(block.data)]  # fmt: skip
+
+
+_READERS = {
+    ".vtk": lambda path: _flat_cells(read_legacy_vtk(str(path))),
+    ".vtu": lambda path: _flat_cells(read_vtk_xml(str(path))),
+    ".vtp": lambda path: _flat_cells(read_vtk_xml(str(path))),
+    ".msh": lambda path: _flat_cells(read_gmsh(str(path))),
+}
 
 
 def _merged(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -284,32 +462,76 @@ def _merged(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.n
     return points[used], index.reshape(-1, 3)
 
 
-def read_solid_surface(path: Path, *, notes: list[str], **placement) -> SolidSurface:
+REPAIR = "`softrobot_twin mesh {} --repair{}` closes holes and unites solids that overlap or touch"
+"""What can be done about a surface, given the name of its file and further options."""
+
+
+def read_solid_surface(
+    path: Path, *, notes: list[str], hull: bool | None = None, **placement
+) -> SolidSurface:
     """Reads a closed surface and repairs it.
 
     Args:
         path: File of triangles.
         notes: List to which a note on each repair is appended.
+        hull: Whether the convex hull of the file is taken. None where there is no such choice: then
+            several solids are not refused.
         **placement: See `read_surface`.
 
     Returns:
         The surface, with outward triangles.
 
     Raises:
-        MeshError: The file cannot be read, or its surface is open, intersects itself or encloses
-            no volume.
+        MeshError: The file cannot be read, or its surface is open, consists of several solids or
+            encloses no volume.
     """
     path = Path(path)
-    points, triangles = read_surface(path, **placement)
+    told: list[str] = []
+    points, triangles = read_surface(path, notes=told, **placement)
+    if hull:
+        return _convex_hull(path, points)
     repaired = repair_surface(points, triangles)
+    told += [f"{path.name}: {note}." for note in repaired.notes]
     used, index = np.unique(repaired.triangles, return_inverse=True)
     points, triangles = points[used], np.ascontiguousarray(index.reshape(-1, 3))
+    remedy = REPAIR.format(path.name, f" --output {path.stem}_repaired.stl")
+    if hull is not None:
+        remedy += "; or `hull: true` takes its convex hull"
+    refuse_open(path, points, triangles, remedy)
+    shells = connected_shells(triangles)
+    if hull is not None and shells.any():
+        count = _solid_count(points, triangles, shells)
+        if count > 1:
+            raise MeshError(path, f"consists of {count} separate solids; {remedy}; what is apart "
+                            "needs an entry and a file for each solid")  # fmt: skip
     try:
         surface_mass_properties(points, triangles)
     except MeshError as error:
         raise MeshError(path, error.reason) from None
-    for note in repaired.notes:
-        line = f"{path.name}: {note}."
-        if line not in notes:
-            notes.append(line)
+    notes.extend(line for line in told if line not in notes)
     return SolidSurface(flatten_regions(points, triangles), triangles)
+
+
+def _solid_count(points: np.ndarray, triangles: np.ndarray, shell_of: np.ndarray) -> int:
+    """Number of solids between shells."""
+    outward = triangles.copy()
+    for shell in range(shell_of.max() + 1):
+        own = shell_of == shell
+        if enclosed_volume(points, outward[own]) < 0.0:
+            outward[own] = outward[own][:, ::-1]
+    return len(nested(points, outward, shell_of))
+
+
+def _convex_hull(path: Path, points: np.ndarray) -> SolidSurface:
+    """The convex hull of points, for things to grasp."""
+    try:
+        found = ConvexHull(points)
+    except QhullError:
+        raise MeshError(path, "has no convex hull: all its points lie in a plane") from None
+    corners = points[found.simplices]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    inward = np.einsum("ti,ti->t", normals, found.equations[:, :3]) < 0.0
+    triangles = np.where(inward[:, None], found.simplices[:, ::-1], found.simplices)
+    used, index = np.unique(triangles, return_inverse=True)
+    triangles = np.ascontiguousarray(index.reshape(-1, 3), dtype=np.int64)
+    return SolidSurface(flatten_regions(points[used], triangles), triangles)

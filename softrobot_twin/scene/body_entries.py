@@ -12,7 +12,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from softrobot_twin.geometry.box_mesh import cells_of_size
-from softrobot_twin.geometry.cad_meshing import CAD_SUFFIXES
+from softrobot_twin.geometry.cad_meshing import CAD_SUFFIXES, TRIANGLE_SUFFIXES
 from softrobot_twin.mechanics.element_kinds import element_named, element_names
 from softrobot_twin.mechanics.laws import law_named, law_names
 from softrobot_twin.mechanics.material import poisson_ratio_of_bulk
@@ -86,8 +86,9 @@ class Mesh(Entry):
     placed: ClassVar[dict[str, str]] = {"rotation": "angles", "translation": "point"}
 
     file: Path | None = None
-    """Mesh file, relative to the scene file; or a CAD file (.stl, .step, .stp) that gmsh meshes
-    with tetrahedra of the given `size`, once: the mesh is kept in the user's cache folder."""
+    """Mesh file, relative to the scene file; or a CAD file (.stl, .obj, .ply, .off, .step, .stp) that
+    gmsh meshes with tetrahedra of the given `size`, once: the mesh is kept in the user's cache
+    folder."""
     box: BoxMesh | None = None
     """A box in place of a file."""
     size: Annotated[float | None, unit("m", gt=0.0)] = None
@@ -123,7 +124,7 @@ class Mesh(Entry):
         if self.size is None:
             raise refusal("size", "(nothing)", f"is required: the edge of the tetrahedra that "
                           f"{self.label} is meshed with")
-        if self.scale != 1.0 and not self.label.lower().endswith(".stl"):
+        if self.scale != 1.0 and not self.label.lower().endswith(TRIANGLE_SUFFIXES):
             raise refusal("scale", self.scale, "is not taken: a STEP file states its unit")
 
     @property
@@ -929,6 +930,8 @@ class SurfaceShape(Entry):
     """Angles about the x, y and z axes, in this order; after the scale."""
     translation: Vector = (0.0, 0.0, 0.0)
     """Displacement; after the rotation."""
+    hull: bool = False
+    """Whether the convex hull of the file is taken, which closes every hole and joins all solids."""
 
 
 SHAPES = ("plane", "sphere", "capsule", "cylinder", "box", "surface")

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from softrobot_twin.errors import MeshError, NamedError
-from softrobot_twin.geometry.cad_meshing import CAD_SUFFIXES, kept_mesh, part_size
+from softrobot_twin.geometry.cad_meshing import CAD_SUFFIXES, TRIANGLE_SUFFIXES, kept_mesh, part_size
 from softrobot_twin.geometry.closed_surface import closed_surface
 from softrobot_twin.geometry.hexahedral_mesh import HexahedralMesh
 from softrobot_twin.geometry.mesh_reading import MeshReading, read_solid_mesh
@@ -356,9 +356,9 @@ def source_of(
             reason = f"guessed: {unit}, for its largest extent is {largest:.4g}"
             reading = read_solid_mesh(path, scale=scale)
         return MeshSource(path, scale, None, reason), reading
-    if suffix == ".stl":
+    if suffix in TRIANGLE_SUFFIXES:
         word = "guessed: millimetres" if scale is None else "as given"
-        reason = f"STL files have no unit: {word}"
+        reason = f"{suffix[1:].upper()} files have no unit: {word}"
         scale = 1e-3 if scale is None else scale
     else:
         if scale is not None:

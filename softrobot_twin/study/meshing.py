@@ -15,12 +15,21 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+import meshio
 import numpy as np
 
 from softrobot_twin.errors import MeshError, SoftRobotTwinError
-from softrobot_twin.geometry.cad_meshing import CadMesh, mesh_cad, part_size, write_msh
+from softrobot_twin.geometry.cad_meshing import (
+    TRIANGLE_SUFFIXES,
+    CadMesh,
+    mesh_cad,
+    part_size,
+    write_msh,
+)
 from softrobot_twin.geometry.mesh_reading import SLIVER_RATIO, read_solid_mesh
 from softrobot_twin.geometry.quality import radius_ratios
+from softrobot_twin.geometry.solid_repair import repair_solids
+from softrobot_twin.geometry.surface_reading import read_surface
 from softrobot_twin.geometry.wall_thickness import thinnest_part
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation import Simulation
@@ -165,17 +174,19 @@ def size_for(
 
 def mesh_part(
     path: Path, output: Path, *, size: float | None = None, step: float | None = None,
-    unit: str | None = None, element: str = "quadratic",
+    unit: str | None = None, element: str = "quadratic", repair: bool = False,
 ) -> int:  # fmt: skip
     """Meshes a part, writes the mesh in metres and tells its quality.
 
     Args:
         path: CAD file.
-        output: Mesh file, .msh.
+        output: Mesh file, .msh; with `repair` also .stl, to which the repaired surface is written
+            in the unit of the part.
         size: Wanted edge of the tetrahedra [m].
         step: Wanted time of a step, in place of a size [s].
-        unit: Unit of an STL file, of `UNITS`; None for millimetres.
+        unit: Unit of a surface file, of `UNITS`; None for millimetres.
         element: Kind of elements whose step is measured.
+        repair: Whether holes are closed and solids that overlap united.
 
     Returns:
         Exit code.
@@ -186,22 +197,30 @@ def mesh_part(
     if not path.is_file():
         reason = "is a folder" if path.is_dir() else "there is no such file"
         raise MeshingError(f"{path}: {reason}")
+    if repair and output.suffix.lower() == ".stl":
+        return _write_repaired(path, output)
+    if size is None and step is None:
+        raise MeshingError("one of --size, --rate and --step-time is required for a .msh file")
     if output.suffix.lower() != ".msh":
         raise OutputError(output, "a mesh is a .msh file (Gmsh)")
     scale = 1.0
-    if path.suffix.lower() == ".stl":
+    if path.suffix.lower() in TRIANGLE_SUFFIXES:
         scale = UNITS[unit or "mm"]
         if unit is None:
-            warn(f"{path.name}: STL files have no unit; millimetres are assumed (--unit)")
+            kind = path.suffix[1:].upper()
+            warn(f"{path.name}: {kind} files have no unit; millimetres are assumed (--unit)")
+    elif repair:
+        raise MeshingError(f"--repair: {path.name} has no triangles; it is for "
+                           f"{', '.join(TRIANGLE_SUFFIXES)}")
     elif unit is not None:
         raise MeshingError(f"--unit {unit}: {path.name} states its unit")
     with tempfile.TemporaryDirectory(prefix="softrobot_twin_mesh_") as folder:
         def tried(size: float) -> Trial:
             with terminal_status(f"meshing with {1e3 * size:.3g} mm"):
-                made = mesh_cad(path, size, scale)
+                made = mesh_cad(path, size, scale, repair)
             return _tried(made, size, Path(folder) / f"{path.stem}.msh", element)
 
-        trial = tried(size) if step is None else _searched(path, step, tried, scale)
+        trial = tried(size) if step is None else _searched(path, step, tried, scale, repair)
         _print(path, trial, element)
         # The law is a simple one of the same moduli.
         corotational = with_law(trial.scene, "corotational")
@@ -211,6 +230,18 @@ def mesh_part(
     largest = float(np.ptp(trial.made.mesh.node_positions, axis=0).max())
     console().print(f"\n{output} is in metres. A scene for it: {scene_command(output, largest)}",
                     soft_wrap=True)  # fmt: skip
+    return 0
+
+
+def _write_repaired(path: Path, output: Path) -> int:
+    """Writes the repaired surface of a part, and returns the exit code."""
+    notes: list[str] = []
+    points, triangles = repair_solids(path, *read_surface(path, notes=notes), notes)
+    with output_file(output) as partial:
+        meshio.Mesh(points, [("triangle", triangles)]).write(partial, "stl", binary=True)
+    for note in notes or ["nothing to repair was found"]:
+        warn(note)
+    console().print(f"{output} has the repaired surface, {len(triangles)} triangles", soft_wrap=True)
     return 0
 
 
@@ -237,10 +268,10 @@ def _tried(made: CadMesh, size: float, file: Path, element: str) -> Trial:
 
 
 def _searched(
-    path: Path, wanted: float, tried: Callable[[float], Trial], scale: float
-) -> Trial:  # fmt: skip
+    path: Path, wanted: float, tried: Callable[[float], Trial], scale: float, repair: bool
+) -> Trial:
     """The finest mesh whose step takes a wanted time."""
-    part, trials = part_size(path, scale), {}
+    part, trials = part_size(path, scale, repair), {}
     console().print(f"searching the size for a step of {_time(wanted)}: at most {TRIALS} meshes "
                     "are made and measured")  # fmt: skip
 

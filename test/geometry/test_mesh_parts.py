@@ -8,6 +8,7 @@ from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.mesh_reading import read_solid_mesh
 from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.geometry.surface import boundary_triangles
+from test.cad_parts import need_gmsh
 
 FORMATS = {
     "msh 2.2 ascii": (".msh", {"file_format": "gmsh22", "binary": False}),
@@ -333,3 +334,79 @@ def test_a_set_of_quadrilaterals_is_refused_when_it_is_asked_for(tmp_path):
     path.write_text(f"{ABAQUS}*ELEMENT, TYPE=S4, ELSET=plate\n8, 10, 20, 30, 40\n")
     with pytest.raises(MeshError, match=r"plate has cells other than triangles \(1 quad\)"):
         read_solid_mesh(path).parts.surface("plate")
+
+
+def abaqus_part(name, ids=1):
+    """A unit tetrahedron as a part, its nodes numbered from `ids`."""
+    rows = "".join(f"{ids + k}, {x}, {y}, {z}\n"
+                   for k, (x, y, z) in enumerate([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]))
+    return (f"*Part, name={name}\n*Node\n{rows}*Element, type=C3D4\n1, {ids}, {ids + 1}, {ids + 2}, "
+            f"{ids + 3}\n*Elset, elset=ALL, generate\n1, 1, 1\n*Elset, elset=Again\nall\n*End Part\n")
+
+
+def test_instances_of_abaqus_parts_are_moved_then_turned(tmp_path):
+    path = tmp_path / "two.inp"
+    path.write_text(
+        "*Heading\n" + abaqus_part("A") + abaqus_part("B", 7) + abaqus_part("Unused")
+        + "*Assembly, name=X\n*Instance, name=a-1, part=a\n*End Instance\n"
+        "*Instance, name=b-1, part=B\n 5., 0., 0.\n 5., 0., 0., 5., 0., 1., 90.\n*End Instance\n"
+        "*Elset, elset=Second, instance=B-1\n 1,\n*Nset, nset=n, instance=a-1\n 1,\n*End Assembly\n")
+    reading = read_solid_mesh(path)
+    np.testing.assert_allclose(
+        reading.mesh.node_positions,
+        [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [5, 0, 0], [5, 1, 0], [4, 0, 0], [5, 0, 1]],
+        atol=1e-12)  # fmt: skip
+    regions = {name: cells.tolist() for name, cells in reading.parts.regions.items()}
+    assert regions == {"a-1.ALL": [0], "a-1.Again": [0], "b-1.ALL": [1], "b-1.Again": [1],
+                       "Second": [1]}  # fmt: skip
+    assert reading.notes[0] == "Left out the part unused, which no *Instance places."
+
+
+@pytest.mark.parametrize("text, told", [
+    (abaqus_part("A") + abaqus_part("B"), "the parts a, b, and no *Instance"),
+    (abaqus_part("A").replace("*Element", "*Ngen\n1, 2, 1\n*Element"), "*Ngen is not read"),
+    (abaqus_part("A").replace("*Node", "*Node, system=C"), "*Node is not read"),
+])  # fmt: skip
+def test_what_is_not_read_of_abaqus_is_refused_by_name(text, told, tmp_path):
+    path = tmp_path / "part.inp"
+    path.write_text(text)
+    with pytest.raises(MeshError) as caught:
+        read_solid_mesh(path)
+    assert told in str(caught.value)
+
+
+def test_all_blocks_of_abaqus_nodes_are_read(tmp_path):
+    path = tmp_path / "part.inp"
+    path.write_text("*Node\n1, 0, 0, 0\n2, 1, 0, 0\n*Node, nset=More\n3, 0, 1, 0\n4, 0, 0, 1\n"
+                    "*Element, type=C3D4\n1, 1, 2, 3, 4\n")
+    assert read_solid_mesh(path).mesh.volume == pytest.approx(1.0 / 6.0)
+
+
+@pytest.mark.parametrize("version", [2.2, 4.1])
+@pytest.mark.parametrize("binary", [0, 1])
+def test_gmsh_files_with_parameters_and_script_lines_are_read(version, binary, tmp_path):
+    need_gmsh()
+    import gmsh
+
+    gmsh.initialize(["gmsh"], readConfigFiles=False, interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.model.occ.addCylinder(0, 0, 0, 6, 0, 0, 1)
+        gmsh.model.occ.synchronize()
+        gmsh.model.setPhysicalName(3, gmsh.model.addPhysicalGroup(3, [1], 5), "rod")
+        gmsh.model.mesh.generate(3)
+        options = {"Mesh.MshFileVersion": version, "Mesh.Binary": binary}
+        for name, value in options.items():
+            gmsh.option.setNumber(name, value)
+        for name, parametric in (("plain.msh", 0), ("parametric.msh", 1)):
+            gmsh.option.setNumber("Mesh.SaveParametric", parametric)
+            gmsh.write(str(tmp_path / name))
+    finally:
+        gmsh.finalize()
+    script = (tmp_path / "plain.msh").read_bytes() + b'Show "*";\n//+\nHide "*";\n'
+    (tmp_path / "script.msh").write_bytes(script)
+    plain, *others = (read_solid_mesh(tmp_path / name)
+                      for name in ("plain.msh", "script.msh", "parametric.msh"))  # fmt: skip
+    for other in others:
+        assert other.mesh.volume == pytest.approx(plain.mesh.volume, rel=1e-12)
+        assert other.mesh.cell_count == plain.mesh.cell_count == len(other.parts.region("rod"))

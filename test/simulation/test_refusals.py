@@ -188,6 +188,8 @@ REFUSED = {
         ({"body.fixed": [{"box": FAR}]}, "body.fixed[0] =", "holds no node"),
         ({"body.fixed": [{"nodes": [0, 1, 10**6]}]}, "body.fixed[0].nodes =", "nodes 0 to"),
         ({"cables.1.points": [[-0.15, 0.0, 0.045]]}, "cables[1].points[0] =", "mm outside the body"),
+        ({"effectors.0.points": [[-0.15, 0.0, 0.045]]}, "effectors[0].points[0] =",
+         "several points count by their mean"),
     ],
     "inflatable": [
         *(({f"cavities.0.{key}": value for key, value in entries.items()}, f"cavities[0]{place}", why)

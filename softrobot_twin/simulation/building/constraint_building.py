@@ -67,7 +67,11 @@ def effector_term(layout: Layout, notes: list[str]):
     """
     effectors, orientations = [], []
     for index, (key, effector) in enumerate(layout.scene.keyed("effectors")):
-        points = layout.carried(effector.body, effector.points, f"{key}.points", notes)
+        points = layout.carried(
+            effector.body, effector.points, f"{key}.points", notes,
+            remedy="; several points count by their mean: for a place in a hollow part, give points "
+            "on the material around it",
+        )  # fmt: skip
         carriers = points.nodes[points.barycentric_weights != 0.0]
         if not layout.scene.slides and (layout.nodes.free_index[carriers] < 0).all():
             notes.append(f"{key} ({effector.name}) lies wholly in what is fixed or guided: "

@@ -753,7 +753,7 @@ def _is_held(mesh, fixed: np.ndarray, key: str, scene: Scene, cut: str) -> bool:
 
 def carry(
     body: Body, points, key: str, scene: Scene, notes: list[str], spread_radius: float = 0.0,
-    numbers=None,
+    numbers=None, remedy: str = "",
 ) -> BarycentricMapping:
     """Map points onto the body.
 
@@ -765,6 +765,7 @@ def carry(
         notes: List to which one warning for all snapped points is appended.
         spread_radius: Each point moves as the mean of the body within this radius of it [m].
         numbers: Places of the points in the list of the entry; None where they are all of it.
+        remedy: What else can be done about a point that is too far away, for the error.
 
     Returns:
         The mapping; with a radius its points lie at the means.
@@ -782,7 +783,7 @@ def carry(
             raise scene.error(place, stated,
                               f"lies {1e3 * distance:.2f} mm outside the body; points must be on it "
                               f"(within {1e3 * SNAP_SHARE * body.size:.2f} mm they are snapped to "
-                              "its surface)" + size_hint(body.size), unit="m")
+                              f"its surface){remedy}" + size_hint(body.size), unit="m")
         if distance > ON_BODY * body.size:
             snapped.append((distance, f"{place} = {stated} m"))
     if len(snapped) == 1:

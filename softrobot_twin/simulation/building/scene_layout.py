@@ -90,7 +90,7 @@ def build_shape(entry, scene: Scene, notes: list[str], shift=(0.0, 0.0, 0.0)):
         return shapes.Box(shift + entry.centre, np.array(entry.size), rotation)
     return read_solid_surface(
         scene.file_path(entry.file), scale=entry.scale, rotation=entry.rotation,
-        translation=shift + entry.translation, notes=notes,
+        translation=shift + entry.translation, notes=notes, hull=entry.hull,
     )  # fmt: skip
 
 
@@ -382,7 +382,8 @@ class Layout(NamedTuple):
         return next(b for b in (*self.bodies, *self.rigid, *self.beams) if b.name == name)
 
     def carried(
-        self, name: str | None, points, key: str, notes: list[str], spread_radius: float = 0.0
+        self, name: str | None, points, key: str, notes: list[str], spread_radius: float = 0.0,
+        remedy: str = "",
     ) -> BarycentricMapping:
         """Map points onto a body.
 
@@ -392,6 +393,7 @@ class Layout(NamedTuple):
             key: Scene entry of the points, for errors.
             notes: List to which a warning for each snapped point is appended.
             spread_radius: See `carry`.
+            remedy: See `carry`.
 
         Returns:
             The mapping.
@@ -401,7 +403,7 @@ class Layout(NamedTuple):
         """
         body = self.body_named(name)
         if isinstance(body, Body):
-            return carry(body, points, key, self.scene, notes, spread_radius)
+            return carry(body, points, key, self.scene, notes, spread_radius, remedy=remedy)
         return body.carried(points)
 
     def bodies_of(self, entry) -> list:

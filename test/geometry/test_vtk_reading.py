@@ -11,7 +11,7 @@ import pytest
 from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.mesh_reading import read_mesh_file, read_solid_mesh
 from softrobot_twin.geometry.surface_reading import read_solid_surface
-from softrobot_twin.geometry.vtu_reading import MOST_UNPACKED, read_vtu
+from softrobot_twin.geometry.vtk_reading import MOST_UNPACKED, read_vtk_xml
 
 HEAD = ('<VTKFile type="UnstructuredGrid" version="0.1" byte_order="{order}" '
         'header_type="{header}"{compressor}>')  # fmt: skip
@@ -61,7 +61,7 @@ def test_arrays_are_read_in_every_form_that_vtk_writes(header, order, compressor
     raw = f'{text}<AppendedData encoding="{form}">_'.encode() + appended + b"</AppendedData>"
     path = tmp_path / "body.vtu"
     path.write_bytes((text.encode() if form == "binary" else raw) + b"</VTKFile>")
-    found = read_vtu(str(path))
+    found = read_vtk_xml(str(path))
     np.testing.assert_array_equal(found.points, points)
     assert [block.type for block in found.cells] == ["triangle", "tetra"]
     np.testing.assert_array_equal(found.cells[1].data, [[2, 3, 4, 5], [1, 2, 3, 4]])

@@ -1,7 +1,7 @@
-"""Reading of VTK XML files (.vtu), whose arrays may be compressed, in bounded time and memory.
+"""Reading of VTK files: XML (.vtu, .vtp), whose arrays may be compressed, and legacy (.vtk).
 
 A compressed array of a few bytes can stand for gigabytes. Each array is unpacked only as far as all
-arrays together remain below `MOST_UNPACKED`.
+arrays together remain below `MOST_UNPACKED`; meshio has no such bound, and reads no POLYDATA.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 import meshio
+import meshio.vtk
 import numpy as np
 
 MOST_UNPACKED = 64_000_000
@@ -31,29 +32,86 @@ _CELLS = {1: ("vertex", 1), 3: ("line", 2), 5: ("triangle", 3), 9: ("quad", 4), 
           22: ("triangle6", 6), 23: ("quad8", 8), 24: ("tetra10", 10), 25: ("hexahedron20", 20),
           26: ("wedge15", 15), 27: ("pyramid13", 13), 28: ("quad9", 9),
           29: ("hexahedron27", 27)}  # fmt: skip
+_POLYGON = 7
+# Numbers in legacy files of polygons; they are big-endian.
+_LEGACY_TYPES = {b"float": ">f4", b"double": ">f8", b"int": ">i4", b"long": ">i8",
+                 b"vtktypeint32": ">i4", b"vtktypeint64": ">i8", b"vtkidtype": ">i4"}  # fmt: skip
 _DECOMPRESSORS: dict[str, Callable[[], Any]] = {
     "vtkZLibDataCompressor": zlib.decompressobj,
     "vtkLZMADataCompressor": lambda: lzma.LZMADecompressor(memlimit=MOST_UNPACKED),
 }
 
 
-def read_vtu(path: str) -> meshio.Mesh:
-    """Reads nodes, cells and the numbers of cells of an unstructured grid.
+def read_vtk_xml(path: str) -> meshio.Mesh:
+    """Reads nodes, cells and the numbers of cells of an unstructured grid or of polygons.
 
     Args:
         path: File to read: its arrays as text, base64 or raw, compressed by zlib, LZMA or not.
 
     Returns:
-        The content, one block of cells for each kind of cell, in the order of VTK's numbers.
+        The content, one block of cells for each kind of cell, in the order of VTK's numbers;
+        polygons of each number of corners are a block.
 
     Raises:
-        ValueError: The file is no unstructured grid, is damaged, or unpacks to more than
-            `MOST_UNPACKED`.
+        ValueError: The file is neither, is damaged, or unpacks to more than `MOST_UNPACKED`.
     """
-    return _VtuFile(Path(path).read_bytes()).content()
+    return _XmlFile(Path(path).read_bytes()).content()
 
 
-class _VtuFile:
+def read_legacy_vtk(path: str) -> meshio.Mesh:
+    """Reads a legacy file: POLYDATA here, all else by meshio.
+
+    Args:
+        path: File to read, as text or binary.
+
+    Returns:
+        The content.
+
+    Raises:
+        Exception: The file is damaged, or its polygons are stored as strips.
+    """
+    raw = Path(path).read_bytes()
+    if re.search(rb"^\s*DATASET\s+POLYDATA", raw[:2048], re.M | re.I) is None:
+        return meshio.vtk.read(path)
+    is_text = re.search(rb"^\s*ASCII\s*$", raw[:2048], re.M | re.I) is not None
+
+    def section(words: bytes, start: int = 0) -> re.Match[bytes]:
+        found = re.compile(rb"^\s*" + words + rb"[^\n]*\n", re.M | re.I).search(raw, start)
+        if found is None:
+            raise ValueError(f"it has no {words.split(bytes([92]))[0].decode()}")
+        return found
+
+    def numbers(start: int, count: int, kind: str) -> np.ndarray:
+        if not is_text:
+            return np.frombuffer(raw, kind, count, start).astype(kind[1:])
+        found = raw[start:].split(None, count)[:count]
+        if len(found) < count:
+            raise ValueError(f"it ends before {count} numbers")
+        return np.array(found).astype(kind[1:])
+
+    if re.search(rb"^\s*TRIANGLE_STRIPS\s", raw, re.M | re.I):
+        raise ValueError("it has strips of triangles, which are not read; write polygons")
+    head = section(rb"POINTS\s+(\d+)\s+(\w+)")
+    points = numbers(head.end(), 3 * int(head[1]), _LEGACY_TYPES[head[2].lower()])
+    head = section(rb"POLYGONS\s+(\d+)\s+(\d+)", head.end())
+    count, size = int(head[1]), int(head[2])
+    if re.match(rb"\s*OFFSETS", raw[head.end() :], re.I):  # version 5
+        ends = section(rb"OFFSETS\s+(\w+)", head.start())
+        nodes = section(rb"CONNECTIVITY\s+(\w+)", ends.end())
+        ends = numbers(ends.end(), count, _LEGACY_TYPES[ends[1].lower()])[1:]
+        nodes = numbers(nodes.end(), size, _LEGACY_TYPES[nodes[1].lower()])
+    else:  # each polygon begins with its number of corners
+        rows, starts = numbers(head.end(), size, ">i4"), [0]
+        for _ in range(count):
+            starts.append(starts[-1] + 1 + max(0, int(rows[starts[-1]])))
+        nodes, ends = np.delete(rows, starts[:-1]), np.array(starts[1:]) - np.arange(1, count + 1)
+    if len(ends) and ends[-1] > len(nodes):
+        raise ValueError("its polygons have more corners than it states")
+    rows = _rows(np.full(len(ends), _POLYGON), nodes.astype(np.int64), ends.astype(np.int64))
+    return meshio.Mesh(points.reshape(-1, 3), [(_name(kind), own) for kind, _, own in rows])
+
+
+class _XmlFile:
     """A file, and how much of it may still be unpacked."""
 
     def __init__(self, text: bytes):
@@ -67,9 +125,10 @@ class _VtuFile:
             self._raw = text[opening.end() : end].partition(b"_")[2]
             text = text[: opening.end()] + text[end:]
         root = ElementTree.fromstring(text)
-        grid = root.find("UnstructuredGrid")
+        self._has_polygons = root.find("PolyData") is not None
+        grid = root.find("PolyData" if self._has_polygons else "UnstructuredGrid")
         if root.tag != "VTKFile" or grid is None:
-            raise ValueError("it is no UnstructuredGrid")
+            raise ValueError("it is no UnstructuredGrid and no PolyData")
         self._pieces = grid.findall("Piece")
         if not self._pieces:
             raise ValueError("it has no Piece")
@@ -85,26 +144,28 @@ class _VtuFile:
         self._left = MOST_UNPACKED
 
     def content(self) -> meshio.Mesh:
-        points, rows, numbers = [], dict[int, list[np.ndarray]](), dict[str, dict[int, list]]()
+        points, rows, numbers = [], dict[tuple, list[np.ndarray]](), dict[str, dict[tuple, list]]()
         first = 0
         for piece in self._pieces:
             places = self._arrays(piece, "Points")
             if len(places) != 1:
                 raise ValueError("a Piece has no Points")
             points.append(next(iter(places.values())).reshape(-1, 3))
-            cells = self._arrays(piece, "Cells")
+            if int(piece.get("NumberOfStrips") or 0):
+                raise ValueError("it has strips of triangles, which are not read; write polygons")
+            cells = self._arrays(piece, "Polys" if self._has_polygons else "Cells")
+            if self._has_polygons:
+                cells["types"] = np.full(len(cells.get("offsets", ())), _POLYGON)
             if not {"connectivity", "offsets", "types"} <= cells.keys():
                 raise ValueError("Cells need connectivity, offsets and types")
             nodes, ends = (cells[name].ravel().astype(np.int64)
                            for name in ("connectivity", "offsets"))  # fmt: skip
             types = cells["types"].ravel().astype(np.int64)
-            if len(ends) != len(types) or (np.diff(ends, prepend=0) < 0).any() or (
-                    len(ends) and ends[-1] > len(nodes)):  # fmt: skip
-                raise ValueError("the offsets of its cells fit neither types nor connectivity")
-            of_cells = self._arrays(piece, "CellData")
-            for kind in np.unique(types).tolist():
-                own = np.flatnonzero(types == kind)
-                rows.setdefault(kind, []).append(first + _rows(kind, own, nodes, ends))
+            of_cells = {} if self._has_polygons else self._arrays(piece, "CellData")
+            if len(ends) != len(types):
+                raise ValueError("it has not as many offsets as types of cells")
+            for kind, own, corners in _rows(types, nodes, ends):
+                rows.setdefault(kind, []).append(first + corners)
                 for name, values in of_cells.items():
                     if len(values) == len(types):
                         numbers.setdefault(name, {}).setdefault(kind, []).append(values[own])
@@ -224,18 +285,26 @@ class _Base64:
 _Bytes = _Base64 | _Raw
 
 
-def _rows(kind: int, own: np.ndarray, nodes: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """Nodes of the cells of a kind, shape (cell_count, nodes_per_cell)."""
-    if kind == 7:  # polygons have any number of nodes; only their number is told
-        return np.zeros((len(own), 3), np.int64)
-    width = _CELLS[kind][1] if kind in _CELLS else 0
-    starts = np.concatenate([[0], ends[:-1]])[own]
-    if width == 0 or (ends[own] - starts != width).any():
-        what = f"cells of VTK's type {kind}"
-        raise ValueError(f"its {what} have other than {width} nodes" if width
-                         else f"it has {what}, which are not read")  # fmt: skip
-    return nodes[starts[:, None] + np.arange(width)]
+def _rows(
+    types: np.ndarray, nodes: np.ndarray, ends: np.ndarray
+) -> list[tuple[tuple[int, int], np.ndarray, np.ndarray]]:
+    """Kind and width, numbers, and nodes of the cells of each kind, polygons by their width."""
+    widths = np.diff(ends, prepend=0)
+    if (widths < 0).any() or (len(ends) and ends[-1] > len(nodes)):
+        raise ValueError("the offsets of its cells do not fit its connectivity")
+    rows = []
+    for kind, width in sorted(set(zip(types.tolist(), widths.tolist(), strict=True))):
+        known = width if kind == _POLYGON else _CELLS.get(kind, ("", 0))[1]
+        if width == 0 or width != known:
+            what = f"cells of VTK's type {kind}"
+            raise ValueError(f"its {what} have other than {known} nodes" if known
+                             else f"it has {what}, which are not read")  # fmt: skip
+        own = np.flatnonzero((types == kind) & (widths == width))
+        rows.append(((kind, width), own, nodes[(ends[own] - width)[:, None] + np.arange(width)]))
+    return rows
 
 
-def _name(kind: int) -> str:
-    return "polygon" if kind == 7 else _CELLS[kind][0]
+def _name(kind: tuple[int, int]) -> str:
+    if kind[0] == _POLYGON:
+        return {3: "triangle", 4: "quad"}.get(kind[1], "polygon")
+    return _CELLS[kind[0]][0]
