@@ -105,3 +105,24 @@ def one_line(error: Exception) -> str:
         error: The exception.
     """
     return " ".join(str(error).split())
+
+
+MOST_SHOWN = 4000
+"""Most characters of a text from outside that are shown."""
+
+
+def printable(text: str) -> str:
+    """A text in which nothing moves the cursor, colours, begins a line or has no encoding.
+
+    Such characters become escapes, ``\\x1b``: names from a network or a file may have them, and could
+    forge lines of a log.
+
+    Args:
+        text: The text; what is beyond `MOST_SHOWN` characters is cut off.
+    """
+    shown = text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]}…"
+    if shown.isprintable():
+        return shown
+    return "".join(
+        one if one.isprintable() else one.encode("unicode_escape").decode() for one in shown
+    )

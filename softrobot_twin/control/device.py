@@ -23,6 +23,8 @@ OUTSIDE_SHARE = 0.1
 """A measured setpoint may be outside the limits by this share of the travel."""
 OUTSIDE_SHARE_OF_REST = 0.01
 """It may be outside them by this share of the setpoint at rest, if that is more."""
+OUTSIDE_SCALES = 1.0e6
+"""An actuator without a limit is measured this many of its scales from where it is at rest at most."""
 
 PAST = 1024
 """Measurements that are kept, to tell the setpoints when a camera saw the robot."""
@@ -163,8 +165,16 @@ class ImplausibleSetpoint(NamedTuple):
     unit: str = "m"
 
     def __str__(self) -> str:
+        return self.in_words("measures")
+
+    def in_words(self, verb: str) -> str:
+        """The setpoint and what is accepted.
+
+        Args:
+            verb: Stands between the actuator and its value.
+        """
         return (
-            f"{self.name} measures {self.value:.6g} {self.unit}, accepted are {self.low:.6g} to "
+            f"{self.name} {verb} {self.value:.6g} {self.unit}, accepted are {self.low:.6g} to "
             f"{self.high:.6g} {self.unit}"
         )
 
@@ -173,7 +183,8 @@ class MeasuredSetpoints(ActuatorInput):
     """Keeps the newest setpoints of a device; refuses those that no actuator of the scene can have.
 
     Accepted is the range of the limits, extended by a tenth of the travel or a hundredth of the
-    setpoint at rest, of a pressure of its scale, because the zero of a sensor is never exact. The
+    setpoint at rest, of a pressure of its scale, because the zero of a sensor is never exact; where
+    there is no limit, `OUTSIDE_SCALES` of the actuator's scale. The
     length of a cable and the volume of a cavity cannot be negative, nor a pressure below vacuum.
 
     All actuators come in one message, or the cavities whose pressure is commanded in messages of
@@ -202,9 +213,11 @@ class MeasuredSetpoints(ActuatorInput):
         settings: LoopSettings, units: Sequence[str] = (), vacuum: float = -np.inf,
     ):
         by_effort = limits.is_effort_driven
-        whole = np.where(by_effort, limits.effort_scale, np.abs(rest_setpoints))
-        beyond = np.maximum(OUTSIDE_SHARE * limits.travel(0.0), OUTSIDE_SHARE_OF_REST * whole)
+        beyond = zero_errors(limits, rest_setpoints)
         low, high = limits.setpoint_range(rest_setpoints)
+        far = OUTSIDE_SCALES * limits.drive_scale
+        low = np.where(np.isfinite(low), low, rest_setpoints - far)
+        high = np.where(np.isfinite(high), high, rest_setpoints + far)
         # Positions of slides and angles may be negative, lengths and volumes not.
         is_angle = np.array([unit == "rad" for unit in units] or [False] * len(low), bool)
         least = np.where(names.by_position | is_angle, -np.inf, 0.0)
@@ -318,21 +331,32 @@ class MeasuredSetpoints(ActuatorInput):
         self._measured = np.where(named, measured, self._measured)
         self.setpoints = None if np.isnan(self._measured).any() else self._measured
 
+    def implausible_of(self, setpoints: np.ndarray) -> ImplausibleSetpoint | None:
+        """The first of some setpoints that its actuator cannot have; NaN is none.
+
+        Args:
+            setpoints: In the unit of each actuator's kind, shape (actuator_count,).
+        """
+        wrong = np.flatnonzero((setpoints < self._low) | (setpoints > self._high))
+        if not len(wrong):
+            return None
+        place = int(wrong[0])
+        return ImplausibleSetpoint(
+            self._actuator_names[place], float(setpoints[place]), float(self._low[place]),
+            float(self._high[place]), self._units[place],
+        )  # fmt: skip
+
     def _find_implausible(self, measured: np.ndarray, source: str) -> bool:
-        """Looks for a setpoint that is not accepted; NaN is none.
+        """Whether a setpoint is not accepted, which is kept; see `implausible_of`.
 
         Args:
             measured: Setpoints, shape (actuator_count,).
             source: What the message is about, by which the next one is recognised.
         """
-        wrong = np.flatnonzero((measured < self._low) | (measured > self._high))
-        if len(wrong):
-            place = int(wrong[0])
-            self._implausible[source] = ImplausibleSetpoint(
-                self._actuator_names[place], float(measured[place]), float(self._low[place]),
-                float(self._high[place]), self._units[place],
-            )  # fmt: skip
-        return bool(len(wrong))
+        found = self.implausible_of(measured)
+        if found is not None:
+            self._implausible[source] = found
+        return found is not None
 
     def _refusal_of_values(
         self, order: NameOrder, count: int, setpoints: np.ndarray, efforts: np.ndarray
@@ -343,6 +367,17 @@ class MeasuredSetpoints(ActuatorInput):
             return refusal
         measured = order.values(setpoints) + order.offsets
         return Refusal.OUT_OF_RANGE if self._find_implausible(measured, _OF_ALL) else None
+
+
+def zero_errors(limits: ActuatorLimits, rest_setpoints: np.ndarray) -> np.ndarray:
+    """How far the zeros of sensors may be off, in the unit of each kind, shape (actuator_count,).
+
+    Args:
+        limits: Limits of the actuators.
+        rest_setpoints: Setpoints at rest, in the unit of each actuator's kind, same shape.
+    """
+    whole = np.where(limits.is_effort_driven, limits.effort_scale, np.abs(rest_setpoints))
+    return np.maximum(OUTSIDE_SHARE * limits.travel(0.0), OUTSIDE_SHARE_OF_REST * whole)
 
 
 def _noise(limits: ActuatorLimits) -> np.ndarray:

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.control.inputs import PoseInput
+from softrobot_twin.control.inputs import PoseInput, refusal_of_pose
+from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.appearance import Pose
 
+FARTHEST = 1000.0
+"""Where the workspace has no end, a body was sent this many sizes of the robot from rest at most."""
+BEYOND_SHARE = 0.1
+"""A body was sent this share of the workspace beyond it at most."""
 # Tolerance of positions relative to the robot's size, and of rotations [rad].
 _NEAR = 1.0e-6
 
@@ -40,6 +45,27 @@ class Guidance:
             return {}
         poses = self._simulation.poses()
         return {name: poses[name] for name in self._names}
+
+    def why_implausible(self, name: str, pose: Pose, settings: LoopSettings) -> str:
+        """Why a body cannot have been sent to a pose; empty where it can.
+
+        Args:
+            name: Name of the body.
+            pose: The pose.
+            settings: With the workspace.
+        """
+        if name not in self._home:
+            return "the scene has no such guided body"
+        if (refusal := refusal_of_pose(pose)) is not None:
+            return f"its pose is {refusal.value}"
+        home = self._home[name].position
+        far = FARTHEST * self._simulation.model.nodes.finite_size
+        low, high = (np.clip(end, home - far, home + far)
+                     for end in (settings.workspace_min, settings.workspace_max))
+        beyond = BEYOND_SHARE * (high - low)
+        low, high = np.minimum(low, home) - beyond, np.maximum(high, home) + beyond
+        is_inside = ((pose.position >= low) & (pose.position <= high)).all()
+        return "" if is_inside else f"its position {pose.position} m is far beyond the workspace"
 
     def send(self, time_step: float) -> dict[str, Pose]:
         """Poses to publish: those of the model, limited by the greatest speeds.

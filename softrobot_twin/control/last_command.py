@@ -1,7 +1,8 @@
 """The last command of a twin without a device, in a file that outlives its process.
 
 Without a device nobody measures where the robot is. A twin that is started again continues from the
-command that the hardware got last, whatever ended the twin before. A thread writes the file, and
+command that the hardware got last, whatever ended the twin before. The file also tells the setpoints
+at rest, by which a file of another robot is known. A thread writes the file, and
 the loop never waits. It is not forced to the disk: a loss of power may cost the last seconds.
 """
 
@@ -18,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from softrobot_twin.control.device import zero_errors
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.appearance import Pose
 
@@ -54,6 +56,7 @@ class LastCommand:
         path: The file, below ``$XDG_STATE_HOME/softrobot_twin`` or
             ``~/.local/state/softrobot_twin``. Its name holds a digest of topic and actuators.
         failure: Why nothing is kept; empty while it is.
+        refusal: Why the file was not used when it was read last; empty where it was, or is none.
     """
 
     def __init__(self, simulation: Simulation, topic: str):
@@ -63,18 +66,24 @@ class LastCommand:
         home = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
         digest = hashlib.sha256(told.encode()).hexdigest()[:16]
         self.path = Path(home) / "softrobot_twin" / f"last_command_{digest}.json"
-        self.failure = ""
+        self.failure = self.refusal = ""
+        self._rest = simulation.rest_setpoints
+        self._zero_errors = zero_errors(simulation.limits, self._rest)
         self._newest: tuple | None = None
         self._changed, self._is_pending, self._ends = threading.Condition(), False, False
         self._thread: threading.Thread | None = None
 
     def read(self) -> StoredCommand | None:
-        """What was sent last, by this twin or another one.
+        """What was sent last, by this twin or another one; see also `refusal`.
+
+        A file of another robot, whose setpoints at rest differ by more than the zero of a sensor may,
+        is not used. Whether the model allows the setpoints themselves, the loop judges.
 
         Returns:
             None where nothing is known, what is there cannot be used, or an own command could not
             be written: the file holds an older one then, and the twin itself knows the last one.
         """
+        self.refusal = ""
         with self._changed:
             is_written = self._changed.wait_for(
                 lambda: self.failure or not self._is_pending, LONGEST_WRITE
@@ -84,17 +93,27 @@ class LastCommand:
         try:
             with self.path.open("rb") as file:
                 values = json.loads(file.readline(100_000))
-            setpoints, efforts = (np.array(values[key], float) for key in ("setpoints", "efforts"))
+            setpoints, efforts, rest = (
+                np.array(values[key], float) for key in ("setpoints", "efforts", "rest"))
             poses = {name: Pose(*(np.array(part, float) for part in values["poses"][name]))
                      for name in self._guided}  # fmt: skip
-        except (OSError, ValueError, TypeError, KeyError, RecursionError):
+        except FileNotFoundError:
             return None
-        count = len(self._names)
-        fits = setpoints.shape == efforts.shape == (count,) and all(
-            pose.position.shape == (3,) and pose.quaternion.shape == (4,) for pose in poses.values()
-        )
-        numbers = [setpoints, efforts, *(part for pose in poses.values() for part in pose)]
-        if not fits or not all(np.isfinite(part).all() for part in numbers):
+        except OSError as error:
+            self.refusal = f"{self.path}: {error.strerror}"
+            return None
+        except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
+            self.refusal = f"{self.path}: damaged, or of another version"
+            return None
+        if not setpoints.shape == efforts.shape == rest.shape == self._rest.shape:
+            self.refusal = f"{self.path}: its commands have another number of actuators"
+            return None
+        # A comparison with NaN is false, so what is not a number is not alike.
+        apart = np.flatnonzero(~(np.abs(rest - self._rest) <= self._zero_errors))
+        if len(apart):
+            first = apart[0]
+            self.refusal = (f"{self.path}: of another robot: {self._names[first]} is at "
+                            f"{rest[first]:.6g} at rest there, and at {self._rest[first]:.6g} here")
             return None
         return StoredCommand(setpoints, efforts, poses)
 
@@ -131,7 +150,7 @@ class LastCommand:
         try:
             while (newest := self._take()) is not None:
                 # One call writes the whole line: a process that dies leaves the old or the new.
-                os.pwrite(file, _line(*newest), 0)
+                os.pwrite(file, self._line(*newest), 0)
                 time.sleep(WRITE_PAUSE)
         except OSError as error:
             self._fail(error)
@@ -152,11 +171,10 @@ class LastCommand:
             self.failure = f"{self.path}: {error.strerror}"
             self._changed.notify_all()
 
-
-def _line(setpoints, efforts, poses) -> bytes:
-    """A command as one line of JSON."""
-    values = {
-        "setpoints": setpoints.tolist(), "efforts": efforts.tolist(),
-        "poses": {name: [part.tolist() for part in pose] for name, pose in poses.items()},
-    }  # fmt: skip
-    return json.dumps(values).encode() + b"\n"
+    def _line(self, setpoints, efforts, poses) -> bytes:
+        """A command as one line of JSON."""
+        values = {
+            "setpoints": setpoints.tolist(), "efforts": efforts.tolist(), "rest": self._rest.tolist(),
+            "poses": {name: [part.tolist() for part in pose] for name, pose in poses.items()},
+        }  # fmt: skip
+        return json.dumps(values).encode() + b"\n"

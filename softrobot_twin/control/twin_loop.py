@@ -17,7 +17,7 @@ from softrobot_twin.control.cavity_pressures import (
     PressureInput,
 )
 from softrobot_twin.control.command_gate import ActuatorCommand
-from softrobot_twin.control.device import DeviceWatch, MeasuredSetpoints
+from softrobot_twin.control.device import OUTSIDE_SCALES, DeviceWatch, MeasuredSetpoints
 from softrobot_twin.control.dynamic_control import DynamicControl
 from softrobot_twin.control.engagement import Activity, Engagement
 from softrobot_twin.control.force_observer import ForceObserver
@@ -524,19 +524,38 @@ class TwinLoop:
             self._engagement.give_up(f"{in_a_row} ticks in a row failed: {failure}")
         return self.last_command
 
-    def continue_from(self, setpoints, efforts, poses: Mapping[str, Sequence]) -> None:
+    def continue_from(self, setpoints, efforts, poses: Mapping[str, Sequence]) -> str:
         """Takes what was sent last before this loop for its own last command.
 
-        The model moves there before anything is published.
+        It is checked like a measurement: see `MeasuredSetpoints`. A guided body may be as far beyond
+        the workspace as a tenth of it. The model moves there before anything is published.
 
         Args:
             setpoints: In the unit of each actuator's kind, shape (actuator_count,).
             efforts: In the unit of each actuator's kind, same shape.
             poses: Position [m] and quaternion (x, y, z, w) of each guided body, by name.
+
+        Returns:
+            Why it is not used; empty where it is.
         """
-        self._engagement.gate.start_from(setpoints, efforts)
-        for name, pose in poses.items():
-            self._guidance.sent[name] = Pose(*(np.array(part, float) for part in pose))
+        limits, count = self.simulation.limits, len(self.simulation.actuator_names)
+        setpoints, efforts = np.array(setpoints, float), np.array(efforts, float)
+        if not setpoints.shape == efforts.shape == (count,):
+            return f"it is not of {count} actuators"
+        if not (np.isfinite(setpoints).all() and np.isfinite(efforts).all()):
+            return "it has numbers that are not finite"
+        if (implausible := self.device.implausible_of(setpoints)) is not None:
+            return f"it cannot be of this robot: {implausible.in_words('was')}"
+        found = {name: Pose(*(np.array(part, float) for part in pose)) for name, pose in poses.items()}
+        for name, pose in found.items():
+            if why := self._guidance.why_implausible(name, pose, self.settings):
+                return f"{name}: {why}"
+        most = OUTSIDE_SCALES * limits.effort_scale
+        self._engagement.gate.start_from(setpoints, np.clip(efforts, -most, most))
+        for name, pose in found.items():
+            turn = pose.quaternion / np.linalg.norm(pose.quaternion)
+            self._guidance.sent[name] = pose._replace(quaternion=turn)
+        return ""
 
     def give_up(self, reason: str) -> None:
         """Publishes no command from the next tick on, and says why until it is enabled.

@@ -1,13 +1,15 @@
 """Whose topics these are: only one twin may command the hardware on a topic.
 
 Each twin says several times a second that it lives. A twin that crashed says nothing more, while the
-middleware lists its publishers for another 20 s.
+middleware lists its publishers for another 20 s. Who says so without a publisher of commands is no
+rival: the graph tells that nobody but this twin can command.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import re
 import socket
 import threading
 import time
@@ -19,6 +21,7 @@ from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
 
+from softrobot_twin.errors import printable
 from softrobot_twin.ros.topics import CLAIM
 
 BEAT_PERIOD = 0.2
@@ -29,6 +32,11 @@ _SAME_AGE = 1.0
 """Of twins whose ages differ by less [s], an order by name decides."""
 _MOST_BYTES = 1000
 """A larger message is no beat, and is not read."""
+_MOST_LETTERS, _GREATEST_AGE = 500, 1.0e9
+"""Of a beat: most letters of its name, and greatest age [s]."""
+MOST_RIVALS = 16
+"""Rivals that are remembered; further ones are not heard until one of these is silent."""
+_IS_IDENTITY = re.compile("[0-9a-f]{32}").fullmatch
 
 
 class Rival(NamedTuple):
@@ -49,6 +57,42 @@ class Rival(NamedTuple):
     is_enabled: bool
 
 
+class Beat(NamedTuple):
+    """What a twin says of itself.
+
+    Attributes:
+        identity: Its own, 32 hexadecimal digits.
+        name: Its full name, its process and its machine.
+        age: Time since it began [s].
+        is_enabled: Whether it publishes commands.
+    """
+
+    identity: str
+    name: str
+    age: float
+    is_enabled: bool
+
+    @classmethod
+    def of(cls, text: str) -> Beat | None:
+        """The beat that a text states; None where no twin can have written it.
+
+        Args:
+            text: The text.
+        """
+        try:
+            beat = cls(*json.loads(text))
+        except (ValueError, TypeError, RecursionError):
+            return None
+        identity, name, age, is_enabled = beat
+        is_one = (
+            isinstance(identity, str) and bool(_IS_IDENTITY(identity))
+            and isinstance(name, str) and name.isprintable() and len(name) <= _MOST_LETTERS
+            and isinstance(age, (int, float)) and 0.0 <= age <= _GREATEST_AGE
+            and isinstance(is_enabled, bool)
+        )  # fmt: skip
+        return beat if is_one else None
+
+
 class TopicClaim:
     """Claims a topic for a twin, and hears who else does.
 
@@ -63,8 +107,8 @@ class TopicClaim:
     def __init__(self, node: Node, topic: str):
         self.topic, self._node = topic, node
         self.is_enabled: Callable[[], bool] = lambda: False
-        self._name = (f"{node.get_fully_qualified_name()} (process {os.getpid()} on "
-                      f"{socket.gethostname()})")  # fmt: skip
+        self._name = printable(f"{node.get_fully_qualified_name()} (process {os.getpid()} on "
+                               f"{socket.gethostname()})")[:_MOST_LETTERS]  # fmt: skip
         self._identity, self._began = uuid.uuid4().hex, time.monotonic()
         self.rivals: dict[str, Rival] = {}
         # Neither is a topic of the run: they are not recorded.
@@ -79,7 +123,7 @@ class TopicClaim:
     def _beat(self) -> None:
         while not self._ends.wait(BEAT_PERIOD):
             age = time.monotonic() - self._began
-            beat = [self._identity, self._name, age, bool(self.is_enabled())]
+            beat = Beat(self._identity, self._name, age, bool(self.is_enabled()))
             try:
                 self._publisher.publish(String(data=json.dumps(beat)))
             except Exception:  # noqa: BLE001 - the node ends
@@ -89,16 +133,16 @@ class TopicClaim:
         if len(content) > _MOST_BYTES or self._identity.encode() in content:
             return  # It is no beat, or an own one.
         try:
-            beat = deserialize_message(content, String).data
-            identity, name, age, is_enabled = json.loads(beat)
-            age = float(age)
-        except (ValueError, TypeError, RuntimeError, RecursionError):
-            return  # It is not from a twin.
-        if not isinstance(identity, str):
+            text = deserialize_message(content, String).data
+        except Exception:  # noqa: BLE001 - whatever cannot be read is no beat
+            return
+        if (beat := Beat.of(text)) is None:
             return
         now = time.monotonic()
         self._forget_dead(now)
-        self.rivals[identity] = Rival(now, now - age, str(name), identity, bool(is_enabled))
+        if beat.identity in self.rivals or len(self.rivals) < MOST_RIVALS:
+            self.rivals[beat.identity] = Rival(
+                now, now - beat.age, beat.name, beat.identity, beat.is_enabled)
 
     def _forget_dead(self, now: float) -> None:
         self.rivals = {
@@ -106,13 +150,13 @@ class TopicClaim:
         }  # fmt: skip
 
     def listen(self) -> None:
-        """Hears for `LIFE_TIME` who else lives, where the graph knows of others.
+        """Hears for `LIFE_TIME` who else lives and can command, where the graph knows of others.
 
         Called before the first tick, while no executor runs.
         """
         end = time.monotonic() + LIFE_TIME
         others = self._node.count_publishers(self.claimed_on) > 1
-        while others and not self.rivals and time.monotonic() < end:
+        while others and self.is_alone and time.monotonic() < end:
             taken = self._subscription.handle.take_message(String, True)
             if taken is None:
                 time.sleep(0.02)
@@ -126,9 +170,14 @@ class TopicClaim:
 
     @property
     def is_alone(self) -> bool:
-        """Whether no other twin on this topic lives."""
+        """Whether no other twin that can command on this topic lives."""
+        return not self._living()
+
+    def _living(self) -> list[Rival]:
+        """The rivals that live, where another node than this one publishes commands."""
         self._forget_dead(time.monotonic())
-        return not self.rivals
+        has_publishers = bool(self.rivals) and self._node.count_publishers(self.topic) > 1
+        return [*self.rivals.values()] if has_publishers else []
 
     def why_not(self) -> str:
         """Why this twin may not publish: another one has precedence; empty where none has.
@@ -136,9 +185,8 @@ class TopicClaim:
         An enabled one has precedence before one that is not, then the older one; of twins that were
         started together, the one whose name and identity come first.
         """
-        self._forget_dead(time.monotonic())
         own = Rival(0.0, self._began, self._name, self._identity, bool(self.is_enabled()))
-        for rival in self.rivals.values():
+        for rival in self._living():
             if self.has_precedence(rival, own):
                 return f"{self.topic} is commanded by {rival.name}: end one of both"
         return ""

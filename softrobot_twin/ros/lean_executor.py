@@ -18,6 +18,8 @@ from rclpy.service import Service
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
+from softrobot_twin.errors import one_line, printable
+
 EVENTS_PERIOD = 1.0
 """Time between two looks at the events of publishers and subscriptions, such as another node with an
 incompatible quality of service [s]."""
@@ -145,6 +147,8 @@ class LeanExecutor(SingleThreadedExecutor):
 
         Raises:
             ExternalShutdownException: The context was shut down.
+            Exception: That of a callback, or an ExceptionGroup of those of several. All that were
+                ready have been called: what always fails keeps no timer from its turn.
         """
         if self._entities is None:
             guards = (self._guard, self._sigint_gc)
@@ -163,6 +167,7 @@ class LeanExecutor(SingleThreadedExecutor):
             services += entities.rare.ready("service")
         if not self._context.ok():
             raise ExternalShutdownException()
+        failures: list[Exception] = []
         for take, ready in (
             (_take_message, often.ready("subscription")), (_call_timer, often.ready("timer")),
             (_answer, services),
@@ -172,9 +177,13 @@ class LeanExecutor(SingleThreadedExecutor):
                     take(entity)
                 except InvalidHandle:
                     continue  # Another callback has destroyed it.
+                except Exception as failure:  # noqa: BLE001 - the others have their turn
+                    failures.append(failure)
         if time.monotonic() >= self._events_due:
             self._events_due = time.monotonic() + EVENTS_PERIOD
             entities.take_events()
+        if failures:
+            raise failures[0] if len(failures) == 1 else ExceptionGroup("callbacks", failures)
 
 
 def _take_message(subscription: Subscription) -> None:
@@ -195,5 +204,15 @@ def _call_timer(timer: Timer) -> None:
 
 def _answer(service: Service) -> None:
     request, header = service.handle.service_take_request(service.srv_type.Request)
-    if header is not None:
-        service.send_response(service.callback(request, service.srv_type.Response()), header)
+    if header is None:
+        return
+    response = service.srv_type.Response()
+    try:
+        response = service.callback(request, response)
+    except Exception as failure:
+        # Who asked would wait for ever.
+        if hasattr(response, "message"):
+            response.message = printable(f"failed: {type(failure).__name__}: {one_line(failure)}")
+            service.send_response(response, header)
+        raise
+    service.send_response(response, header)

@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
-from softrobot_twin.errors import SceneError, SoftRobotTwinError, one_line
+from softrobot_twin.errors import SceneError, SoftRobotTwinError, one_line, printable
 
 if TYPE_CHECKING:
     from rclpy.executors import Executor
@@ -69,8 +69,8 @@ def run_node(
     try:
         _run(name, load, arguments, stop, about)
     except SoftRobotTwinError as error:
-        words = str(error) if isinstance(error, SceneError) else one_line(error)
-        print(f"{name}: {words}", file=sys.stderr)
+        lines = str(error).splitlines() if isinstance(error, SceneError) else [one_line(error)]
+        print(f"{name}: " + "\n".join(map(printable, lines)), file=sys.stderr)
         return REFUSED
     except BaseException:
         # A library may turn an interrupt into an error of its own.
@@ -245,7 +245,8 @@ def spin(node: TickingNode, executor: Executor, is_over: Callable[[], bool]) -> 
         except ExternalShutdownException:
             return
         except Exception as error:  # noqa: BLE001 - any error caused by a message
-            node.refuse_request(error)
+            for one in getattr(error, "exceptions", (error,)):
+                node.refuse_request(one)
 
 
 def _rcl_message(error: Exception) -> str:

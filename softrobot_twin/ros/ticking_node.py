@@ -26,6 +26,7 @@ from softrobot_twin.control.loop_timing import (
 from softrobot_twin.control.voices import PublisherWatch
 from softrobot_twin.errors import one_line
 from softrobot_twin.ros.messages import arrival_of
+from softrobot_twin.ros.one_line_logger import OneLineLogger
 from softrobot_twin.ros.parameters import ALL_TABLES, Entry, similar, unknown_parameters
 from softrobot_twin.ros.thread_priority import Priority, ThreadPriority
 from softrobot_twin.ros.topics import Topic, largest_message, open_subscription
@@ -108,6 +109,7 @@ class TickingNode(Node):
 
     def __init__(self, name: str, **arguments):
         super().__init__(name, **arguments)
+        self._logger = OneLineLogger(self._logger.name)
         self.priority = ThreadPriority(Priority.NORMAL)
         self.clashes: list[Clash] = []
         self.clock_steps = self.refused_requests = 0

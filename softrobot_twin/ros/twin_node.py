@@ -536,11 +536,19 @@ class TwinNode(TickingNode):
 
     def _continue_from_last_command(self) -> None:
         """Without a device, moves the model to where the hardware was sent last, by any twin."""
-        if self.last_command is None or (stored := self.last_command.read()) is None:
+        if self.last_command is None:
             return
-        poses = {name: [part.tolist() for part in pose] for name, pose in stored.poses.items()}
-        self.loop.continue_from(stored.setpoints, stored.efforts, poses)
-        self.get_logger().info(f"continues from the last command, {self.last_command.path}")
+        why, stored = "", self.last_command.read()
+        if stored is not None:
+            poses = {name: [part.tolist() for part in pose] for name, pose in stored.poses.items()}
+            why = self.loop.continue_from(stored.setpoints, stored.efforts, poses)
+            why = why and f"{self.last_command.path}: {why}"
+        if why := why or self.last_command.refusal:
+            self.get_logger().warning(
+                f"the last command is not used; the robot is taken to be where this twin sent it "
+                f"last, or at rest: {why}")
+        elif stored is not None:
+            self.get_logger().info(f"continues from the last command, {self.last_command.path}")
 
     def watch_graph(self) -> None:
         """Checks the graph, and who else commands the hardware."""
@@ -689,7 +697,8 @@ class TwinNode(TickingNode):
         self._diagnostics_due = now + DIAGNOSTICS_PERIOD
         self._watch_mesh_error(now)
         if self.calibration is not None and self.calibration.look(now):
-            self.get_logger().info(f"calibrate:\n{self.calibration.told}")
+            for line in self.calibration.told.splitlines():
+                self.get_logger().info(f"calibrate: {line}")
         if self._reduction is not None and not self.loop.simulation.falls_back:
             self._reduction.offer(self.loop.simulation, False, now)
         message = DiagnosticArray(status=self.diagnostics.statuses(now))

@@ -99,3 +99,45 @@ def test_a_context_that_was_shut_down_ends_the_spinning(world, node):
     rclpy.shutdown(context=world.context)
     with pytest.raises((ExternalShutdownException, RuntimeError)):
         node.executor.spin_once(0.1)
+
+
+def test_a_callback_that_always_fails_keeps_no_other_from_its_turn(world, node):
+    ticks, heard = [], []
+
+    def fail(message):
+        heard.append(message)
+        raise OverflowError("a defect")
+
+    def refuse(request, response):
+        raise TypeError("a \x1b[31mdefect")
+
+    for topic in ("/first", "/second"):
+        node.create_subscription(Float64MultiArray, topic, fail, 10)
+    node.create_timer(0.01, lambda: ticks.append(len(heard)))
+    node.create_service(Trigger, "/ask", refuse)
+    publishers = [world.probe.create_publisher(Float64MultiArray, topic, 10)
+                  for topic in ("/first", "/second")]
+    client = world.probe.create_client(Trigger, "/ask")
+    until(world, node, lambda: all(one.get_subscription_count() for one in publishers)
+          and client.service_is_ready())
+    failures = []
+
+    def spin(condition):
+        end = time.monotonic() + 20.0
+        while not condition():
+            assert time.monotonic() < end, "it did not happen"
+            for publisher in publishers:
+                publisher.publish(Float64MultiArray())
+            world.executor.spin_once(0.0)
+            try:
+                node.executor.spin_once(0.05)
+            except Exception as found:  # noqa: BLE001 - of one callback, or a group
+                failures.extend(getattr(found, "exceptions", (found,)))
+
+    # There is always a message before the timer, whose turn comes all the same.
+    spin(lambda: len(heard) > 20 and len(set(ticks)) > 5)
+    assert all(isinstance(one, OverflowError) for one in failures)
+    future = client.call_async(Trigger.Request())
+    spin(future.done)
+    assert (future.result().success, future.result().message) == (
+        False, "failed: TypeError: a \\x1b[31mdefect")
