@@ -404,7 +404,7 @@ class DeviceWatch:
     """
 
     def __init__(self, limits: ActuatorLimits):
-        self._rate, self._noise = limits.rate, _noise(limits)
+        self._rate = limits.rate
         self.forget()
 
     def forget(self) -> None:
@@ -430,15 +430,15 @@ class DeviceWatch:
         if lost or device.setpoints is None:
             self._was_lost, self._lag = True, None
             return False
-        lag = np.abs(device.setpoints - commanded)
+        lag, noise = np.abs(device.setpoints - commanded), device.places.noise.bound
         before, since = self._lag, device.arrived - self._arrived
         is_new = since > 0.0
         if self._was_lost:
             self._was_lost = False
-            self.is_on_the_way = self._is_between(device.setpoints, commanded)
+            self.is_on_the_way = self._is_between(device.setpoints, commanded, noise)
             self._lag, self._arrived = lag, device.arrived
             self._measured = device.setpoints
-            return bool((lag > np.minimum(reach, self._noise)).any())
+            return bool((lag > np.minimum(reach, noise)).any())
         if not is_new.any():
             return False
         self._lag = lag if before is None else np.where(is_new, lag, before)
@@ -448,12 +448,14 @@ class DeviceWatch:
             return False
         # Without a rate limit, the product with a time of 0 would be NaN.
         time = np.where(is_new, np.maximum(LAG_RATE * np.minimum(since, LAG_TIME), since), LAG_TIME)
-        return bool((is_new & (lag - before > self._rate * time + self._noise)).any())
+        return bool((is_new & (lag - before > self._rate * time + noise)).any())
 
-    def _is_between(self, setpoints: np.ndarray, commanded: np.ndarray) -> bool:
+    def _is_between(
+        self, setpoints: np.ndarray, commanded: np.ndarray, noise: np.ndarray
+    ) -> bool:
         """True for setpoints between the last measured ones and the command."""
         if self._measured is None:
             return False
-        low = np.minimum(self._measured, commanded) - self._noise
-        high = np.maximum(self._measured, commanded) + self._noise
+        low = np.minimum(self._measured, commanded) - noise
+        high = np.maximum(self._measured, commanded) + noise
         return bool(((setpoints >= low) & (setpoints <= high)).all())

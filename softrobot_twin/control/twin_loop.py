@@ -54,7 +54,7 @@ from softrobot_twin.control.target_correction import (
     approach_poses,
 )
 from softrobot_twin.control.target_lead import TargetLead
-from softrobot_twin.control.voices import CONTESTED_TIME
+from softrobot_twin.control.voices import CONTESTED_TIME, NOISE_SHARE
 from softrobot_twin.simulation import (
     Command,
     CommandEfforts,
@@ -71,7 +71,8 @@ from softrobot_twin.simulation.channels import measured
 
 DEVICE_LOST = "device lost"
 DISPUTED = "the device is measured at two places"
-CONTESTED = "two devices measure: the same actuators are at two places by turns"
+CONTESTED = (f"two devices measure, or with noise above {NOISE_SHARE:.0%} of the travel: the same "
+             "actuators are at two places by turns")  # fmt: skip
 _PAUSES = (DEVICE_LOST, DISPUTED)
 """The resynchronisation waits meanwhile."""
 _SAME_TIME = 1.0e-6

@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 CONTESTED_TIME = 1.0
 """An input is contested for this time after two publishers were last heard by turns [s]."""
@@ -31,6 +32,19 @@ interval lets expect. A larger gap is another publisher's number."""
 _REMEMBERED = 10.0
 """A publisher is forgotten after this time [s]."""
 _MOST_VOICES = 8
+_NEAREST_OF, _LEARNED_FROM, _LEARN_EVERY, _ENOUGH = 3, 40, 4, 8
+"""A measurement is compared with the nearest of so many before. The noise is learned from so many
+comparisons, anew after so many, and known from so many on. Of random turns of two devices at most
+one comparison in eight is with the other one."""
+_STEADY = 5
+"""The speed of a motion is the median of so many comparisons."""
+_TYPICAL, _OF_MANY, _OF_ONE = 0.7, 4.0, 4.0
+"""Noise is typically as large as this quantile of comparisons, and at most so many times as large, more
+with few actuators, and with few comparisons: normal noise goes beyond less than once in 10⁵."""
+_FADES = 0.98
+"""What was learned falls to this share at most where less is learned anew."""
+NOISE_SHARE = 0.25
+"""What is a larger share of the travel than this is not noise."""
 
 
 class _Publisher:
@@ -112,6 +126,85 @@ class PublisherWatch:
         return now - self._contested < CONTESTED_TIME
 
 
+class SensorNoise:
+    """What noise changes of measured setpoints, learned from measurement to measurement.
+
+    Each measurement is compared with that of the last few which is nearest. So two devices that
+    measure by turns teach the noise of each, and not their distance. Steady motion is taken away.
+
+    Args:
+        least: Noise that is always allowed, in the unit of each actuator, shape (actuator_count,).
+        most: Changes that are never noise, same shape.
+
+    Attributes:
+        bound: What noise changes at most from one measurement to the next, same shape.
+    """
+
+    def __init__(self, least: np.ndarray, most: np.ndarray):
+        count = len(least)
+        self._least, self._most, self.bound = least, most, least.copy()
+        self._scale = np.where(np.isfinite(least) & (least > 0.0), least, 1.0)
+        # The newest are first.
+        self._places, self._times = np.full((2, _NEAREST_OF, count), np.nan)
+        self._changes, self._spans = np.full((2, _LEARNED_FROM, count), np.nan)
+        self._counts = np.zeros(count, int)
+
+    def is_known(self, named: np.ndarray) -> bool:
+        """Whether enough was measured of some actuators to judge by.
+
+        Args:
+            named: Which ones, shape (actuator_count,).
+        """
+        return bool((self._counts[named] >= _ENOUGH).all())
+
+    def learn(self, named: np.ndarray, measured: np.ndarray, time: float) -> None:
+        """Learns from a measurement.
+
+        Args:
+            named: Which actuators are measured, shape (actuator_count,).
+            measured: Their setpoints, same shape.
+            time: When it arrived [s].
+        """
+        places = np.flatnonzero(named)
+        if not len(places):
+            return
+        values, before = measured[places], self._places[:, places]
+        away = (np.abs(values - before) / self._scale[places]).max(axis=1)
+        if np.isfinite(away).any():
+            nearest = int(np.nanargmin(away))
+            since = time - self._times[nearest, places]
+            _put_first(self._changes, places, values - before[nearest])
+            _put_first(self._spans, places, since)
+            self._counts[places] += 1
+            if self._counts[places[0]] % _LEARN_EVERY == 0:
+                self._renew(places)
+        _put_first(self._places, places, values)
+        _put_first(self._times, places, time)
+
+    def _renew(self, places: np.ndarray) -> None:
+        """Renews the bounds of some actuators."""
+        known = int(min(self._counts[places].min(), _LEARNED_FROM))
+        if known < _ENOUGH:
+            return
+        changes, spans = self._changes[:known, places], self._spans[:known, places]
+        # At the same moment nothing moves.
+        speeds = np.divide(changes, spans, out=np.zeros_like(changes), where=spans > 0.0)
+        steady = np.median(sliding_window_view(speeds, _STEADY, axis=0), axis=-1)
+        inner = slice(_STEADY // 2, known - _STEADY // 2)
+        residuals = np.abs(changes[inner] - steady * spans[inner])
+        # Of few actuators one of the last measurements is nearer by chance.
+        times = (_OF_MANY + _OF_ONE / len(places)) * (1.0 + _ENOUGH / known)
+        learned = times * np.quantile(residuals, _TYPICAL, axis=0)
+        bound = np.maximum(np.maximum(learned, _FADES * self.bound[places]), self._least[places])
+        self.bound[places] = np.minimum(bound, self._most[places])
+
+
+def _put_first(rows: np.ndarray, places: np.ndarray, values) -> None:
+    """Moves some columns down by one row, and puts values on top."""
+    rows[1:, places] = rows[:-1, places]
+    rows[0, places] = values
+
+
 class PlaceWatch:
     """Notices that actuators are measured at two places by turns, as by two devices.
 
@@ -121,11 +214,14 @@ class PlaceWatch:
 
     Args:
         rate: Greatest speed of each actuator, in its unit per second, shape (actuator_count,).
-        noise: What is allowed beside that, same shape.
+        noise: What is allowed beside that at least, same shape; more where the measurements have it.
+
+    Attributes:
+        noise: What is allowed for noise.
     """
 
     def __init__(self, rate: np.ndarray, noise: np.ndarray):
-        self._rate, self._noise = rate, noise
+        self._rate, self.noise = rate, SensorNoise(noise, NOISE_SHARE / LAG_SHARE * noise)
         self._places = np.full(len(rate), np.nan)
         self._heard = np.full(len(rate), -np.inf)
         self._interval = np.full(len(rate), _FIRST_INTERVAL)
@@ -147,7 +243,8 @@ class PlaceWatch:
         # Without a rate limit, the product with a time of 0 would be NaN.
         since = np.maximum(since, 1.0e-9)
         longest = self._rate * np.maximum(LAG_RATE * np.minimum(since, LAG_TIME), since)
-        moved = named & (np.abs(measured - self._places) > longest + self._noise)
+        self.noise.learn(named, measured, time)
+        moved = named & (np.abs(measured - self._places) > longest + self.noise.bound)
         silence = np.clip(SILENT_AFTER * self._interval, LEAST_SILENCE, LONGEST_SILENCE)
         if (moved & (time - self._heard <= silence)).any():
             self._elsewhere[moved] = time
@@ -155,7 +252,8 @@ class PlaceWatch:
         if (named & ~moved & np.isfinite(self._elsewhere)).any():
             if time - self._returned < CONTESTED_TIME:
                 self._contested = time
-            self._returned = time
+            if self.noise.is_known(named):
+                self._returned = time
         self._elsewhere[named] = -np.inf
         self._places = np.where(named, measured, self._places)
         self._interval = np.where(named & np.isfinite(self._heard), since, self._interval)

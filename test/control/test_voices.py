@@ -7,7 +7,7 @@ import pytest
 
 from softrobot_twin.control.engagement import Activity
 from softrobot_twin.control.twin_loop import CONTESTED, DISPUTED
-from softrobot_twin.control.voices import CONTESTED_TIME, PublisherWatch
+from softrobot_twin.control.voices import CONTESTED_TIME, PlaceWatch, PublisherWatch
 
 INSIDE = (0.01, 0.0, 0.134)
 
@@ -92,6 +92,63 @@ def test_middleware_that_numbers_nothing_is_not_contested():
     assert all(watch.hear(None, 0.01 * k) for k in range(10)) and not watch.is_contested(0.1)
 
 
+RATE, TRAVEL = 0.05, 0.04
+
+
+def device(draw, count, interval, noise, end, moves=True):
+    """Times and measurements of a device whose actuators go to and fro within their rates."""
+    times = np.arange(interval, end, interval) + draw.uniform(-0.2, 0.2) * interval
+    period, phases = draw.uniform(1.0, 6.0), draw.uniform(0.0, 2.0 * np.pi, count)
+    angles = 2.0 * np.pi * times[:, None] / period + phases
+    swing = moves * 0.9 * RATE * period / (2.0 * np.pi) * np.sin(angles)
+    return times, swing + draw.normal(0.0, noise, (len(times), count))
+
+
+def watch_of(count):
+    """A watch over so many actuators."""
+    return PlaceWatch(np.full(count, RATE), np.full(count, 0.02 * TRAVEL)), np.ones(count, bool)
+
+
+@pytest.mark.parametrize("case", range(8))
+def test_noise_of_one_device_is_not_two_devices(case):
+    """Up to a fortieth of the travel, 1 mm of 40; its first second it may be taken for two."""
+    draw, count = drawn(), (1, 2, 4, 12)[case % 4]
+    noise, interval = 10.0 ** draw.uniform(-5.0, -3.0), 10.0 ** draw.uniform(-2.3, -1.0)
+    (watch, every), refused = watch_of(count), 0
+    times, measured = device(draw, count, interval, noise, 800 * interval)
+    for time, one in zip(times, measured):
+        refused += not watch.hear(every, one, time)
+        assert time < 60 * interval + 1.0 or not watch.is_contested(time)
+    assert refused < 0.02 * len(times)
+
+
+@pytest.mark.parametrize("case", range(8))
+def test_two_noisy_devices_are_noticed_where_they_are_further_apart_than_noise(case):
+    draw, count = drawn(), (1, 2, 4, 12)[case % 4]
+    noise, interval = 10.0 ** draw.uniform(-5.0, -3.5), 10.0 ** draw.uniform(-2.3, -1.5)
+    watch, every = watch_of(count)
+    times, measured = device(draw, count, interval, noise, 1.0 + 1500 * interval)
+    begin, share = int(0.4 * len(times)), draw.choice((0.2, 0.5))
+    apart = np.zeros(count)
+    apart[draw.integers(count)] = 0.1 + 25.0 * noise
+    is_other = (np.arange(len(times)) > begin) & (draw.random(len(times)) < share)
+    noticed = False
+    for time, one, other in zip(times, measured, is_other):
+        watch.hear(every, one + apart * other, time)
+        noticed |= watch.is_contested(time)
+    assert noticed
+
+
+def test_a_measurement_of_some_actuators_teaches_nothing_of_the_others():
+    draw, (watch, every) = drawn(), watch_of(4)
+    of_one = np.arange(4) == 2
+    for step in range(200):
+        watch.hear(every, np.zeros(4), 0.02 * step)
+        watch.hear(of_one, np.where(of_one, draw.normal(0.0, 0.001, 4), np.nan), 0.02 * step + 0.01)
+    bound = watch.noise.bound
+    assert bound[2] > 0.002 and (bound[~of_one] == 0.02 * TRAVEL).all()
+
+
 @pytest.fixture
 def enabled(drive):
     """A driver of a Diamond with device, enabled and at its target."""
@@ -138,6 +195,23 @@ def test_a_second_device_disables_and_is_told(enabled):
     follow(enabled, 60)
     assert enabled.loop.enable(enabled.time)[0]
     assert follow(enabled, 30).activity is Activity.FOLLOWING
+
+
+def test_a_device_that_measures_with_a_millimetre_of_noise_is_driven(drive):
+    driver, draw = drive(use_device=True, rate=50.0, message_timeout=0.0), drawn()
+    true = driver.loop.simulation.rest_setpoints
+    seen = set()
+    for tick in range(150):
+        driver.measure(true + draw.normal(0.0, 0.001, 4))
+        if tick == 60:
+            assert driver.loop.enable(driver.time)[0]
+        driver.target(*INSIDE)
+        outcome = driver.tick()
+        if outcome.command is not None:
+            true = outcome.command.setpoints
+            seen.add(outcome.activity)
+    assert outcome.activity is Activity.FOLLOWING
+    assert not seen & {Activity.DISABLED, Activity.RESYNCHRONISING}
 
 
 def test_a_second_device_before_enable_refuses_it(drive):
