@@ -101,20 +101,21 @@ class TopicClaim:
         topic: Full name of the topic of its commands.
 
     Attributes:
+        name: Name of the twin, its process and its machine, as others show it.
         rivals: Other twins on it that were heard, by their identities.
     """
 
     def __init__(self, node: Node, topic: str):
         self.topic, self._node = topic, node
         self.is_enabled: Callable[[], bool] = lambda: False
-        self._name = printable(f"{node.get_fully_qualified_name()} (process {os.getpid()} on "
+        self.name = printable(f"{node.get_fully_qualified_name()} (process {os.getpid()} on "
                                f"{socket.gethostname()})")[:_MOST_LETTERS]  # fmt: skip
         self._identity, self._began = uuid.uuid4().hex, time.monotonic()
         self.rivals: dict[str, Rival] = {}
         # Neither is a topic of the run: they are not recorded.
         self._publisher = Node.create_publisher(node, String, f"{topic}/claim", CLAIM)
         self._subscription = Node.create_subscription(
-            node, String, f"{topic}/claim", self._hear, CLAIM, raw=True
+            node, String, f"{topic}/claim", self.hear, CLAIM, raw=True
         )
         self._ends = threading.Event()
         self._thread = threading.Thread(target=self._beat, name="claim", daemon=True)
@@ -123,13 +124,18 @@ class TopicClaim:
     def _beat(self) -> None:
         while not self._ends.wait(BEAT_PERIOD):
             age = time.monotonic() - self._began
-            beat = Beat(self._identity, self._name, age, bool(self.is_enabled()))
+            beat = Beat(self._identity, self.name, age, bool(self.is_enabled()))
             try:
                 self._publisher.publish(String(data=json.dumps(beat)))
             except Exception:  # noqa: BLE001 - the node ends
                 return
 
-    def _hear(self, content: bytes) -> None:
+    def hear(self, content: bytes) -> None:
+        """Hears a message; what is no beat is ignored.
+
+        Args:
+            content: The message, serialized.
+        """
         if len(content) > _MOST_BYTES or self._identity.encode() in content:
             return  # It is no beat, or an own one.
         try:
@@ -161,7 +167,7 @@ class TopicClaim:
             if taken is None:
                 time.sleep(0.02)
             else:
-                self._hear(taken[0])
+                self.hear(taken[0])
 
     @property
     def claimed_on(self) -> str:
@@ -185,7 +191,7 @@ class TopicClaim:
         An enabled one has precedence before one that is not, then the older one; of twins that were
         started together, the one whose name and identity come first.
         """
-        own = Rival(0.0, self._began, self._name, self._identity, bool(self.is_enabled()))
+        own = Rival(0.0, self._began, self.name, self._identity, bool(self.is_enabled()))
         for rival in self._living():
             if self.has_precedence(rival, own):
                 return f"{self.topic} is commanded by {rival.name}: end one of both"

@@ -21,5 +21,11 @@ class OneLineLogger(RcutilsLogger):
     """
 
     def log(self, message: str, severity: LoggingSeverity, **filters) -> bool:
-        """Logs a message; see `rclpy.impl.rcutils_logger.RcutilsLogger.log`."""
+        """Logs a message; see `rclpy.impl.rcutils_logger.RcutilsLogger.log`.
+
+        Args:
+            message: The message.
+            severity: Its severity.
+            **filters: As there, such as ``throttle_duration_sec``.
+        """
         return super().log(printable(message), severity, **filters)

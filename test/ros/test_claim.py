@@ -39,7 +39,7 @@ def test_what_no_twin_can_have_written_is_no_claim(text):
     assert Beat.of(text) is None
 
 
-class _Node:
+class Neighbourhood:
     """As much of a node as a claim needs; another one publishes commands or not."""
 
     publishers = 1
@@ -55,17 +55,18 @@ class _Node:
 @pytest.fixture
 def heard(monkeypatch):
     """A claim that hears texts, without a network."""
-    monkeypatch.setattr("softrobot_twin.ros.claim.Node", _Node)
-    made = TopicClaim(_Node(), "/twin/cables")
+    monkeypatch.setattr("softrobot_twin.ros.claim.Node", Neighbourhood)
+    node = Neighbourhood()
+    made = TopicClaim(node, "/twin/cables")
     made.close()
-    made.say = lambda text: made._hear(serialize_message(String(data=text)))
+    made.node, made.say = node, lambda text: made.hear(serialize_message(String(data=text)))
     return made
 
 
 def test_a_claim_without_a_publisher_of_commands_stops_nobody(heard):
     heard.say(claim(age="1e8"))
     assert len(heard.rivals) == 1 and heard.is_alone and not heard.why_not()
-    heard._node.publishers = 2
+    heard.node.publishers = 2
     assert not heard.is_alone
     assert heard.why_not() == f"/twin/cables is commanded by {NAME}: end one of both"
 
@@ -81,14 +82,14 @@ def test_a_flood_of_claims_takes_no_memory_and_hides_no_twin_that_was_heard(hear
 
 @pytest.mark.parametrize("content", (b"", b"\0", b"\0\1\0\0\xff\xff\xff\xff", b"\xff" * 40))
 def test_what_is_no_message_at_all_is_no_claim(heard, content):
-    heard._hear(content)
+    heard.hear(content)
     assert not heard.rivals
 
 
 def test_the_own_name_is_a_claim_whatever_the_machine_is_called(monkeypatch, heard):
     monkeypatch.setattr("softrobot_twin.ros.claim.socket",
                         SimpleNamespace(gethostname=lambda: "a\n\x1b[31mb\udc80" + "c" * 1000))
-    own = TopicClaim(_Node(), "/twin/cables")
+    own = TopicClaim(Neighbourhood(), "/twin/cables")
     own.close()
-    assert Beat.of(json.dumps(Beat(IDENTITY, own._name, 0.0, False))) is not None
-    assert re.fullmatch(r"/twin \(process \d+ on a\\n\\x1b\[31mb\\udc80c+", own._name)
+    assert Beat.of(json.dumps(Beat(IDENTITY, own.name, 0.0, False))) is not None
+    assert re.fullmatch(r"/twin \(process \d+ on a\\n\\x1b\[31mb\\udc80c+", own.name)
