@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from softrobot_twin.errors import MeshError
+from softrobot_twin.geometry.box_tree import BoxTree, box_tree, near_items, nearest_distances
 from softrobot_twin.geometry.hexahedral_mesh import HexahedralMesh
 from softrobot_twin.geometry.shape_functions import TRILINEAR_HEXAHEDRON
 from softrobot_twin.geometry.surface import boundary_faces
@@ -22,9 +22,8 @@ _WEIGHT_ROUND_OFF = 1e-9
 _CONVERGED, _SINGULAR, _FURTHEST, _MOST_ITERATIONS = 1e-12, 1e-14, 2.0, 30
 # Number of points handled at once, which bounds the memory of the candidate pairs.
 _CHUNK = 1024
-# Fewer points than this share of the tetrahedra ask for those around them, by the reach of the
-# largest; many points are asked for by each tetrahedron, by its own reach.
-_FEW = 1.0 / 64.0
+# Two triangles of one edge are equally near a point but for round-off: the first of them is taken.
+_ROUND_OFF = 1.0 + 1e-9
 
 
 class PointLocation(NamedTuple):
@@ -137,34 +136,27 @@ def _deepest_cells(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Cell of each point, its weights there, and how deep it is: negative outside."""
     if not isinstance(mesh, HexahedralMesh):
-        return _deepest_tets(_boxes_of(mesh, "cells"), points)
+        return _deepest_tets(_items_of(mesh, "cells", mesh.cells), points)
     cells, weights, depths = _deepest_hexahedra(mesh, points)
     cells += len(mesh.tets)
     if len(mesh.tets):
-        tets, of_tets, in_tets = _deepest_tets(_boxes_of(mesh, "tets"), points)
+        tets, of_tets, in_tets = _deepest_tets(_items_of(mesh, "tets", mesh.tets), points)
         better = in_tets >= depths
         cells[better], depths[better] = tets[better], in_tets[better]
         weights[better] = np.hstack([of_tets, np.zeros((len(points), 4))])[better]
     return cells, weights, depths
 
 
-class _Boxes(NamedTuple):
-    """Cells as they are searched.
+class _Items(NamedTuple):
+    """Cells, or triangles of a surface, as they are searched.
 
     Attributes:
-        corners: Of each cell [m], shape (cell_count, corner_count, 3).
-        middles: Means of the corners [m], shape (cell_count, 3).
-        tree: Of the middles.
-        reaches: Furthest corner from each middle [m], shape (cell_count,).
-        centres, halves: Of the boxes of cells [m], a little larger, each of shape (cell_count, 3).
+        corners: Of each item [m], shape (item_count, corner_count, 3).
+        tree: Of their boxes.
     """
 
     corners: np.ndarray
-    middles: np.ndarray
-    tree: cKDTree
-    reaches: np.ndarray
-    centres: np.ndarray
-    halves: np.ndarray
+    tree: BoxTree
 
 
 # A scene asks for the points of each of its entries, and each change of its numbers once more: of
@@ -201,23 +193,18 @@ def _surface_of(mesh: TetMesh | HexahedralMesh) -> tuple[np.ndarray, np.ndarray]
     return surface, owners
 
 
-def _boxes_of(mesh: TetMesh | HexahedralMesh, kind: str) -> _Boxes:
-    """The cells of a mesh of one kind, which are laid out once."""
-    known = _KNOWN.setdefault(mesh, {})
-    if kind not in known:
-        corners = mesh.node_positions[getattr(mesh, kind)]
-        middles = corners.mean(axis=1)
-        reaches = np.linalg.norm(corners - middles[:, None], axis=2).max(axis=1) * (1.0 + 1e-6)
-        lowest, highest = corners.min(axis=1), corners.max(axis=1)
-        diagonals = np.linalg.norm(highest - lowest, axis=1, keepdims=True)
-        known[kind] = _Boxes(corners, middles, cKDTree(middles), reaches, 0.5 * (lowest + highest),
-                             0.5 * (highest - lowest) + 1e-6 * diagonals)
-    boxes: _Boxes = known[kind]
-    return boxes
+def _items_of(mesh: TetMesh | HexahedralMesh, kind: str, nodes: np.ndarray) -> _Items:
+    """The items of a mesh of one kind, which are laid out once."""
+    known, key = _KNOWN.setdefault(mesh, {}), f"{kind} tree"
+    if key not in known:
+        corners = mesh.node_positions[nodes]
+        known[key] = _Items(corners, box_tree(corners))
+    items: _Items = known[key]
+    return items
 
 
 def _deepest(
-    boxes: _Boxes, points: np.ndarray,
+    cells: _Items, points: np.ndarray,
     weights_in: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """For each point, the cell that it is deepest in, its weights there, and its depth.
@@ -225,28 +212,22 @@ def _deepest(
     The depth is −∞ for points outside the boxes of all cells, in which the cells lie.
 
     Args:
-        boxes: The cells.
+        cells: The cells.
         points: The points [m], shape (point_count, 3).
         weights_in: Gives weights and depths of pairs of a point and a cell, by its number.
     """
-    corners, middles, tree, reaches, centres, halves = boxes
     best = np.zeros(len(points), dtype=np.int64)
-    weights = np.zeros((len(points), corners.shape[1]))
+    weights = np.zeros((len(points), cells.corners.shape[1]))
     depths = np.full(len(points), -np.inf)
     for start in range(0, len(points), _CHUNK):
         chunk = points[start : start + _CHUNK]
-        if len(chunk) < _FEW * len(corners):
-            owner, cells = _pairs(tree.query_ball_point(chunk, reaches.max()))
-        else:
-            cells, owner = _pairs(cKDTree(chunk).query_ball_point(middles, reaches))
-        is_near = (np.abs(chunk[owner] - centres[cells]) <= halves[cells]).all(axis=1)
-        owner, cells = owner[is_near], cells[is_near]
+        owner, found = near_items(cells.tree, chunk, np.zeros(len(chunk)))
         if len(owner) == 0:
             continue
-        found, depth = weights_in(chunk[owner], cells)
-        winners = _first_best(owner, cells, -depth)
+        own, depth = weights_in(chunk[owner], found)
+        winners = _first_best(owner, found, -depth)
         rows = start + owner[winners]
-        best[rows], weights[rows], depths[rows] = cells[winners], found[winners], depth[winners]
+        best[rows], weights[rows], depths[rows] = found[winners], own[winners], depth[winners]
     return best, weights, depths
 
 
@@ -254,15 +235,15 @@ def _deepest_hexahedra(
     mesh: HexahedralMesh, points: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The same among hexahedra: the depth is (1 - max |ξ_i|) / 2."""
-    boxes = _boxes_of(mesh, "hexahedra")
-    corners = boxes.corners
+    items = _items_of(mesh, "hexahedra", mesh.hexahedra)
+    corners = items.corners
 
     def weights_in(asked: np.ndarray, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         places, is_found = _inverse_isoparametric(corners[cells], asked)
         depth = np.where(is_found, 0.5 * (1.0 - np.abs(places).max(axis=1)), -np.inf)
         return TRILINEAR_HEXAHEDRON.values(np.clip(places, -1.0, 1.0)), depth
 
-    return _deepest(boxes, points, weights_in)
+    return _deepest(items, points, weights_in)
 
 
 def _inverse_isoparametric(
@@ -293,10 +274,10 @@ def _inverse_isoparametric(
 
 
 def _deepest_tets(
-    boxes: _Boxes, points: np.ndarray
+    items: _Items, points: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The same among tetrahedra: the depth is the smallest weight."""
-    corners = boxes.corners
+    corners = items.corners
 
     def weights_in(asked: np.ndarray, tets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         used, of_used = np.unique(tets, return_inverse=True)
@@ -308,7 +289,7 @@ def _deepest_tets(
         weights[:, 0] = 1.0 - weights[:, 1:].sum(axis=1)
         return weights, weights.min(axis=1)
 
-    return _deepest(boxes, points, weights_in)
+    return _deepest(items, points, weights_in)
 
 
 def _nearest_on_surface(
@@ -316,19 +297,14 @@ def _nearest_on_surface(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The cells, weights and distances [m] of the nearest points on the surface."""
     surface, owners = _surface_of(mesh)
-    corners = mesh.node_positions[surface]
-    centroids = corners.mean(axis=1)
-    reach = np.linalg.norm(corners - centroids[:, None], axis=2).max() * (1.0 + 1e-6)
-    tree = cKDTree(centroids)
-    # Centroids lie on the surface, so the nearest one is an upper bound of the distance.
-    bounds, _ = tree.query(points)
-
+    corners, tree = _items_of(mesh, "surface", surface)
+    reaches = nearest_distances(tree, corners, points)
     cells = np.empty(len(points), dtype=np.int64)
     weights = np.zeros((len(points), mesh.cells.shape[1]))
     distances = np.empty(len(points))
     for start in range(0, len(points), _CHUNK):
         chunk = slice(start, start + _CHUNK)
-        owner, triangles = _pairs(tree.query_ball_point(points[chunk], bounds[chunk] + reach))
+        owner, triangles = near_items(tree, points[chunk], _ROUND_OFF * reaches[chunk])
         asked = points[chunk][owner]
         corner_weights = closest_on_triangles(asked, corners[triangles])
         closest = np.einsum("pc,pci->pi", corner_weights, corners[triangles])
@@ -343,13 +319,6 @@ def _nearest_on_surface(
         on_face[:, 4:] &= (nodes[:, 4:] != nodes[:, 3:-1])[:, :, None]
         weights[rows] = np.einsum("pnc,pc->pn", on_face, corner_weights[winners])
     return cells, weights, distances
-
-
-def _pairs(candidates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Converts lists of candidates to pairs (point, candidate)."""
-    counts = [len(found) for found in candidates]
-    owner = np.repeat(np.arange(len(candidates)), counts)
-    return owner, np.array([index for found in candidates for index in found], dtype=np.int64)
 
 
 def _first_best(owner: np.ndarray, candidates: np.ndarray, costs: np.ndarray) -> np.ndarray:

@@ -19,13 +19,13 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.errors import MeshError
+from softrobot_twin.geometry.box_tree import box_tree, nearest_distances
 from softrobot_twin.geometry.closed_surface import flatten_regions
 from softrobot_twin.geometry.ear_clipping import clip_ears
 from softrobot_twin.geometry.mass_properties import MassProperties, surface_mass_properties
 from softrobot_twin.geometry.mesh_file_checks import check_file, check_positions, check_size
 from softrobot_twin.geometry.mesh_parts import read_gmsh
 from softrobot_twin.geometry.mesh_repair import first_of_duplicates
-from softrobot_twin.geometry.point_location import closest_on_triangles
 from softrobot_twin.geometry.solid_shells import (
     connected_shells,
     enclosed_volume,
@@ -70,14 +70,9 @@ class SolidSurface:
         Returns:
             Shape (count,).
         """
-        corners = self.points[self.triangles]
-        found = np.zeros(len(points))
-        for index, point in enumerate(np.asarray(points, float)):
-            if is_inside(point, corners):
-                continue
-            weights = closest_on_triangles(np.tile(point, (len(corners), 1)), corners)
-            nearest = np.einsum("tc,tci->ti", weights, corners)
-            found[index] = np.linalg.norm(nearest - point, axis=1).min()
+        points, corners = np.asarray(points, float), self.points[self.triangles]
+        found = nearest_distances(box_tree(corners), corners, points)
+        found[[is_inside(point, corners) for point in points]] = 0.0
         return found
 
 
