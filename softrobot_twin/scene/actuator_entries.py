@@ -168,7 +168,7 @@ class CavityWall(Entry):
     """Name of triangles in the file of the body's mesh: a physical group or a set of elements."""
     file: Path | None = None
     """Surface mesh, relative to the scene file; placed like the body's own mesh. Its vertices need
-    not be nodes of the body."""
+    not be nodes of the body, and triangles larger than its elements are split."""
     scale: Annotated[float, unit("m per file unit", gt=0.0)] = 1.0
     """Scale of the file."""
 

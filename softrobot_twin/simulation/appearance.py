@@ -17,7 +17,8 @@ from softrobot_twin.mechanics.springs import Springs
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.building.beam_bodies import BeamBody, swept_surface
 from softrobot_twin.simulation.building.cavity_actuator import CavityActuator
-from softrobot_twin.simulation.building.deformable_body import Body, surface_on_mesh
+from softrobot_twin.simulation.building.deformable_body import Body
+from softrobot_twin.simulation.building.mapped_surfaces import surface_on_mesh
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.building.reduced_body import Placed
 from softrobot_twin.simulation.building.scene_layout import build_shape, triangulated
@@ -148,13 +149,16 @@ def spring_places(model: Model, node_positions: np.ndarray) -> dict[str, np.ndar
     return {kind: places for kind, places in found.items() if len(places)}
 
 
-def skins(bodies: tuple[Body, ...], scene: Scene, beams: tuple[BeamBody, ...] = ()) -> tuple:
+def skins(
+    bodies: tuple[Body, ...], scene: Scene, beams: tuple[BeamBody, ...], notes: list[str]
+) -> tuple:
     """The surface by which each deformable body is drawn, then that of each beam.
 
     Args:
         bodies: The bodies.
         scene: The scene.
         beams: The beams.
+        notes: List to which is appended what of a file was split.
 
     Returns:
         A skin for each.
@@ -163,10 +167,10 @@ def skins(bodies: tuple[Body, ...], scene: Scene, beams: tuple[BeamBody, ...] = 
         MeshError: A surface file cannot be used.
         SceneError: A surface does not fit its body.
     """
-    return (*(_skin(body, scene) for body in bodies), *map(beam_skin, beams))
+    return (*(_skin(body, scene, notes) for body in bodies), *map(beam_skin, beams))
 
 
-def _skin(body: Body, scene: Scene) -> Skin:
+def _skin(body: Body, scene: Scene, notes: list[str]) -> Skin:
     """The `visual` surface; without it the contact surface; without both the mesh's own."""
     mesh = body.entry.mesh
     for name in ("visual", "contact_surface"):
@@ -176,7 +180,9 @@ def _skin(body: Body, scene: Scene) -> Skin:
                 scene.file_path(entry.file), scale=entry.scale,
                 rotation=mesh.rotation, translation=mesh.translation,
             )  # fmt: skip
-            on_mesh = surface_on_mesh(body, points, entry, f"{body.key}.{name}", scene)
+            on_mesh, triangles = surface_on_mesh(
+                body, points, triangles, entry, f"{body.key}.{name}", scene, notes
+            )
             return Skin(body.name, triangles, body.shown(on_mesh))
     return own_skin(body)
 

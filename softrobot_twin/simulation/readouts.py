@@ -122,7 +122,10 @@ class Readouts:
             triangles.append(surface.triangles + count)
             count += int(surface.triangles.max(initial=-1)) + 1
         self.surface_triangles = np.concatenate(triangles)
-        self.skins = skins(self.model.bodies, self.scene, self.model.beams)
+        told: list[str] = []
+        self.skins = skins(self.model.bodies, self.scene, self.model.beams, told)
+        known = self.model.notes
+        known.extend(note for note in self.scene.source.notes(told) if note not in known)
         self.cavities = CavityDisplay(self.model)
 
     @property

@@ -138,7 +138,7 @@ def test_a_contact_surface_slides_with_friction_as_the_mesh_boundary(tmp_path, c
 def test_the_contact_surface_is_drawn(tmp_path, cube):
     points, triangles, bulge = cap(0.1, 10)
     simulation = cube(written(tmp_path / "cap.stl", points, triangles), lift=bulge)
-    (skin,) = skins(simulation.model.bodies, simulation.scene)
+    (skin,) = skins(simulation.model.bodies, simulation.scene, (), [])
     drawn = skin.positions(simulation.state.positions)
     assert len(drawn) == len(points)
     assert drawn[:, 2].min() == pytest.approx(-SIDE / 2, abs=1e-6)

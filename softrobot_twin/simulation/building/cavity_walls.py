@@ -8,19 +8,15 @@ from functools import partial, reduce
 import numpy as np
 
 from softrobot_twin.errors import MeshError
-from softrobot_twin.geometry.cubic_bubbles import CubicMesh
 from softrobot_twin.geometry.mass_properties import surface_mass_properties
 from softrobot_twin.geometry.surface_reading import read_solid_surface, repair_surface
+from softrobot_twin.geometry.surface_splitting import split_triangles
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.cavity_surfaces import CavitySurface
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.actuator_entries import CavityWall
 from softrobot_twin.simulation.building.deformable_body import Body, part_named
-
-# How often each triangle of a wall is cut into four, so that the facets follow the curved faces of
-# quadratic tetrahedra, and so that their vertices sample the bubbles of cubic ones.
-_CUTS_OF_QUADRATIC, _CUTS_OF_CUBIC = 1, 2
-
+from softrobot_twin.simulation.building.mapped_surfaces import nodes_between, split_to_elements
 
 def cavity_surface(
     layout, name: str, walls: tuple[CavityWall, ...], key: str, notes: list[str]
@@ -76,18 +72,14 @@ def cavity_wall(
         value = str(getattr(wall, kind))
         raise layout.scene.error(f"{key}.{kind}", value, error.reason) from None
     bodies = [body, *(layout.body_named(other) for other in wall.also_on)]
-    # Pressure acts on nodes at the middle of edges too, and on bubbles.
-    for _ in range(max(_cuts(body.mesh) for body in bodies)):
-        points, triangles = _quartered(points, triangles)
+    if kind == "file":
+        points, triangles = split_to_elements(bodies, points, triangles, f"{key}.file", notes)
+    else:
+        # Pressure acts on nodes at the middle of edges too, and on bubbles.
+        points, triangles = split_triangles(
+            points, triangles, lambda ends: np.full(len(ends), True), nodes_between(body.mesh)
+        )
     return CavitySurface(name, layout.carried_by_nearest(bodies, points, key, notes), triangles)
-
-
-def _cuts(mesh) -> int:
-    if isinstance(mesh, CubicMesh):
-        return _CUTS_OF_CUBIC
-        # Inner nodes of a cell, as hexahedra have, are on no face.
-    has_nodes_between = len(mesh.mid_edge_ends) and mesh.are_points.all()
-    return _CUTS_OF_QUADRATIC if has_nodes_between else 0
 
 
 def _from_file(
@@ -113,18 +105,6 @@ def _part(
     # Mesh generators orient the triangles of a part as they like.
     notes.extend(f"{key} ({wall.part}): {note}." for note in repaired.notes if "all" not in note)
     return points, repaired.triangles
-
-
-def _quartered(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Each triangle in four, by the middles of its edges."""
-    halves = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2), axis=2)
-    edges, place = np.unique(halves.reshape(-1, 2), axis=0, return_inverse=True)
-    middle = len(points) + place.reshape(-1, 3)
-    a, b, c = triangles.T
-    ab, bc, ca = middle.T
-    parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
-    quartered = np.stack([np.stack(corners, axis=1) for corners in parts], axis=1).reshape(-1, 3)
-    return np.vstack([points, points[edges].mean(axis=1)]), quartered
 
 
 def check_walls_of_reduced(scene: Scene) -> None:

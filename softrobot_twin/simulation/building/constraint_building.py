@@ -48,7 +48,8 @@ from softrobot_twin.geometry.surface_shape import SurfaceShapeDetector
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.building.beam_bodies import BeamBody, swept_surface
-from softrobot_twin.simulation.building.deformable_body import Body, carry_surface
+from softrobot_twin.simulation.building.deformable_body import Body
+from softrobot_twin.simulation.building.mapped_surfaces import surface_on_mesh
 from softrobot_twin.simulation.building.scene_layout import Layout, build_shape, triangulated
 
 # Pieces of an element in the surface with which a beam that is not round touches.
@@ -272,7 +273,10 @@ def _surface_of(body: Body, scene: Scene, notes: list[str]):
             rotation=mesh.rotation, translation=mesh.translation, notes=notes,
         )  # fmt: skip
         key = f"{body.key}.contact_surface"
-        return CarriedSurface(carry_surface(body, solid.points, entry, key, scene), solid.triangles)
+        on_mesh, triangles = surface_on_mesh(
+            body, solid.points, solid.triangles, entry, key, scene, notes
+        )
+        return CarriedSurface(body.carried_by(on_mesh), triangles)
     nodes, triangles = np.unique(body.mesh.surface_triangles, return_inverse=True)
     carried, triangles = body.node_mapping(nodes), triangles.reshape(-1, 3)
     if body.vertebrae is not None:

@@ -25,7 +25,6 @@ from softrobot_twin.geometry.mesh_parts import NO_PARTS, MeshParts
 from softrobot_twin.geometry.mesh_reading import CUT, MeshReading, read_solid_mesh
 from softrobot_twin.geometry.point_location import (
     PointLocation,
-    extrapolated_weights,
     locate_points,
     remembered_location,
 )
@@ -71,9 +70,6 @@ LARGEST_SIZE = 5.0
 SNAP_SHARE = 0.02
 # A point closer to the body than this share of its size is on it.
 ON_BODY = 5.0e-6
-# Largest distance of a carried surface from its body, and its smallest size, as shares of the
-# body's size.
-STAND_OFF, LEAST_SHARE = 0.1, 0.5
 # Where the weight of a patch ends, by its radius: its mean at a flat face is as deep as that of a
 # ball, 35/128 of this and 3/8 of the radius.
 SUPPORT = 48.0 / 35.0
@@ -800,48 +796,6 @@ def carry(
     if spread_radius > 0.0:
         return spread_mapping(body, points, found, spread_radius)
     return body.mapping(found.cells, found.barycentric_weights)
-
-
-def carry_surface(
-    body: Body, points: np.ndarray, entry, key: str, scene: Scene
-) -> BarycentricMapping:
-    """Map the points of a surface onto the body that carries it.
-
-    A point outside the mesh is carried by the nearest cell, with negative weights: at rest it is at
-    its position, and it moves with that cell.
-
-    Args:
-        body: The body.
-        points: Points at rest [m], shape (point_count, 3).
-        entry: Entry with the surface's file.
-        key: Key of this entry.
-        scene: The scene.
-
-    Returns:
-        The mapping.
-
-    Raises:
-        SceneError: The surface stands too far off the body, or is far smaller.
-    """
-    return body.carried_by(surface_on_mesh(body, points, entry, key, scene))
-
-
-def surface_on_mesh(
-    body: Body, points: np.ndarray, entry, key: str, scene: Scene
-) -> BarycentricMapping:
-    """The same on the nodes of its mesh, numbered from 0; see `carry_surface`."""
-    found = locate_points(body.mesh.corner_mesh, points)
-    furthest = float(found.distances.max())
-    if furthest > STAND_OFF * body.size:
-        raise scene.error(f"{key}.file", str(entry.file),
-                          f"stands off its body by {1e3 * furthest:.2f} mm, more than a tenth of "
-                          f"the body's {1e3 * body.size:.1f} mm: is its scale right?")
-    size = float(np.linalg.norm(np.ptp(points, axis=0)))
-    if size < LEAST_SHARE * body.size:
-        raise scene.error(f"{key}.file", str(entry.file),
-                          f"has a box of {1e3 * size:.3g} mm across, less than half of the body's "
-                          f"{1e3 * body.size:.1f} mm: is its scale right?")
-    return body.on_mesh(found.cells, extrapolated_weights(body.mesh.corner_mesh, found, points))
 
 
 def spread_mapping(

@@ -510,7 +510,7 @@ def lay_out(
         if entry.vertebrae is None:
             first_node += bodies[-1].scene_node_count
     if any(body.entry.vertebrae is not None for body in bodies):
-        bodies = _reduced(bodies, scene)
+        bodies = _reduced(bodies, scene, notes)
     with_nodes = [body for body in bodies if body.vertebrae is None]
     positions = [body.mesh.node_positions if body.reduction is None else body.reduction.rest_nodes()
                  for body in with_nodes]  # fmt: skip
@@ -621,13 +621,13 @@ def walls_on(body: Body, whole: Layout, notes: list[str]) -> tuple[CavitySurface
     )  # fmt: skip
 
 
-def _reduced(bodies: list[Body], scene: Scene) -> list[Body]:
+def _reduced(bodies: list[Body], scene: Scene, notes: list[str]) -> list[Body]:
     """The bodies, those with vertebrae reduced to them."""
     own = [replace(body, first_node=0) for body in bodies]
     whole = whole_layout(scene, own)
     return [
         body if body.entry.vertebrae is None
-        else reduced_body(alone, walls_on(alone, whole, []), scene)
+        else reduced_body(alone, walls_on(alone, whole, notes), scene)
         for body, alone in zip(bodies, own, strict=True)
     ]  # fmt: skip
 
