@@ -189,7 +189,7 @@ def test_a_flipped_contact_surface_is_reversed_and_reported_with_its_file_name(t
 
 def test_an_open_contact_surface_is_refused_by_file_name(tmp_path, cube):
     points, triangles = Box([0, 0, 0], [SIDE] * 3).surface(SIDE / 5)
-    with pytest.raises(MeshError, match=r"skin\.stl: surface edge"):
+    with pytest.raises(MeshError, match=r"skin\.stl: its surface is open"):
         cube(written(tmp_path / "skin.stl", points, triangles[1:]))
 
 
