@@ -48,11 +48,6 @@ class CavityPressures:
         self.by_volume = frozenset(
             name for _, name, kind in cavities if not kind.is_effort_driven
         )
-        entries = {entry.name: entry for entry in simulation.scene.cavities}
-        self._regulators = {
-            name: (entries[name].pressure_gain, entries[name].pressure_offset)
-            if name in entries else (1.0, 0.0) for name in self.places
-        }  # fmt: skip
         self._gas = next((f for f in simulation.model.forces if f.name == "sealed_gas"), None)
         self._find_sealed(simulation.scene)
         for name, index in self.places.items():
@@ -102,24 +97,13 @@ class CavityPressures:
         """Absolute pressure of each cavity in messages [Pa], by its name.
 
         Args:
-            efforts: Efforts of all actuators, those of cavities gauge pressures [Pa], shape
-                (actuator_count,).
+            efforts: Efforts of all actuators as they are told, those of cavities gauge pressures
+                [Pa], shape (actuator_count,).
         """
-        regulated = ((name, index, *self._regulators[name]) for name, index in self.places.items())
         return {
-            name: self.ambient_pressure + (offset + float(efforts[index]) / gain)
-            for name, index, gain, offset in regulated
+            name: self.ambient_pressure + float(efforts[index])
+            for name, index in self.places.items()
         }
-
-    def gauge(self, name: str, pressure: float) -> float:
-        """Gauge pressure of a cavity [Pa].
-
-        Args:
-            name: The cavity.
-            pressure: Its absolute pressure in messages [Pa].
-        """
-        gain, offset = self._regulators[name]
-        return gain * (pressure - self.ambient_pressure - offset)
 
 
 class PressureInput(Input):
@@ -173,7 +157,7 @@ class PressureInput(Input):
         if pressure <= 0.0:
             return Refusal.BELOW_VACUUM
         place = np.array([self._cavities.places[name]])
-        gauge = self._cavities.gauge(name, pressure)
+        gauge = pressure - self._cavities.ambient_pressure
         refusal = None if is_effort else self._keeper.put(place, gauge, arrival.time)
         if refusal is None and self._are_measured:
             self._keeper.put_efforts(place, gauge)

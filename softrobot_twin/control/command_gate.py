@@ -68,7 +68,7 @@ def gate_tolerances(limits: ActuatorLimits) -> Tolerances:
 @njit(**KERNEL)
 def pass_command(
     setpoints, efforts, before, reach, lowest, highest, effort_min, effort_max, beyond,
-    beyond_effort, by_effort,
+    beyond_effort, by_effort, zeros, slopes,
 ):  # fmt: skip
     """Whether a command is finite, and within limits of setpoints, rates and efforts.
 
@@ -83,7 +83,8 @@ def pass_command(
         lowest, highest: Limits of setpoints.
         effort_min, effort_max: Limits of efforts.
         beyond, beyond_effort: Tolerances of setpoints and efforts.
-        by_effort: Whether the setpoint of each actuator is its effort.
+        by_effort: Whether the setpoint of each actuator holds its effort.
+        zeros, slopes: Setpoints at rest, and changes of setpoints with what they hold.
     """
     for i in range(len(setpoints)):
         x, effort, slack = setpoints[i], efforts[i], beyond[i]
@@ -100,7 +101,7 @@ def pass_command(
         x = min(highest[i], max(lowest[i], setpoints[i]))
         setpoints[i] = min(before[i] + reach[i], max(before[i] - reach[i], x))
         effort = min(effort_max[i], max(effort_min[i], efforts[i]))
-        efforts[i] = setpoints[i] if by_effort[i] else effort
+        efforts[i] = (setpoints[i] - zeros[i]) / slopes[i] if by_effort[i] else effort
     return True
 
 
@@ -134,7 +135,7 @@ class CommandGate:
     ):
         self._names = tuple(actuator_names)
         self._lowest, self._highest = limits.setpoint_range(rest_setpoints)
-        self._limits = limits
+        self._limits, self._rest = limits, np.array(rest_setpoints, float)
         self.tolerances = gate_tolerances(limits)
         self.home = self.within(rest_setpoints)
         self.start_from(self.home, np.zeros(len(rest_setpoints)))
@@ -164,7 +165,8 @@ class CommandGate:
         """
         limits, setpoints = self._limits, np.array(setpoints, dtype=float)
         efforts = np.clip(efforts, limits.effort_min, limits.effort_max)
-        efforts = np.where(limits.is_effort_driven, setpoints, efforts)
+        held = (setpoints - self._rest) / limits.slopes
+        efforts = np.where(limits.is_effort_driven, held, efforts)
         self.last = ActuatorCommand(setpoints, efforts)
         self.is_outside = bool(self._outside.any())
 
@@ -183,6 +185,7 @@ class CommandGate:
         elif pass_command(
             *command, self.last.setpoints, self.reach(time_step), self._lowest, self._highest,
             limits.effort_min, limits.effort_max, *self.tolerances, limits.is_effort_driven,
+            self._rest, limits.slopes,
         ):  # fmt: skip
             self.last, violated = command, ()
             # What starts inside stays there.
@@ -219,7 +222,7 @@ class CommandGate:
         beyond, beyond_effort = self.tolerances
         moved = np.abs(setpoints - self.last.setpoints)
         too_fast = moved > self.reach(time_step) + beyond
-        limits, grows = self._limits, self._limits.signs > 0.0
+        limits, grows = self._limits, self._limits.slopes > 0.0
         low, high = setpoints < self._lowest - beyond, setpoints > self._highest + beyond
         least, greatest = zip(*limits.drive_names, strict=True) if self._names else ((), ())
         loads = limits.effort_words

@@ -221,7 +221,7 @@ class MeasuredSetpoints(ActuatorInput):
         # Positions of slides and angles may be negative, lengths and volumes not.
         is_angle = np.array([unit == "rad" for unit in units] or [False] * len(low), bool)
         least = np.where(names.by_position | is_angle, -np.inf, 0.0)
-        least = np.where(by_effort, vacuum, least)
+        least = np.where(by_effort, rest_setpoints + limits.slopes * vacuum, least)
         self._low, self._high = np.maximum(low - beyond, least), high + beyond
         self._moves = limits.rate, _noise(limits)
         self._actuator_names = tuple(limits.names)
@@ -384,7 +384,7 @@ def _noise(limits: ActuatorLimits) -> np.ndarray:
     """What noise may change of a setpoint, shape (actuator_count,)."""
     # A cable may be allowed to lengthen without limit; its shortening always has a limit.
     least = np.where(np.isfinite(limits.drive_min), limits.drive_min, 0.0)
-    travel = limits.drive_max - least
+    travel = np.abs(limits.slopes) * (limits.drive_max - least)
     return LAG_SHARE * np.where(np.isfinite(travel), travel, np.inf)
 
 

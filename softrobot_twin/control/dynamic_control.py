@@ -101,7 +101,7 @@ class DynamicControl:
             by_setpoint = ~self.model.is_by_effort
             allowed = InputRange(
                 np.where(by_setpoint, limits.displacement_min, limits.effort_min),
-                np.where(by_setpoint, limits.displacement_max, limits.effort_max), limits.rate)
+                np.where(by_setpoint, limits.displacement_max, limits.effort_max), limits.drive_rate)
             self._control, self.margin = with_margin(
                 self.model, period, self._outputs, allowed, noise=USUAL_NOISE,
                 horizon=max(2, round(entry.horizon / period)), delay=round(entry.delay / period))  # fmt: skip

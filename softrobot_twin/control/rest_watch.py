@@ -243,16 +243,5 @@ def sample_of(
     commanded = setpoints if command is None else command
     markers = simulation.scene.marker_frame.of_cameras(np.array(loop.markers.measured(now)))
     effectors = np.full((len(simulation.effector_names), 3), np.nan)
-    told = [_as_told(loop, one) for one in (commanded, setpoints)]
     felt = np.zeros((len(simulation.touch_names), 3)) if forces is None else np.nan_to_num(forces)
-    return Sample(time, told[0], RestPose(told[1], markers, effectors, efforts, felt))
-
-
-def _as_told(loop: TwinLoop, setpoints: np.ndarray) -> np.ndarray:
-    """Setpoints with pressures as they are in messages, but gauge."""
-    told, cavities = np.array(setpoints), loop.cavities
-    absolute = cavities.absolute(told)
-    for name, place in cavities.places.items():
-        if name not in cavities.by_volume:
-            told[place] = absolute[name] - cavities.ambient_pressure
-    return told
+    return Sample(time, np.array(commanded), RestPose(setpoints, markers, effectors, efforts, felt))

@@ -103,6 +103,8 @@ class Valves:
         is_cavity = np.zeros(actuators.count, bool)
         is_cavity[self.cavities] = True
         self.by_pressure = is_cavity & actuators.is_effort_driven
+        self._actuators = actuators
+        self._zeros = np.where(self.by_pressure, actuators.rest_setpoints, 0.0)
         self._by_volume = is_cavity & ~actuators.is_effort_driven
         is_angle = np.array([kind.setpoint.unit == "rad" for kind in actuators.kinds], bool)
         self._servo_rates = np.where(is_angle, flaws.angle_rate, flaws.servo_rate)
@@ -137,14 +139,19 @@ class Valves:
             return commanded
         leaks = 1.0 + lag * self._leak_rates(present)
         share = 1.0 - np.exp(-time_step * leaks / lag)
-        return np.where(self.by_pressure, present + share * (commanded / leaks - present), commanded)
+        aim = self._zeros + (commanded - self._zeros) / leaks
+        return np.where(self.by_pressure, present + share * (aim - present), commanded)
+
+    def _pressures(self, present: np.ndarray) -> np.ndarray:
+        """True gauge pressures of the regulators at setpoints [Pa], shape (regulator_count,)."""
+        return self._actuators.drives(present)[self.by_pressure]
 
     def _leak_rates(self, present: np.ndarray) -> np.ndarray:
         """Share of each gauge pressure that leaks in a second [1/s], shape (actuator_count,)."""
         rates = np.zeros(len(present))
         if self._flaws.leak == 0.0:
             return rates
-        absolute = self._ambient + present[self.by_pressure]
+        absolute = self._ambient + self._pressures(present)
         rates[self.by_pressure] = (
             self._ambient * self._flaws.leak / (self._volumes + absolute * self._compliances)
         )
@@ -157,7 +164,7 @@ class Valves:
             present: Setpoints, those of regulators gauge pressures [Pa], same shape.
             time_step: The time [s].
         """
-        return np.minimum(time_step * self._leak_rates(present), 1.0) * present
+        return np.minimum(time_step * self._leak_rates(present), 1.0) * (present - self._zeros)
 
     def reach(self, present: np.ndarray, time_step: float) -> np.ndarray:
         """Greatest move of each actuator in a time [s], shape (actuator_count,).
@@ -168,9 +175,10 @@ class Valves:
         """
         flow = self._flaws.flow_limit * time_step
         reach = np.where(self._by_volume, flow, self._servo_rates * time_step)
-        pressures = self._ambient + present[self.by_pressure]
+        pressures = self._ambient + self._pressures(present)
+        gains = self._actuators.effort_gains[self.by_pressure]
         reach[self.by_pressure] = (
-            self._ambient * flow / (self._volumes + pressures * self._compliances)
+            self._ambient * flow / (self._volumes + pressures * self._compliances) / gains
         )
         return reach
 
@@ -180,7 +188,7 @@ class Valves:
         Args:
             result: Result of the step.
         """
-        pressures = result.setpoints[self.by_pressure]
+        pressures = self._pressures(result.setpoints)
         self._volumes = self._rest_volumes + result.displacements[self.by_pressure]
         change = pressures - self._seen_pressures
         is_seen = np.abs(change) > self._noticeable
@@ -197,14 +205,14 @@ class Valves:
         """What encoders and pressure sensors say; a sensor never says less than a vacuum.
 
         Args:
-            setpoints: True setpoints, shape (actuator_count,).
+            setpoints: Setpoints where the actuators are, shape (actuator_count,).
             efforts: True efforts, same shape.
             noise: Its source.
 
         Returns:
             Measured setpoints and efforts, each of that shape.
         """
-        efforts = np.where(self.by_pressure, setpoints, efforts)
+        efforts = np.where(self.by_pressure, setpoints, self._actuators.told_efforts(efforts))
         if len(self.cavities):
             errors = noise.normal(0.0, self._flaws.pressure_noise, len(self.cavities))
             pressures = np.maximum(efforts[self.cavities] + errors, -self._ambient)
@@ -405,7 +413,8 @@ class SimulatedDevice:
             _, name, pose = self._poses.popleft()
             self.simulation.model.guides.aim(name, pose.position, pose.quaternion)
         if time_step > 0.0 and self._follows_efforts:
-            self.result = self._step(CommandEfforts(self._commanded, time_step), now)
+            efforts = self.simulation.actuators.efforts(self._commanded)
+            self.result = self._step(CommandEfforts(efforts, time_step), now)
             self._servo = np.array(self.result.setpoints)
         elif time_step > 0.0:
             reach = self._valves.reach(self._servo, time_step)

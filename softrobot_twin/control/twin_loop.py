@@ -922,8 +922,10 @@ class TwinLoop:
         if direct.setpoints is not None:
             wanted = np.where(np.isnan(direct.setpoints), present, direct.setpoints)
             return CommandSetpoints(wanted, *time)
-        is_omitted = np.isnan(direct.efforts) & self.simulation.actuators.is_effort_driven
-        return CommandEfforts(np.where(is_omitted, present, direct.efforts), *time)
+        actuators = self.simulation.actuators
+        is_omitted = np.isnan(direct.efforts) & actuators.is_effort_driven
+        told = np.where(is_omitted, present, direct.efforts)
+        return CommandEfforts(actuators.efforts(told), *time)
 
     def _step(
         self, command, touched: list, reach_time: float, cause: str

@@ -13,14 +13,19 @@ from softrobot_twin.record.replay import Replay
 from softrobot_twin.record.run_file import CALL, SUFFIX, TICK, RunFile
 from softrobot_twin.record.run_values import numbers
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.building.limits import ANGLE
 from softrobot_twin.simulation.building.table_columns import (
+    SETPOINTS,
     TIME,
     column,
     force_columns,
     position_columns,
 )
-from softrobot_twin.simulation.runs.input_tables import Columns, TableFileError, open_columns
+from softrobot_twin.simulation.runs.input_tables import (
+    Columns,
+    TableFileError,
+    drives_of,
+    open_columns,
+)
 
 _MEASURED = ("markers.", "device.", "measured_angles.", "measured_pressures.", "touches.")
 EXAMPLE = "north_length_m,marker_4_x_m,marker_4_y_m,marker_4_z_m"
@@ -80,9 +85,7 @@ def poses_of_table(
     columns = open_columns(source, EXAMPLE)
     name = columns.source.name
     actuators = simulation.actuators
-    setpoints = np.column_stack([
-        _setpoints(columns, simulation, place) for place in range(actuators.count)
-    ]) if actuators.count else np.empty((len(columns), 0))  # fmt: skip
+    setpoints = _setpoints(columns, simulation)
     efforts = np.full(setpoints.shape, np.nan)
     for place, (own, kind) in enumerate(actuators.kind_of.items()):
         if not kind.is_effort_driven and column(own, kind.effort) in columns:
@@ -110,24 +113,22 @@ def poses_of_table(
     return list(watch.found), watch.in_words() + words
 
 
-def _setpoints(columns: Columns, simulation: Simulation, place: int) -> np.ndarray:
-    """Setpoints of an actuator in each row, by the first of its columns that is there."""
+def _setpoints(columns: Columns, simulation: Simulation) -> np.ndarray:
+    """Setpoints of the actuators in each row, shape (row_count, actuator_count)."""
     actuators = simulation.actuators
-    name, kind = actuators.names[place], actuators.kinds[place]
-    if column(name, kind.setpoint) in columns:
-        return columns.pop(column(name, kind.setpoint))
-    if not kind.is_effort_driven and column(name, kind.displacement) in columns:
-        drives = columns.pop(column(name, kind.displacement))
-        return actuators.rest_setpoints[place] + kind.sign * drives
-    pulleys = actuators.pulleys
-    for index, own in enumerate(pulleys.names):
-        if place in pulleys.driven[index] and column(own, ANGLE) in columns:
-            at = list(pulleys.driven[index]).index(place)
-            angles = columns.pop(column(own, ANGLE))
-            columns.put(column(own, ANGLE), angles)
-            return np.array([pulleys.lengths(index, angle)[at] for angle in angles])
-    raise TableFileError(columns.source, f"the header lacks what drives {name}, such as this column", 1,
-                         column(name, kind.setpoint))  # fmt: skip
+    setpoints = np.full((len(columns), actuators.count), np.nan)
+    drives = [one for one in drives_of(simulation) if SETPOINTS in one.gives]
+    for drive in sorted(drives, key=lambda one: bool(one.lines)):  # First what is told itself.
+        if drive.name in columns and np.isnan(setpoints[:, drive.places]).any():
+            for place, told in drive.told(columns.pop(drive.name)):
+                if np.isnan(setpoints[:, place]).any():
+                    setpoints[:, place] = told
+    for name, kind, own in zip(actuators.names, actuators.kinds, setpoints.T, strict=True):
+        if np.isnan(own).any():
+            raise TableFileError(
+                columns.source, f"the header lacks what drives {name}, such as this column", 1,
+                column(name, kind.setpoint))  # fmt: skip
+    return setpoints
 
 
 def _points(columns: Columns, names: Iterable[str]) -> np.ndarray:

@@ -175,13 +175,15 @@ def commands_of(loop: TwinLoop) -> Iterator[Output]:
     """
     names, guided = loop.simulation.actuator_names, loop.simulation.guided_names
     pulleys, cavities = loop.pulleys, loop.cavities
+    told = loop.simulation.actuators.told_efforts
     yield Output(TOPICS["~/cables"], [""], partial(cables_message, names),
-                 lambda sent: [tuple(sent[0])], (len(names), len(names)))
+                 lambda sent: [(sent[0].setpoints, told(sent[0].efforts))],
+                 (len(names), len(names)))
     yield Output(TOPICS["~/angles"], [""] * bool(pulleys.count), partial(cables_message, pulleys.names),
                  lambda sent: [(pulleys.angles(sent[0].setpoints), pulleys.torques(sent[0].efforts))],
                  (pulleys.count, pulleys.count))
     yield Output(TOPICS["~/pressures/<cavity>"], cavities.names, _pressure_of,
-                 lambda sent: rows_of(cavities.absolute(sent[0].efforts).values()), (1,))
+                 lambda sent: rows_of(cavities.absolute(told(sent[0].efforts)).values()), (1,))
     yield Output(TOPICS["~/poses/<guided body>"], guided, pose_message,
                  lambda sent: [sent[1][name] for name in guided if name in sent[1]], (3, 4))
 

@@ -221,9 +221,9 @@ class Cavity(WalledEntry, ActuatorEntry):
     pressure: Annotated[OpenRange, unit("Pa"), allows_zero("the gauge pressure at rest")] = POSITIVE
     """Limits of the gauge pressure; a negative lower limit allows a vacuum."""
     pressure_offset: Annotated[float, unit("Pa")] = 0.0
-    """Zero error of its regulator: the pressure in messages of ROS where the gauge pressure is 0."""
+    """Zero error of its regulator: what is commanded and measured where the gauge pressure is 0."""
     pressure_gain: Annotated[float, unit("", gt=0.0)] = 1.0
-    """Gauge pressure by that in messages of ROS, less `pressure_offset`."""
+    """Gauge pressure by what is commanded or measured, less `pressure_offset`."""
     volume: Annotated[OpenRange, unit("m³"), not_below_zero("a volume is not negative")] = POSITIVE
     """Limits of the volume."""
     growth: Annotated[OpenRange, unit("m³"), allows_zero("the growth at rest")] = NO_LIMITS

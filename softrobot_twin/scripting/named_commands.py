@@ -284,16 +284,16 @@ class CommandReader:
 
     def _efforts(self, values: Mapping[str, Numbers]) -> np.ndarray:
         """Efforts, the present ones where none is given; NaN for what takes none."""
-        simulation = self._simulation
-        present = np.where(simulation.actuators.takes_efforts, simulation.state.efforts, np.nan)
+        actuators, state = self._simulation.actuators, self._simulation.state
+        told = np.where(actuators.takes_efforts, actuators.told_efforts(state.efforts), np.nan)
         for place, number in self._driven(values, "efforts", self.effort_names):
-            present[place] = number
-        return present
+            told[place] = number
+        return actuators.efforts(told)
 
     def _driven(
         self, values: Mapping[str, Numbers], word: str, allowed: tuple[str, ...]
     ) -> Iterator[tuple[int, float]]:
-        """Each driven actuator, and its setpoint or effort."""
+        """Each driven actuator, and its setpoint or effort, as it is told."""
         actuators, driven_by = self._simulation.actuators, dict[int, str]()
         for name, numbers in values.items():
             drive = self.drives.get(name)
@@ -303,15 +303,15 @@ class CommandReader:
             shown = f"{number:g} {drive.quantity.unit}"
             if SETPOINTS not in drive.gives and kind.one_sided and number < 0.0:
                 raise CommandError(name, f"{shown} must not be negative: a {kind.noun} cannot push")
-            if SETPOINTS in drive.gives and not drive.factor and number < kind.least_setpoint:
+            if SETPOINTS in drive.gives and not drive.lines and number < kind.least_setpoint:
                 raise CommandError(name, f"{shown} must be {kind.least_setpoint:g} or more: it is "
                                    f"the {kind.setpoint.word} of a {kind.noun}")
-            for place in drive.places:
+            for place, told in drive.told(number):
                 if place in driven_by:
                     raise CommandError(
                         name, f"drives {actuators.names[place]}, as {driven_by[place]} does")
                 driven_by[place] = name
-                yield place, drive.commanded(number, actuators.rest_setpoints[place])
+                yield place, told
 
     def _refused(self, name: str, word: str, allowed: tuple[str, ...]) -> CommandError:
         simulation = self._simulation

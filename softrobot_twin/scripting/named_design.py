@@ -100,7 +100,7 @@ def poses_of(scene: Scene, commands: Iterable[NamedCommand]) -> list[Pose]:
         holds = np.zeros(len(rest), bool)
         for name in command.values:
             drive = reader.drives[name]
-            holds[list(drive.places)] = not drive.factor
+            holds[list(drive.places)] = not drive.lines
         efforts = read.efforts if isinstance(read, CommandEfforts) else None
         setpoints = getattr(read, "setpoints", rest)
         poses.append(Pose(setpoints, simulation.actuators.drives(setpoints), holds, efforts))

@@ -304,7 +304,8 @@ class Robot:
         parts = [
             text_html(self.name, "h3"), text_html(self._summary()),
             effectors_html(self.effector_names, simulation.effector_positions()),
-            actuators_html(actuators_of(simulation), state.setpoints, moved, state.efforts),
+            actuators_html(actuators_of(simulation), state.setpoints, moved,
+                           simulation.actuators.told_efforts(state.efforts)),
         ]  # fmt: skip
         with suppress(MissingExtraError):
             parts.append(figure_html(self.plot(), f"{self.name} at {state.time:.6g} s"))

@@ -86,7 +86,7 @@ class Result:
         return self.outcome.report
 
     @property
-    def limits(self) -> tuple[str, ...]:
+    def active_limits(self) -> tuple[str, ...]:
         """Names of active limits, such as ``north.shortening_max``."""
         return self.outcome.report.active_limits
 
@@ -169,23 +169,24 @@ class Result:
             error = self.errors[name]
             missed = f" ({1e3 * error:.2g} mm from its target)" if np.isfinite(error) else ""
             parts.append(f"{name} at [{place}] mm{missed}")
-        shown = [f"{column(one.name, one.quantities[-1])} {effort:.4g}"
-                 for one, effort in zip(self._actuators, self.outcome.efforts, strict=True)]
+        efforts = [column(one.name, one.quantities[-1]) for one in self._actuators]
+        shown = [f"{name} {self.values[name]:.4g}" for name in efforts]
         if len(shown) > _MOST_SHOWN:
             shown = [*shown[:_MOST_SHOWN], f"and {len(shown) - _MOST_SHOWN} more"]
         parts += shown
-        if self.limits:
-            parts.append(f"at {', '.join(self.limits[:_MOST_SHOWN])}")
+        if self.active_limits:
+            parts.append(f"at {', '.join(self.active_limits[:_MOST_SHOWN])}")
         return f"<Result {'; '.join(parts)}>"
 
     def _repr_html_(self) -> str:
         """What a notebook shows: its status and active limits, effectors and actuators."""
-        outcome, limits = self.outcome, ", ".join(self.limits)
+        outcome, limits = self.outcome, ", ".join(self.active_limits)
         text = f"{self.status.value} at {self.time:.6g} s{limits and f'; at limits: {limits}'}"
+        efforts = [self.values[column(one.name, one.quantities[-1])] for one in self._actuators]
         return (text_html(text)
                 + effectors_html(self._effectors, outcome.effector_positions, outcome.effector_errors)
                 + actuators_html(self._actuators, outcome.setpoints, outcome.displacements,
-                                 outcome.efforts))  # fmt: skip
+                                 np.array(efforts)))  # fmt: skip
 
 
 class UnknownNameError(CommandError, KeyError):

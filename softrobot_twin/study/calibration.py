@@ -27,7 +27,6 @@ from scipy.stats import qmc, t
 from softrobot_twin.errors import NamedError, SceneError
 from softrobot_twin.control.rest_watch import RestPose
 from softrobot_twin.scene import Scene
-from softrobot_twin.scene.actuator_entries import Cavity
 from softrobot_twin.scene.scene_parameters import (
     JointParameter,
     Parameter,
@@ -292,7 +291,7 @@ class RestModel:
 
     def _rests(self, index: int, pose: RestPose) -> bool:
         """Brings the simulation to rest at a pose: from where it rested there before, or from rest."""
-        followed, setpoints, touched, name = self._followed, self._setpoints(pose), None, id(pose)
+        followed, setpoints, touched, name = self._followed, np.array(pose.setpoints), None, id(pose)
         if len(pose.forces):
             touched = Touched(np.array(pose.forces), np.full(np.shape(pose.forces), np.nan))
         is_known = followed.knows(name)
@@ -317,24 +316,11 @@ class RestModel:
         apart = self._outputs()[:points] - _stacked(pose.markers, pose.effectors, pose.efforts)[:points]
         return float(np.sqrt(3.0 * np.mean(apart[seen] ** 2))) if seen.any() else 0.0
 
-    def _setpoints(self, pose: RestPose) -> np.ndarray:
-        """Setpoints of the simulation, whose pressures are true ones."""
-        setpoints = np.array(pose.setpoints, float)
-        for place, entry in self._regulated():
-            setpoints[place] = entry.pressure_gain * (setpoints[place] - entry.pressure_offset)
-        return setpoints
-
-    def _regulated(self) -> Iterator[tuple[int, Cavity]]:
-        """Place and entry of each cavity whose pressure is commanded."""
-        own = self.simulation.actuators.of_section("cavities")
-        for place, entry in zip(range(own.start, own.stop), self._scene.cavities):
-            if entry.control == "pressure":
-                yield place, entry
-
     def _outputs(self) -> np.ndarray:
         points, count = self.simulation.effector_positions(), len(self._scene.markers)
         markers = self._scene.marker_frame.of_cameras(points[:count])
-        return _stacked(markers, points[count:], self.simulation.state.efforts)
+        efforts = self.simulation.actuators.told_efforts(self.simulation.state.efforts)
+        return _stacked(markers, points[count:], efforts)
 
     def _jacobian(self, index: int, pose: RestPose) -> np.ndarray:
         """Derivatives of all numbers of a pose, where the simulation rests."""
@@ -361,7 +347,19 @@ class RestModel:
                 markers[:, :, column] += by_frame[:, :, first + int(match[2])]
         width = len(self._keys)
         return np.concatenate([markers.reshape(-1, width), points[count:].reshape(-1, width),
-                               found.efforts])  # fmt: skip
+                               self._told(found.efforts)])  # fmt: skip
+
+    def _told(self, efforts: np.ndarray) -> np.ndarray:
+        """Derivatives of what is told of the efforts, by those of the efforts, same shape."""
+        actuators, state = self.simulation.actuators, self.simulation.state
+        told = efforts / actuators.effort_gains[:, None]
+        for column, one in enumerate(self._keys):
+            if match := _REGULATOR.fullmatch(one.key):
+                place = actuators.of_section("cavities").start + int(match[1])
+                gain = actuators.effort_gains[place]
+                told[place, column] += (
+                    1.0 if match[2] == "offset" else -state.efforts[place] / gain**2)
+        return told
 
     def _loads(self, one: Parameter, pose: RestPose) -> Loads:
         """What a number changes while unknowns and efforts stay."""
@@ -377,6 +375,8 @@ class RestModel:
             return none
         if match := _REGULATOR.fullmatch(one.key):
             place = simulation.actuators.of_section("cavities").start + int(match[1])
+            if not simulation.actuators.is_effort_driven[place]:
+                return none  # What is commanded is the volume; the pressure is only measured.
             entry, effort = self._scene.cavities[int(match[1])], np.zeros(simulation.actuators.count)
             effort[place] = (pose.setpoints[place] - entry.pressure_offset if match[2] == "gain"
                              else -entry.pressure_gain)  # fmt: skip

@@ -60,7 +60,7 @@ Reduced controller {version} of {name}, law {law}; made by: {command} SCENE --ex
 Steps by some lines of numpy: docs/reduced_controller.md of softrobot_twin. SI units.
 A state is the coordinates q [m], the drives of the actuators and their efforts. A drive is what an
 actuator holds: the shortening of a cable [m], the growth of a cavity [m3], or where it
-is_effort_driven the gauge pressure [Pa]. setpoint = setpoint_rest + setpoint_sign * drive.
+is_effort_driven the gauge pressure [Pa]. setpoint = setpoint_rest + setpoint_slope * drive.
   {modes} coordinates, {points} sampled points, F = 1 + gradients q
   actuators: {actuators}
   effectors: {effectors}
@@ -297,11 +297,12 @@ def _actuator_arrays(model: Model) -> dict[str, np.ndarray]:
     return {
         "actuators": np.array(actuators.names),
         "setpoint_rest": np.array(actuators.rest_setpoints, float),
-        "setpoint_sign": np.array(limits.signs, float),
+        "extent_rest": actuators.extents(np.zeros(actuators.count)),
+        "setpoint_slope": np.array(limits.slopes, float),
         "is_effort_driven": np.array(limits.is_effort_driven),
         "displacement_limits": np.column_stack([limits.displacement_min, limits.displacement_max]),
         "effort_limits": np.column_stack([limits.effort_min, limits.effort_max]),
-        "rate": np.array(limits.rate), "augmentation": _augmentation(model),
+        "rate": np.array(limits.drive_rate), "augmentation": _augmentation(model),
     }  # fmt: skip
 
 

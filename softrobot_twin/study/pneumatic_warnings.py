@@ -38,11 +38,11 @@ def burst_warnings(simulation: Simulation) -> Iterator[str]:
         return
     alone = [[index] for index in driven] if 1 < len(driven) <= MOST_ALONE else []
     for chosen in (*alone, driven):
-        end = np.array(simulation.rest_setpoints)
+        end = np.zeros(actuators.count)
         end[chosen] = most[chosen]
         names = ", ".join(actuators.names[index] for index in chosen)
         for share in SHARES:
-            told = _trouble_at(simulation, share * end)
+            told = _trouble_at(simulation, actuators.setpoints(share * end))
             if told:
                 yield (f"{names}: at {1e-3 * share * most[chosen].max():.3g} kPa, {share:g} of the "
                        f"greatest pressure, {told}: lower `pressure`, add fibres or thicker walls, or "

@@ -118,7 +118,7 @@ def joint_axes(simulation: Simulation, low: np.ndarray, high: np.ndarray) -> lis
               for motor, cables in simulation.motors.items()}
     taken = {place for own in groups.values() for place in own}
     groups |= {name: [place] for place, name in enumerate(names) if place not in taken}
-    rate = simulation.limits.rate
+    rate = simulation.limits.drive_rate
     return [Axis(name, tuple(own), float(low[own].max()), float(high[own].min()),
                  float(rate[own].min())) for name, own in groups.items()]
 

@@ -9,7 +9,7 @@ from softrobot_twin.control.command_gate import EFFORT_SHARE, SETPOINT_SHARE, Co
 from softrobot_twin.simulation.building.limits import ActuatorLimits
 
 REST = np.array([0.1, 0.2])
-CABLES = {"signs": -np.ones(2), "is_effort_driven": np.zeros(2, bool),
+CABLES = {"slopes": -np.ones(2), "is_effort_driven": np.zeros(2, bool),
           "limit_names": (("shortening_min", "shortening_max"),) * 2,
           "effort_words": ("tension",) * 2}  # fmt: skip
 STEP = 0.1

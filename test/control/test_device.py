@@ -21,7 +21,7 @@ LIMITS = ActuatorLimits(
     effort_max=np.full(3, 10.0),
     displacement_scale=np.array([0.1, 0.2, 0.05]),
     effort_scale=np.full(3, 10.0),
-    signs=-np.ones(3), is_effort_driven=np.zeros(3, bool),
+    slopes=-np.ones(3), is_effort_driven=np.zeros(3, bool),
     limit_names=(("shortening_min", "shortening_max"),) * 3,
     effort_words=("tension",) * 3,
 )

@@ -100,7 +100,7 @@ def test_without_matplotlib_a_robot_shows_no_picture(finger, monkeypatch):
 def test_a_result_shows_status_limits_errors_and_actuators(finger):
     result = finger.step(st.targets(tip=[0.1, 0.01, 0.03]))
     page = Page(pickle.loads(pickle.dumps(result))._repr_html_())
-    assert result.status.value in page.texts[0] and result.limits[0] in page.texts[0]
+    assert result.status.value in page.texts[0] and result.active_limits[0] in page.texts[0]
     effectors, cables = page.tables
     assert column(effectors, "from its target [mm]")[0] == pytest.approx(
         1e3 * result.errors["tip"], rel=1e-3)

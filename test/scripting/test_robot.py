@@ -132,6 +132,22 @@ def test_settling_ends_at_rest_and_says_where_it_does_not(finger):
     assert not finger.settle(st.setpoints(upper_shortening_m=0.01), most_steps=2).is_at_rest
 
 
+def test_a_robot_that_has_begun_to_move_is_not_at_rest_however_short_its_steps(entries):
+    robot = st.build(**entries | {"integration": "dynamic"})
+    result = robot.settle(st.efforts(upper_tension_N=0.01), time_step=1e-5, most_steps=5)
+    assert result.status is st.Status.OK and not result.is_at_rest
+    assert robot.settle(st.efforts(upper_tension_N=0.01), time_step=100.0).is_at_rest
+
+
+def test_a_material_that_relaxes_slowly_is_not_at_rest(entries):
+    entries["body"]["material"] |= {"law": "neo_hookean", "viscosity": [{"share": 0.3, "time": 1e3}]}
+    robot, command = st.build(**entries), st.setpoints(upper_shortening_m=0.01, lower_shortening_m=0.0)
+    early = robot.settle(command, time_step=0.02, most_steps=60)
+    assert early.status is st.Status.OK and not early.is_at_rest
+    late = robot.settle(command, time_step=1e5)
+    assert late.is_at_rest and early["upper_tension_N"] > 1.3 * late["upper_tension_N"]
+
+
 def test_a_jacobian_has_the_columns_of_the_actuators(finger):
     finger.settle(st.setpoints(upper_shortening_m=0.002, lower_shortening_m=0.002))
     jacobian = finger.jacobian("tip")

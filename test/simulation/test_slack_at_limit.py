@@ -63,7 +63,7 @@ def test_a_pose_that_commanded_lengths_reach_is_reached_past_a_slack_cable_at_it
     assert abs(result.tip[2] - goal[2]) <= 1e-7
     assert result["other_tension_N"] <= 1e-9 * result["long_tension_N"]
     assert result["other_shortening_m"] == pytest.approx(LIMITED)
-    assert result.limits == ()
+    assert result.active_limits == ()
 
 
 def test_it_comes_back_to_a_pose_where_both_cables_pull(limited):
@@ -90,7 +90,7 @@ def test_commands_stay_within_limits_and_rates_on_the_way():
         assert 0.0 <= own <= LIMITED * (1 + 1e-12)
         assert abs(own - last) <= RATE * step_time * (1 + 1e-9)
         last, slack = own, slack + (result["other_tension_N"] == 0.0)
-        assert not [name for name in result.limits
+        assert not [name for name in result.active_limits
                     if name.startswith("other.") and result["other_tension_N"] == 0.0]
     assert slack > 0
     assert result.status.value == "ok"

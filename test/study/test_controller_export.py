@@ -141,7 +141,7 @@ class Pair:
         """Step both until both have settled; gives the status of the package."""
         robot = self.robot
         if "drives" in asked:
-            setpoints = robot["setpoint_rest"] + robot["setpoint_sign"] * asked["drives"]
+            setpoints = robot["setpoint_rest"] + robot["setpoint_slope"] * asked["drives"]
             command = CommandSetpoints(setpoints, dt)
         else:
             command = FollowTargets(asked["targets"], dt)

@@ -46,7 +46,8 @@ class ActuatorGroup:
             `stencils` and `bind` like a force term, for its geometric stiffness. None for
             actuators without multipliers, see `moves`.
         moves: Object that prescribes displacements in place of rows, as for slides; else None.
-        rest_setpoints: Setpoints at rest [setpoint unit], shape (count,).
+        rest_setpoints: Setpoints at rest [setpoint unit], with the zero error of what is commanded
+            by them, shape (count,).
         displacement_scale: A large displacement, such as the length of a cable at rest
             [displacement unit], shape (count,).
         displacement_bounds: Least and greatest displacement [displacement unit], shape (count, 2).
@@ -62,6 +63,9 @@ class ActuatorGroup:
             at rest.
         limit_names: Names of the least and the greatest displacement of each in reports, such as
             ``shortening_min`` and ``angle_max``, shape (count, 2); by default those of the kind.
+        effort_zeros: What is told of an effort of 0 [effort unit], shape (count,); by default 0. Of
+            what is effort-driven it is the setpoint at rest.
+        effort_gains: Effort by what is told of it, less the zero, shape (count,); by default 1.
     """
 
     kind: ActuatorKind
@@ -78,6 +82,8 @@ class ActuatorGroup:
     flows: np.ndarray | None = None
     rest_extents: np.ndarray | None = None
     limit_names: tuple[tuple[str, str], ...] = ()
+    effort_zeros: np.ndarray | None = None
+    effort_gains: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         """Fill in what is usual."""
@@ -88,6 +94,10 @@ class ActuatorGroup:
             self.flows = np.full(count, np.inf)
         if self.rest_extents is None:
             self.rest_extents = self.rest_setpoints
+        if self.effort_zeros is None:
+            self.effort_zeros = np.zeros(count)
+        if self.effort_gains is None:
+            self.effort_gains = np.ones(count)
 
 
 class ActuatorKind(Protocol):

@@ -38,6 +38,7 @@ class Actuators:
         is_moved: Whether the unknown of each is its displacement and not its effort, shape (count,).
         moves: Object that prescribes the displacements of the others, or None without any.
         rest_setpoints: Setpoints at rest, each in the unit of its kind, shape (count,).
+        effort_gains: Effort by what is told of it, less its zero, shape (count,).
         limits: Their limits.
         takes_efforts: Whether each can be commanded by an effort, shape (count,).
         one_sided: Whether the effort of each has one sign only, shape (count,).
@@ -75,13 +76,17 @@ class Actuators:
         scale = self._joined("displacement_scale")
         displacements, efforts = self._joined("displacement_bounds"), self._joined("effort_bounds")
         self._signs = np.array([kind.sign for kind in self.kinds], float)
-        self._signed_rest = self._signs * self.rest_setpoints
+        self._effort_zeros, self.effort_gains = self._joined("effort_zeros"), self._joined("effort_gains")
+        self._tells_efforts = bool((self.effort_gains == 1.0).all() and not self._effort_zeros.any())
+        # What a setpoint holds changes by so much with the setpoint.
+        self._gains = np.where(self.is_effort_driven, self.effort_gains, self._signs)
+        self._slopes, self._scaled_rest = 1.0 / self._gains, self._gains * self.rest_setpoints
         # Contiguous: kernels are compiled again for arrays with strides.
         least, greatest = displacements.T.copy()
         effort_min, effort_max = efforts.T.copy()
         self.limits = ActuatorLimits(
             self.names, least, greatest, self._joined("rates"), effort_min, effort_max, scale,
-            _effort_scale(efforts, work / scale), self._signs,
+            _effort_scale(efforts, work / scale), self._slopes,
             self.is_effort_driven,
             tuple(names for group in self.groups for names in group.limit_names),
             tuple(kind.effort.word for kind in self.kinds),
@@ -177,7 +182,7 @@ class Actuators:
             Displacements δ, each in the direction in which the effort does work, or efforts λ,
             shape (count,).
         """
-        return self._signs * setpoints - self._signed_rest
+        return self._gains * setpoints - self._scaled_rest
 
     def displacements(self, setpoints: np.ndarray, positions: np.ndarray) -> np.ndarray:
         """Displacements from rest: as they are set, of what is effort-driven as they are.
@@ -213,7 +218,19 @@ class Actuators:
 
     def setpoints(self, drives: np.ndarray) -> np.ndarray:
         """Setpoints that hold displacements or efforts; see `drives`."""
-        return self.rest_setpoints + self._signs * drives
+        return self.rest_setpoints + self._slopes * drives
+
+    def told_efforts(self, efforts: np.ndarray) -> np.ndarray:
+        """Efforts as commands and measurements tell them, with the zeros and gains of their sensors.
+
+        Args:
+            efforts: λ, each in the unit of its kind, shape (..., count).
+        """
+        return efforts if self._tells_efforts else self._effort_zeros + efforts / self.effort_gains
+
+    def efforts(self, told: np.ndarray) -> np.ndarray:
+        """Efforts λ of which commands or measurements tell; see `told_efforts`."""
+        return told if self._tells_efforts else self.effort_gains * (told - self._effort_zeros)
 
     def extents(self, displacements: np.ndarray) -> np.ndarray:
         """Lengths of cables, volumes of cavities: values at rest, changed by displacements.

@@ -69,14 +69,16 @@ class CavityActuator(ActuatorKind):
             _check_walls_move(term, layout)
         kinds = tuple(CavityActuator(cavity.control) for cavity in entries)
         by_volume = np.array([not kind.is_effort_driven for kind in kinds])
+        zeros = np.array([cavity.pressure_offset for cavity in entries])
         return ActuatorGroup(
             self, tuple(cavity.name for cavity in entries), term, None,
-            np.where(by_volume, term.rest_volumes, 0.0), term.rest_volumes,
+            np.where(by_volume, term.rest_volumes, zeros), term.rest_volumes,
             _growths(term, entries, layout),
             np.array([np.inf if cavity.rate is None else cavity.rate for cavity in entries]),
             np.array([cavity.pressure for cavity in entries]), term.rest_areas, kinds,
             np.array([np.inf if cavity.flow is None else cavity.flow for cavity in entries]),
-            term.rest_volumes,
+            term.rest_volumes, effort_zeros=zeros,
+            effort_gains=np.array([cavity.pressure_gain for cavity in entries]),
         )  # fmt: skip
 
     def doubts(self, model, group: ActuatorGroup) -> Iterator[str]:
@@ -107,6 +109,10 @@ class CavityActuator(ActuatorKind):
         words.append(f"driven by {entry.control}")
         if entry.flow is not None:
             words.append(f"flow {1e6 * entry.flow:.6g} cm³/s")
+        if entry.pressure_offset:
+            words.append(f"zero error {1e-3 * entry.pressure_offset:.6g} kPa")
+        if entry.pressure_gain != 1.0:
+            words.append(f"gain {entry.pressure_gain:.6g}")
         return ", ".join(words)
 
 

@@ -267,7 +267,8 @@ class ActuatorLimits:
         displacement_scale: A large displacement, of a cable its length at rest [m]; tolerances are
             shares of it.
         effort_scale: A large effort; tolerances are shares of it.
-        signs: 1 where a setpoint grows with the displacement, -1 where it shrinks.
+        slopes: Change of the setpoint with what it holds: -1 for cables, 1 for others; for
+            regulators 1 by their gain.
         is_effort_driven: Whether the setpoint is an effort.
         limit_names: Names of the least and the greatest displacement, such as ``shortening_min``
             and ``angle_max``, shape (actuator_count, 2).
@@ -284,7 +285,7 @@ class ActuatorLimits:
     effort_max: np.ndarray
     displacement_scale: np.ndarray
     effort_scale: np.ndarray
-    signs: np.ndarray
+    slopes: np.ndarray
     is_effort_driven: np.ndarray
     limit_names: tuple[tuple[str, str], ...]
     effort_words: tuple[str, ...]
@@ -315,15 +316,21 @@ class ActuatorLimits:
         """A large displacement, or a large effort of what is effort-driven, same shape."""
         return np.where(self.is_effort_driven, self.effort_scale, self.displacement_scale)
 
+    @cached_property
+    def drive_rate(self) -> np.ndarray:
+        """Greatest change of what the setpoint holds in a second, same shape."""
+        return self.rate / np.abs(self.slopes)
+
     def travel(self, otherwise: np.ndarray | float) -> np.ndarray:
-        """Range of what each setpoint holds, another number where it has none, same shape.
+        """Range of each setpoint, another one where it has none, same shape.
 
         Args:
-            otherwise: The number of each actuator without a range, in its unit, shape
-                (actuator_count,) or one for all.
+            otherwise: Range of what the setpoint of each actuator without one holds, in its unit,
+                shape (actuator_count,) or one for all.
         """
         travel = self.drive_max - self.drive_min
-        return np.where(np.isfinite(travel) & (travel > 0.0), travel, otherwise)
+        travel = np.where(np.isfinite(travel) & (travel > 0.0), travel, otherwise)
+        return np.abs(self.slopes) * travel
 
     @cached_property
     def drive_names(self) -> tuple[tuple[str, str], ...]:
@@ -379,12 +386,12 @@ class ActuatorLimits:
         Args:
             rest_setpoints: Setpoints at rest, shape (actuator_count,).
         """
-        ends = (rest_setpoints + self.signs * self.drive_min,
-                rest_setpoints + self.signs * self.drive_max)  # fmt: skip
+        ends = (rest_setpoints + self.slopes * self.drive_min,
+                rest_setpoints + self.slopes * self.drive_max)  # fmt: skip
         return np.minimum(*ends), np.maximum(*ends)
 
     def reach(self, time_step: float) -> np.ndarray:
-        """Greatest move of each actuator in a time, shape (actuator_count,).
+        """Greatest move of each setpoint in a time, shape (actuator_count,).
 
         Args:
             time_step: The time [s].
@@ -405,7 +412,7 @@ class ActuatorLimits:
             at its rate.
         """
         bounds = np.empty((4, len(self.rate)))
-        write_bounds(drives, self.rate, time_step, self.is_effort_driven, self._all, bounds)
+        write_bounds(drives, self.drive_rate, time_step, self.is_effort_driven, self._all, bounds)
         return Bounds(*bounds)
 
     @cached_property

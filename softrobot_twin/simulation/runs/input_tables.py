@@ -867,11 +867,11 @@ def _actuator_values(columns: Columns, simulation: Simulation) -> tuple[str, np.
             continue
         given, series = columns.given(drive.name), columns.pop(drive.name)
         meanings[given] = drive.gives
-        reason = "" if drive.factor else _impossible(drive.kind, drive.gives[0], series)
+        reason = "" if drive.lines else _impossible(drive.kind, drive.gives[0], series)
         if reason:
             row = int(np.argmin(series))
             raise columns.error(drive.name, reason, row, float(series[row]), drive.quantity.unit)
-        for place in drive.places:
+        for place, told in drive.told(series):
             one = actuators.names[place]
             if one in driven_by:
                 by = driven_by[one]  # An angle of a pulley is a shortening.
@@ -879,11 +879,11 @@ def _actuator_values(columns: Columns, simulation: Simulation) -> tuple[str, np.
                 raise columns.error(drive.name, f"is given twice, also by {by}" if is_twice
                                     else f"drives {one}, as {by} does")  # fmt: skip
             driven_by[one] = given
-            values[:, place] = drive.commanded(series, actuators.rest_setpoints[place])
+            values[:, place] = told
     commanded = HOLD if not meanings else _common_meaning(
         path, meanings, "actuators are driven by setpoint or by effort, all in the same way"
         f"{_setpoint_columns(actuators.kind_of)}")
-    return commanded, values
+    return commanded, actuators.efforts(values) if commanded == EFFORTS else values
 
 
 def _refuse_undriven(
@@ -938,8 +938,8 @@ class Drive(NamedTuple):
         places: The actuators among all of the scene.
         kind: Their kind.
         gives: What is given: `SETPOINTS`, `EFFORTS`, or both where the setpoint is the effort.
-        factor: Displacement of each actuator by one unit; 0 where the setpoint or the effort itself
-            is given.
+        lines: Setpoint of each of the actuators where the quantity is 0, and its change by one unit;
+            empty where the setpoint or the effort itself is given, as it is told.
     """
 
     name: str
@@ -947,16 +947,16 @@ class Drive(NamedTuple):
     places: tuple[int, ...]
     kind: ActuatorKind
     gives: tuple[str, ...] = (SETPOINTS,)
-    factor: float = 0.0
+    lines: tuple[tuple[float, float], ...] = ()
 
-    def commanded[Values: (float, np.ndarray)](self, values: Values, rest: float) -> Values:
-        """Setpoints or efforts of an actuator, of the same shape.
+    def told[Values: (float, np.ndarray)](self, values: Values) -> Iterator[tuple[int, Values]]:
+        """Each of its actuators, with its setpoints or efforts as they are told.
 
         Args:
             values: Values of the quantity.
-            rest: Its setpoint at rest.
         """
-        return self.kind.sign * self.factor * values + rest if self.factor else values
+        for place, (zero, slope) in zip(self.places, self.lines or ((0.0, 1.0),), strict=True):
+            yield place, zero + slope * values if self.lines else values
 
 
 def drives_of(simulation: Simulation) -> Iterator[Drive]:
@@ -966,17 +966,23 @@ def drives_of(simulation: Simulation) -> Iterator[Drive]:
         simulation: The simulation.
     """
     actuators, pulleys = simulation.actuators, simulation.actuators.pulleys
+    moved = list(zip(actuators.rest_setpoints.tolist(), actuators.limits.slopes.tolist(), strict=True))
     for place, (name, kind) in enumerate(actuators.kind_of.items()):
         for quantity, gives in _commandable(kind).items():
-            factor = float(quantity == kind.displacement)
-            yield Drive(column(name, quantity), quantity, (place,), kind, gives, factor)
+            # The angle of a motor is its displacement too, but is told from the motor's own zero.
+            is_moved = quantity == kind.displacement != kind.setpoint
+            yield Drive(column(name, quantity), quantity, (place,), kind, gives,
+                        (moved[place],) if is_moved else ())  # fmt: skip
     for motor in simulation.scene.motors:
         places = tuple(map(actuators.names.index, motor.cables))
         kind = actuators.kinds[places[0]]
-        yield Drive(column(motor.name, kind.displacement), kind.displacement, places, kind, factor=1.0)
-    for name, driven, wound in zip(pulleys.names, pulleys.driven, pulleys.wound, strict=True):
-        places = tuple(map(int, driven))
-        yield Drive(column(name, ANGLE), ANGLE, places, actuators.kinds[places[0]], factor=float(wound))
+        yield Drive(column(motor.name, kind.displacement), kind.displacement, places, kind,
+                    lines=tuple(moved[place] for place in places))  # fmt: skip
+    for pulley, name in enumerate(pulleys.names):
+        places = tuple(map(int, pulleys.driven[pulley]))
+        zeros, slope = pulleys.lengths(pulley, 0.0).tolist(), -float(pulleys.wound[pulley])
+        yield Drive(column(name, ANGLE), ANGLE, places, actuators.kinds[places[0]],
+                    lines=tuple((zero, slope) for zero in zeros))  # fmt: skip
 
 
 def _poses(columns: Columns, simulation: Simulation, times: np.ndarray) -> dict[str, Waypoints]:

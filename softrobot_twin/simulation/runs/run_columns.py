@@ -125,7 +125,7 @@ def actuator_cells(result: StepResult, actuators: Actuators) -> list[float]:
     """
     paths = actuators.path_lengths(result.state.positions)
     values = {
-        "setpoints": result.setpoints, "efforts": result.efforts,
+        "setpoints": result.setpoints, "efforts": actuators.told_efforts(result.efforts),
         "displacements": result.displacements, "rest": actuators.rest_setpoints,
         "extents": actuators.extents(result.displacements),
         "paths": [paths.get(name, math.nan) for name in actuators.names],
