@@ -157,4 +157,7 @@ def serve(requests: Requests, reply: Replies) -> None:
         except OSError as error:
             code = 2
             told.write(f"{rests} cannot be written: {error.strerror}")
+        except Exception as error:  # The next request is answered all the same.
+            code = 2
+            told.write(f"the fit failed by an error of the program: {type(error).__name__}: {error}")
         reply(STATE, code, told.getvalue(), perf_counter() - begin)

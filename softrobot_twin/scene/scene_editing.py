@@ -1,4 +1,4 @@
-"""Changes numbers in the text of a scene file and keeps everything else: order, layout, comments."""
+"""Changes values in the text of a scene file and keeps everything else: order, layout, comments."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from softrobot_twin.scene.schema import Scene
 _ANCHOR = re.compile(r"&(\w+)\s+(\{[^{}]*\}|\[[^\[\]]*\]|[^\s#]+)")
 
 
-class EditedNumber(NamedTuple):
-    """A number that is written into a scene file.
+class EditedValue(NamedTuple):
+    """A value that is written into a scene file.
 
     Attributes:
-        value: It, in its unit.
+        value: A number in its unit, or a section, list or word as a file has it.
         comment: What is said of it at the end of its line.
     """
 
-    value: float
+    value: Any
     comment: str
 
 
-def edited_text(text: str, scene: Scene, numbers: Mapping[str, EditedNumber]) -> str:
-    """The text of a scene file with other numbers.
+def edited_text(text: str, scene: Scene, numbers: Mapping[str, EditedValue]) -> str:
+    """The text of a scene file with other values.
 
     A key that the file leaves out is added to its section. Repeated entries are written out, where their
     copies get numbers of their own.
@@ -39,10 +39,10 @@ def edited_text(text: str, scene: Scene, numbers: Mapping[str, EditedNumber]) ->
     Args:
         text: The text of the file.
         scene: The scene that it holds.
-        numbers: New numbers by their keys, such as ``cables[0].offset``.
+        numbers: New values by their keys, such as ``cables[0].offset``; a section comes before what is in it.
 
     Raises:
-        SceneError: The text cannot be changed so that the file has these numbers.
+        SceneError: The text cannot be changed so that the file has these values.
     """
     places = {tuple(parts(key)): number for key, number in numbers.items()}
     shared = _shared(scene, places)
@@ -50,8 +50,8 @@ def edited_text(text: str, scene: Scene, numbers: Mapping[str, EditedNumber]) ->
                                       if place not in shared})  # fmt: skip
     places = {shared.get(place, place): number for place, number in places.items()}
     comments: dict[int, list[str]] = {}
-    for place, number in sorted(places.items(), key=lambda one: str(one[0])):
-        text = _with_number(text, place, number.value, place in shared.values())
+    for place, number in sorted(places.items(), key=lambda one: (len(one[0]), str(one[0]))):
+        text = _with_value(text, place, number.value, place in shared.values())
     root = yaml.compose(text, Loader=yaml.SafeLoader)
     for place, number in places.items():
         line = _found(root, place, place in shared.values())[0].end_mark.line
@@ -61,13 +61,13 @@ def edited_text(text: str, scene: Scene, numbers: Mapping[str, EditedNumber]) ->
         said = "; ".join(dict.fromkeys(words))
         lines[line] += f"; {said}" if " #" in lines[line] else f"  # {said}"
     text = "\n".join(lines)
-    wanted = changed_scene(scene, {key: number.value for key, number in numbers.items()})
+    wanted = changed_scene(scene, {key: numbers[key].value for key in sorted(numbers, key=len)})
     if scene_from_mapping(read_yaml(text), scene.path) != wanted:
         raise SceneError(scene.path, next(iter(numbers)), "", "", "cannot be written into this file")
     return text
 
 
-def _shared(scene: Scene, places: Mapping[tuple, EditedNumber]) -> dict[tuple, tuple]:
+def _shared(scene: Scene, places: Mapping[tuple, EditedValue]) -> dict[tuple, tuple]:
     """Where the file has the numbers that are the same in all copies of a repeated entry."""
     copies: dict[tuple, list[tuple]] = {}
     for one in parameters(scene):
@@ -103,19 +103,17 @@ def _in_mapping(node: yaml.MappingNode, step: Any, with_merged: bool) -> yaml.No
     return _in_mapping(merged, step, True)
 
 
-def _with_number(text: str, place: tuple, value: float, with_merged: bool) -> str:
-    """The text with a number at a place; see `_found`."""
+def _with_value(text: str, place: tuple, value: Any, with_merged: bool) -> str:
+    """The text with a value at a place; see `_found`."""
     node, missing = _found(yaml.compose(text, Loader=yaml.SafeLoader), place, with_merged)
     if not missing:
-        begin, end = node.start_mark.index, node.end_mark.index
-        return text[:begin] + _number(value) + text[end:]
+        begin, end = node.start_mark.index, _end_of(node)
+        return text[:begin] + _flow(value) + text[end:]
     content: Any = value
     for step in reversed(missing[1:]):
         content = {step: content} if isinstance(step, str) else [content if k == step else 0.0
                                                                   for k in range(3)]  # fmt: skip
-    flow = yaml.safe_dump(content, default_flow_style=True, width=10_000).strip()
-    flow = flow.removesuffix("...").strip()
-    added = f"{missing[0]}: {_number(value) if content is value else flow}"
+    added = f"{missing[0]}: {_flow(content)}"
     if node.flow_style:
         end = node.end_mark.index - 1
         return text[:end].rstrip() + (", " if node.value else "") + added + text[end:]
@@ -133,6 +131,14 @@ def _end_of(node: yaml.Node) -> int:
     return _end_of(last[1] if isinstance(node, yaml.MappingNode) else last)
 
 
+def _flow(value: Any) -> str:
+    """A value on one line."""
+    if isinstance(value, float):
+        return _number(value)
+    flow = yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=10_000).strip()
+    return flow.removesuffix("...").strip()
+
+
 def _number(value: float) -> str:
     """A number as YAML 1.1 reads it: an exponent needs a point and a sign."""
     word = repr(float(value))
@@ -143,7 +149,7 @@ def _number(value: float) -> str:
     return f"{mantissa}e{'' if exponent[0] in '+-' else '+'}{exponent}"
 
 
-def _written_out(text: str, scene: Scene, places: Mapping[tuple, EditedNumber]) -> str:
+def _written_out(text: str, scene: Scene, places: Mapping[tuple, EditedValue]) -> str:
     """The text with copies in place of each repeated entry of which a number is changed."""
     mapping = read_yaml(text)
     copies = written_out(mapping, scene.path)

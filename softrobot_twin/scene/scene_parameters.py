@@ -166,6 +166,19 @@ def value_at(scene: Scene, key: str) -> Any:
     return value
 
 
+def full_key(scene: Scene, key: str) -> str:
+    """A key with the places of entries in place of their names, such as ``cables[0].rate``.
+
+    Args:
+        scene: The scene.
+        key: The key, such as ``cables.north.rate``.
+
+    Raises:
+        SceneError: The scene has no such key.
+    """
+    return dotted(_place(scene, key))
+
+
 def changed_scene(scene: Scene, changes: Mapping[str, Any]) -> Scene:
     """A scene with other values, checked as if they were in its file.
 

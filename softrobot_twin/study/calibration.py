@@ -1032,7 +1032,9 @@ class _Candidates:
 
     def __init__(self, found: Calibration):
         self._found, scene = found, found.scene
+        soft = {None, *(body.name for body in scene.deformables)}  # What touches are built for.
         points: tuple[Any, ...] = scene.effectors or scene.markers[-1:]
+        points = tuple(one for one in points if one.body in soft)
         self._hung = [getattr(one, "name", f"marker {getattr(one, 'id', '')}") for one in points]
         touches = [{"name": f"weight_{index}_", "body": one.body,
                     "points": getattr(one, "points", None) or [one.point]}

@@ -14,8 +14,9 @@ from softrobot_twin.control.rest_watch import RestPose
 from softrobot_twin.record.rest_poses import read_poses
 from softrobot_twin.record.run_description import files_named
 from softrobot_twin.scene import load_scene
-from softrobot_twin.scene.scene_parameters import parameters
-from softrobot_twin.scene.scene_editing import EditedNumber, edited_text
+from softrobot_twin.scene.loading import changes_of
+from softrobot_twin.scene.scene_parameters import full_key
+from softrobot_twin.scene.scene_editing import EditedValue, edited_text
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.study.calibration import (
     POINTS,
@@ -262,15 +263,14 @@ def write_scene(found: Calibration, path: Path, written: Path, data: str) -> Non
         words = (f"calibrated {day} by {data}: {_name(one.parameter.key)} {value:.5g}, 95 % "
                  f"{ends[0]:.5g} to {ends[1]:.5g} {one.parameter.unit}").strip()  # fmt: skip
         for key, number in one.parameter.changes(float(f"{value:.{DIGITS}g}")).items():
-            numbers[key] = EditedNumber(number, words)
+            numbers[key] = EditedValue(number, words)
     scene = found.start
     if scene.observer is not None:
-        numbers["observer.systematic_error"] = EditedNumber(
+        numbers["observer.systematic_error"] = EditedValue(
             float(f"{found.systematic_error:.2g}"), f"calibrated {day} by {data}: by poses held back")
-    as_written = load_scene(Path(scene.path))
-    for one in parameters(scene):
-        if one.key not in numbers and one.read(scene) != one.read(as_written):
-            numbers[one.key] = EditedNumber(one.read(scene), "as it was set for the calibration")
+    for key, value in changes_of(path).items():
+        if (place := full_key(scene, key)) not in numbers:
+            numbers[place] = EditedValue(value, "as it was set for the calibration")
     text = edited_text(scene.path.read_text(encoding="utf-8-sig"), scene, numbers)
     if written.resolve().parent != scene.path.resolve().parent:
         for name in dict.fromkeys(files_named(scene)):

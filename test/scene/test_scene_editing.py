@@ -6,7 +6,7 @@ import pytest
 
 from softrobot_twin.scene import load_scene, scene_from_mapping
 from softrobot_twin.scene.loading import read_yaml
-from softrobot_twin.scene.scene_editing import EditedNumber, edited_text
+from softrobot_twin.scene.scene_editing import EditedValue, edited_text
 
 SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
 
@@ -14,7 +14,7 @@ SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
 def edited(name, numbers):
     path = SCENES / f"{name}.yaml"
     scene, text = load_scene(path), path.read_text()
-    new = edited_text(text, scene, {key: EditedNumber(value, f"by {key}") for key, value in numbers.items()})
+    new = edited_text(text, scene, {key: EditedValue(value, f"by {key}") for key, value in numbers.items()})
     return text, new, scene_from_mapping(read_yaml(new), path)
 
 

@@ -1,6 +1,7 @@
 """Numbers of a scene from what was measured at rest."""
 
 import re
+from copy import deepcopy
 from pathlib import Path
 from secrets import randbits
 
@@ -10,7 +11,8 @@ import pytest
 from softrobot_twin.command_line.commands import program
 from softrobot_twin.control.rest_watch import RestPose
 from softrobot_twin.scene import load_scene, scene_from_mapping
-from softrobot_twin.scene.scene_parameters import changed_scene, parameters
+from softrobot_twin.scene.loading import read_changes
+from softrobot_twin.scene.scene_parameters import changed_scene, parameters, value_at
 from softrobot_twin.scripting import build
 from softrobot_twin.study.calibration import (
     MARKERS,
@@ -147,6 +149,15 @@ def test_derivatives_by_gain_and_zero_of_a_regulator_are_those_of_differences():
         ends = [model.predict(values + sign * np.array(step), False).values for sign in (1.0, -1.0)]
         differences = (ends[0] - ends[1]) / (2.0 * step[column])
         assert np.abs(own[:, column] - differences).max() < 2e-3 * np.abs(differences).max()
+
+
+def test_derivatives_by_gain_and_zero_of_a_pressure_that_is_only_measured(air_scene):
+    scene = deepcopy(air_scene)
+    scene["cavities"][2] |= {"pressure_gain": 0.9, "pressure_offset": 80.0}
+    pose = RestPose(np.array([0.098, 800.0, 0.0, 2.2e-6]), np.full((1, 3), np.nan), np.zeros((1, 3)),
+                    np.zeros(4), np.zeros((0, 3)))  # fmt: skip
+    assert_derivatives(scene_from_mapping(scene), [pose], (
+        "cavities[2].pressure_gain", "cavities[2].pressure_offset", E), share=2e-3)
 
 
 def test_derivatives_by_the_zero_of_a_hinge_are_those_of_differences():
@@ -477,6 +488,39 @@ def test_the_proposal_tells_the_observer_what_the_model_is_off(files, capsys, se
     assert run(scene, "--data", table, "--fit", E, "cables.*.offset") == 0
     better = load_scene(scene.with_name("bar_calibrated.yaml")).observer.systematic_error
     assert 0.0 < better < 0.5 * shown
+
+
+@pytest.mark.parametrize("changes", [
+    ["observer={}"], ["observer={systematic_error: 0.3}", "cables.upper.rate=0.1"],
+    ["touches=[{name: finger, points: [[0.05, 0.0, 0.0]]}]", "gravity=[0.0, 0.0, -9.0]"],
+    ["integration=dynamic"], ["body.material={young_modulus: 3.0e5, poisson_ratio: 0.4, density: 1000.0}"],
+])  # fmt: skip
+def test_what_is_set_for_the_calibration_is_in_the_proposal(files, capsys, changes):
+    scene, table = files
+    scene.write_text(TEXT.replace("0.0095]}]", "0.0095]}, {id: 9, point: [0.03, 0.002, 0.0095]}]"))
+    assert run(scene, "--data", table, "--fit", E, "cables.*.offset", "--set", *changes) == 0
+    written = scene.with_name("bar_calibrated.yaml")
+    assert "as it was set for the calibration" in written.read_text()
+    asked, found = load_scene(scene, read_changes(changes)), load_scene(written)
+    fitted = {key: value_at(found, key) for key in (E, "cables[0].offset")}
+    if found.observer is not None:
+        fitted["observer.systematic_error"] = found.observer.systematic_error
+    assert found == changed_scene(asked, fitted).changed(path=found.path)
+
+
+def test_weights_are_hung_on_soft_bodies_only():
+    """The effector of Emio is on a rigid hub: nothing that touches are not built for is advised."""
+    soft = [{"name": "tip", "points": [[0.05, 0.0, 0.0]]},
+            {"name": "hub", "body": "lid", "points": [[0.06, 0.0, 0.0]]}]  # fmt: skip
+    lid = {"name": "lid", "motion": "free", "box": {"size": [0.01, 0.02, 0.02]}, "density": 1000.0,
+           "position": [0.055, 0.0, 0.0]}  # fmt: skip
+    scene = scene_from_mapping(BAR | {"effectors": soft, "rigid_bodies": [lid], "body": BAR["body"] | {
+        "attached": [{"to": "lid", "box": {"minimum": [0.0499, -1, -1], "maximum": [0.0501, 1, 1]}}]}})
+    poses = measured(scene, [pose._replace(effectors=np.full((2, 3), np.nan)) for pose in poses_at(
+        scene, np.array([[0.004, 0.001, 0.002], [0.002, 0.005, 0.003], [0.001, 0.002, 0.006],
+                         [0.005, 0.004, 0.001]]))])  # fmt: skip
+    advised = [one.words for one in suggestions(calibrate(scene, poses, [E]))]
+    assert [one for one in advised if " on tip " in one] and not [one for one in advised if "hub" in one]
 
 
 def test_the_command_writes_nothing_where_it_cannot_tell(files, capsys):

@@ -1,11 +1,14 @@
 """What explain warns of in pneumatic robots."""
 
 import re
+from copy import deepcopy
 
 import numpy as np
 import pytest
 
+from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.body_entries import Helix
+from softrobot_twin.simulation import Simulation
 from softrobot_twin.study.explain import thinnest_parts
 from softrobot_twin.study.pneumatic_warnings import (
     burst_warnings,
@@ -45,6 +48,19 @@ def test_without_fibres_the_walls_of_the_segment_come_near_a_burst():
     bare = robot("segment", changed({"fibres": LEFT_OUT, "cavities.*.pressure": [0.0, 40e3]}))
     found = list(burst_warnings(bare))
     assert found and found[0].startswith("chamber_1: at ")
+
+
+def test_cables_and_syringes_stay_at_rest_while_cavities_are_driven(air_scene):
+    """The cable would be pulled to a quarter of its length, were its setpoint scaled with the pressure."""
+    scene = deepcopy(air_scene)
+    scene["cavities"][0] |= {"pressure_offset": 150.0, "pressure_gain": 0.9}
+    simulation = Simulation(scene_from_mapping(scene))
+    setpoints = []
+    simulation.step = lambda command, step=simulation.step: setpoints.append(command.setpoints) or step(command)
+    assert not list(burst_warnings(simulation))
+    told = np.array(setpoints)
+    assert (told[:, [0, 3]] == simulation.rest_setpoints[[0, 3]]).all()
+    assert told[:, 1].max() == pytest.approx(150.0 + 2.0e4 / 0.9)
 
 
 def test_in_motion_nothing_is_driven():

@@ -47,6 +47,8 @@ NEAR_BALANCE = 0.25
 REACH = "effectors.reach"
 # Named where less weight of the energy would bring an effector nearer.
 ENERGY = "solver.energy_weight"
+# Named where a step is not in balance after all linearizations that the scene allows.
+ITERATIONS = "solver.newton_iterations"
 # What a pair with friction does, told where targets are missed.
 STICKS, SLIPS, LOST = "sticks", "slips", "lost"
 # A demand is met when a displacement is this near to it, as a share of the actuator's scale.
@@ -342,6 +344,8 @@ class StepResults:
         status = judge(
             actuation, newton.inverted_count, outcome.balance, met, active, following
         )
+        if status is Status.NOT_CONVERGED and outcome.iterations >= model.scene.solver.newton_iterations:
+            active = (*active, ITERATIONS)
         if isinstance(command, CommandEfforts) and newton.projected_tangent:
             active = (*active, UNSTABLE)
         if following and not met and model.contacts is not None and model.contacts.rubs:
