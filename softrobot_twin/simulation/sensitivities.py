@@ -280,7 +280,9 @@ class Sensitivities(HeldTangent):
             if len(sides) == 2 or (side == 2 and 1 not in sides):
                 continue
             try:
-                sides[side] = self._evaluated(self._terms(parameter, side, value + side * step))
+                terms = self._terms(parameter, side, value + side * step)
+                self._check_memory(parameter.key, value, terms)
+                sides[side] = self._evaluated(terms)
             except SceneError as error:  # The number is at its limit: the other side tells.
                 refused = error
         if len(sides) < 2:
@@ -392,9 +394,11 @@ class Sensitivities(HeldTangent):
         passive = terms.passive_forces(positions) if known is None else known.passive
         forces = passive.copy()
         rows = RowStack(actuators.terms, nodes.carried)
-        rows.tell_efforts(state.efforts)
+        # What a regulator is told stays; the pressure that it means may be a number of the scene.
+        efforts = np.where(actuators.is_effort_driven, actuators.drives(state.setpoints), state.efforts)
+        rows.tell_efforts(efforts)
         rows.evaluate(positions)
-        rows.add_forces(rows.multipliers(state.efforts), forces)
+        rows.add_forces(rows.multipliers(efforts), forces)
         a = rows.groups.actuators
         drives = np.where(actuators.is_effort_driven, 0.0, actuators.drives(state.setpoints))[a]
         if known is None:
@@ -404,6 +408,13 @@ class Sensitivities(HeldTangent):
             effectors.evaluate(positions)
         places = effectors.values.reshape(-1, 3) if known is None else known.effectors
         return AtState(forces, rows.actuator_paths(state.efforts[a]), drives, places, passive, terms.layout)
+
+    def _check_memory(self, key: str, value: float, terms: Terms) -> None:
+        """Refuses a number whose effect remembers what it did, and is not there at its value."""
+        state = self._simulation.state
+        if any(part.memory_at_rest() and not any(part.own(state)) for part in memories_of_terms(terms)):
+            raise SensitivityError(key, f"is {value:g}, and its effect is not in the scene: give it a "
+                                   "first value above zero")
 
     def _check(self, key: str, other: AtState) -> None:
         """Refuses a parameter by which the terms cannot be compared."""

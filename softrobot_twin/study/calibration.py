@@ -81,6 +81,8 @@ deviation. Derivatives are taken again where it falls by more than the second, a
 _INLIERS, _SPREAD_OF_INLIERS = 3.0, 0.98658
 """Residuals within so many standard deviations, and the standard deviation of a normal distribution that is
 cut off there."""
+NO_ROBOT = ("control", "effectors", "observer", "solver")
+"""Sections without numbers of the robot: where the model looks, and how it is used."""
 _PLACE = re.compile(r"markers\[(\d+)\]\.point\[(\d)\]")
 _FRAME = re.compile(r"marker_frame\.(position|rotation)\[(\d)\]")
 _ZERO = re.compile(r"(cables|hinge_motors)\[(\d+)\]\.offset")
@@ -839,8 +841,8 @@ def _unknown(
 ) -> Unknown:
     """A number with what is known of it before."""
     start, unit, match = one.read(scene), one.unit, _REGULATOR.fullmatch(one.key)
-    if one.key.startswith("effectors"):
-        raise CalibrationError(one.key, "is where the model looks, and no number of the robot")
+    if any(section in NO_ROBOT for section in one.sections):
+        raise CalibrationError(one.key, "says how the model is used, and is no number of the robot")
     if not np.isfinite(start):
         raise CalibrationError(one.key, f"is {start:g}: give it a first value in the scene")
     is_relative = unit in RELATIVE and match is None

@@ -166,6 +166,22 @@ def test_limits_and_rates_are_those_of_what_is_regulated(air):
     assert "low.rate" in result.active_limits
 
 
+@pytest.mark.parametrize("key, step", [("pressure_gain", 1e-3), ("pressure_offset", 5.0)])
+def test_derivatives_by_what_a_regulator_means_are_those_of_differences(air_scene, key, step):
+    def top(value):
+        scene = deepcopy(air_scene)
+        scene["cavities"][0] |= {"pressure_gain": 0.9, "pressure_offset": 150.0} | {key: value}
+        robot = st.build(**scene)
+        robot.settle(st.setpoints(low_pressure_Pa=3000.0, east_length_m=0.11 - 0.012), time_step=1.0)
+        return robot
+
+    value = {"pressure_gain": 0.9, "pressure_offset": 150.0}[key]
+    own = np.array(top(value).sensitivity(f"cavities[0].{key}"))[:, 0]
+    ends = [top(value + sign * step).effectors["top"] for sign in (1.0, -1.0)]
+    differences = (ends[0] - ends[1]) / (2.0 * step)
+    assert np.abs(own - differences).max() < 2e-3 * np.abs(differences).max()
+
+
 def test_what_a_table_of_poses_tells_is_what_is_commanded(air):
     simulation = air[1].simulation
     rest = simulation.rest_setpoints

@@ -10,6 +10,7 @@ import pytest
 
 from softrobot_twin.command_line.commands import program
 from softrobot_twin.control.rest_watch import RestPose
+from softrobot_twin.errors import NamedError
 from softrobot_twin.scene import load_scene, scene_from_mapping
 from softrobot_twin.scene.loading import read_changes
 from softrobot_twin.scene.scene_parameters import changed_scene, parameters, value_at
@@ -343,7 +344,7 @@ def test_too_few_poses_and_numbers_without_a_value_are_refused(bar, random):
     poses = measured(bar, poses_at(bar, drawn(random, 2)), 0.2, random)
     with pytest.raises(CalibrationError, match="2 poses at rest can be used, 3 are needed"):
         calibrate(bar, poses, [E])
-    with pytest.raises(CalibrationError, match="effectors.* is where the model looks"):
+    with pytest.raises(CalibrationError, match="effectors.* says how the model is used"):
         unknowns_of(bar, ["effectors.*.points"])
 
 
@@ -506,6 +507,17 @@ def test_what_is_set_for_the_calibration_is_in_the_proposal(files, capsys, chang
     if found.observer is not None:
         fitted["observer.systematic_error"] = found.observer.systematic_error
     assert found == changed_scene(asked, fitted).changed(path=found.path)
+
+
+@pytest.mark.parametrize("key, why", [
+    ("observer.walk", "no number of the robot"), ("solver.energy_weight", "no number of the robot"),
+    ("cables[0].friction", "its effect is not in the scene: give it a first value"),
+])  # fmt: skip
+def test_what_cannot_be_fitted_is_refused_by_name(bar, key, why):
+    scene = changed_scene(bar, {"observer": {}})
+    poses = poses_at(scene, np.array([[0.004, 0.001, 0.002]] * 4))
+    with pytest.raises(NamedError, match=re.escape(key) + ".*" + why):
+        calibrate(scene, measured(scene, poses), [key])
 
 
 def test_weights_are_hung_on_soft_bodies_only():
