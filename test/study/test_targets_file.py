@@ -25,7 +25,8 @@ def robot(oriented=(False, False), stiff=(False, False)):
     kinds = (CableActuator(),) * 2
     actuators = SimpleNamespace(
         names=CABLES, kinds=kinds, kind_of=dict(zip(CABLES, kinds)), count=2, rest_setpoints=REST,
-        pulleys=Pulleys(None, CABLES, REST), takes_efforts=np.ones(2, bool))
+        pulleys=Pulleys(None, CABLES, REST), takes_efforts=np.ones(2, bool),
+        limits=SimpleNamespace(slopes=-np.ones(2)), efforts=lambda told: told)
     return SimpleNamespace(
         actuators=actuators, effector_names=EFFECTORS, oriented_effectors=oriented,
         stiff_effectors=stiff, touch_names=(), scene=SimpleNamespace(motors=(), rigid_bodies=()))
