@@ -29,6 +29,7 @@ class Refusal(Enum):
     WRONG_FRAME = "wrong_frame"
     WRONG_SIZE = "wrong_size"
     TOO_LARGE = "too_large"
+    UNREADABLE = "unreadable"
     WRONG_FIELDS = "wrong_fields"
     WRONG_NAMES = "wrong_names"
     DUPLICATE_ID = "duplicate_id"
@@ -49,6 +50,7 @@ _HINTS = {
     Refusal.STALE: "its stamp is older than message_timeout; do the clocks of both machines agree?",
     Refusal.FROM_THE_FUTURE: "its stamp is later than now; do the clocks of both machines agree?",
     Refusal.TOO_LARGE: "it has more bytes than any message needs that is meant for this topic",
+    Refusal.UNREADABLE: "its bytes are no message of this topic's type",
     Refusal.WRONG_NAMES: "its names must be those of the scene's actuators",
     Refusal.TWO_PUBLISHERS: "another publisher sends on this topic: end all but one",
     Refusal.BELOW_VACUUM: "the pressure must be absolute, in Pa, and above 0",

@@ -2,7 +2,7 @@
 
 Each twin says several times a second that it lives. A twin that crashed says nothing more, while the
 middleware lists its publishers for another 20 s. Who says so without a publisher of commands is no
-rival: the graph tells that nobody but this twin can command.
+rival: the graph tells whose nodes can command.
 """
 
 from __future__ import annotations
@@ -180,10 +180,16 @@ class TopicClaim:
         return not self._living()
 
     def _living(self) -> list[Rival]:
-        """The rivals that live, where another node than this one publishes commands."""
+        """The rivals that live, and whose nodes publish commands."""
         self._forget_dead(time.monotonic())
-        has_publishers = bool(self.rivals) and self._node.count_publishers(self.topic) > 1
-        return [*self.rivals.values()] if has_publishers else []
+        if not self.rivals:
+            return []
+        nodes = [f"{one.node_namespace.rstrip('/')}/{one.node_name}"
+                 for one in self._node.get_publishers_info_by_topic(self.topic)]  # fmt: skip
+        own = self._node.get_fully_qualified_name()
+        if own in nodes:
+            nodes.remove(own)  # Another twin may have the same name.
+        return [one for one in self.rivals.values() if one.name.partition(" ")[0] in nodes]
 
     def why_not(self) -> str:
         """Why this twin may not publish: another one has precedence; empty where none has.

@@ -77,6 +77,8 @@ _GRAPH_PERIOD = 0.25
 """Time between two checks of the graph [s]. A clash is reported after two checks in a row, because
 the graph may briefly list a node twice while it starts or ends.
 """
+_LAST_STAMP = (2**31 - 10_000) * NANOSECONDS
+"""Latest time of a tick [ns]: stamps, also of what lies ahead, hold 2³¹ s. On /clock may be later ones."""
 _CLOCK_WAIT = 5.0
 """Longest wait for simulated time before a warning [s]."""
 
@@ -253,7 +255,9 @@ class TickingNode(Node):
     def ros_time(self) -> int:
         """The clock of the stamps [ns]."""
         # Without simulated time it is the system's, which rclpy takes much longer to read.
-        return self.get_clock().now().nanoseconds if self.is_simulated_time else time.time_ns()
+        if self.is_simulated_time:
+            return min(self.get_clock().now().nanoseconds, _LAST_STAMP)
+        return time.time_ns()
 
     def monotonic(self) -> float:
         """The clock of the ticks [s]."""
@@ -308,8 +312,13 @@ class TickingNode(Node):
             said = ""
             if len(content) > most:
                 warn(shown, refusals.add(Refusal.TOO_LARGE))
-            else:
-                warn(shown, take(deserialize_message(content, kind)))
+                return
+            try:
+                message = deserialize_message(content, kind)
+            except Exception:  # noqa: BLE001 - whatever the middleware raises
+                warn(shown, refusals.add(Refusal.UNREADABLE))
+                return
+            warn(shown, take(message))
 
         return open_subscription(self, topic, receive, name, twin)
 

@@ -42,14 +42,15 @@ def test_what_no_twin_can_have_written_is_no_claim(text):
 class Neighbourhood:
     """As much of a node as a claim needs; another one publishes commands or not."""
 
-    publishers = 1
+    publishers = ("/twin",)
     create_publisher = create_subscription = staticmethod(lambda *arguments, **options: None)
 
     def get_fully_qualified_name(self):
         return "/twin"
 
-    def count_publishers(self, topic):
-        return self.publishers
+    def get_publishers_info_by_topic(self, topic):
+        return [SimpleNamespace(node_namespace=name.rpartition("/")[0] or "/",
+                                node_name=name.rpartition("/")[2]) for name in self.publishers]
 
 
 @pytest.fixture
@@ -66,9 +67,13 @@ def heard(monkeypatch):
 def test_a_claim_without_a_publisher_of_commands_stops_nobody(heard):
     heard.say(claim(age="1e8"))
     assert len(heard.rivals) == 1 and heard.is_alone and not heard.why_not()
-    heard.node.publishers = 2
+    heard.node.publishers = "/twin", "/lab/device"
+    assert heard.is_alone
+    heard.node.publishers = "/twin", "/lab/device", "/twin"
     assert not heard.is_alone
     assert heard.why_not() == f"/twin/cables is commanded by {NAME}: end one of both"
+    heard.say(claim(name="/lab/device (process 1 on another)", age="1e9"))
+    assert heard.why_not() == "/twin/cables is commanded by /lab/device (process 1 on another): end one of both"
 
 
 def test_a_flood_of_claims_takes_no_memory_and_hides_no_twin_that_was_heard(heard):

@@ -165,6 +165,24 @@ def test_a_clock_below_zero_is_refused_and_time_advances(world, make_twin, simul
     spin(twin, world.executor, _turning(simulated_time, lambda: twin.tick_clock.ticks > before + 5))
 
 
+def test_a_clock_beyond_what_stamps_hold_fails_no_tick(world, make_twin, simulated_time):
+    twin = make_twin(use_sim_time=True, rate=50.0)
+    simulated_time.reaches(1)
+    simulated_time.turn(0.1)
+    # Its nanoseconds are four seconds more.
+    late = Clock(clock=TimeMessage(sec=2**31 - 1, nanosec=2**32 - 1))
+    before = twin.tick_clock.ticks
+
+    def is_over():
+        simulated_time._publisher.publish(late)
+        return twin.tick_clock.ticks > before
+
+    spin(twin, world.executor, is_over)
+    before = twin.tick_clock.ticks
+    spin(twin, world.executor, _turning(simulated_time, lambda: twin.tick_clock.ticks > before + 5))
+    assert twin.failed_ticks == 0, twin.failure
+
+
 def _turning(simulated_time, is_over):
     def turn():
         simulated_time.now += 0.01

@@ -515,6 +515,25 @@ def test_a_message_that_is_too_large_is_refused_unread_on_every_topic(
         assert loop.device.refusals.of(Refusal.TOO_LARGE) >= 2
 
 
+@pytest.mark.parametrize("node_class", [TwinNode, TargetNode])
+def test_bytes_that_are_no_message_are_refused_on_every_topic(
+    world, parameters, monkeypatch, node_class
+):
+    given = {} if node_class is TargetNode else parameters("diamond")
+    known = {entry.name for entry in ALL_TABLES[NODES.index(node_class)]}
+    node = world.add(node_class, **{key: given[key] for key in given.keys() & known})
+    node.stop()
+    told = []
+    monkeypatch.setattr(node, "get_logger", lambda: SimpleNamespace(warning=told.append))
+    ends = inputs(node)
+    for end in ends:
+        for content in (b"", b"\0", b"\0\1\0\0" + b"\xff" * 40):
+            end.callback(content, UNNUMBERED)
+    assert len(ends) == len(told)
+    assert all(end.topic_name in line and "unreadable" in line for end, line in zip(ends, told))
+    assert node.refused_requests == 0
+
+
 def test_a_message_that_names_all_actuators_is_never_too_large():
     for count, length in itertools.product((1, 30, 1000), (1, 20, 200)):
         names = ["é" * length + f"_{number}" for number in range(count)]
