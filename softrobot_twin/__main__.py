@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 
 from softrobot_twin.command_line.commands import program
-from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.errors import SoftRobotTwinError, printable_lines
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -23,7 +23,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         return chosen.run(chosen)
     except SoftRobotTwinError as error:
-        print(f"softrobot_twin: {error}", file=sys.stderr)
+        print(f"softrobot_twin: {printable_lines(str(error))}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("softrobot_twin: stopped", file=sys.stderr)

@@ -126,3 +126,12 @@ def printable(text: str) -> str:
     return "".join(
         one if one.isprintable() else one.encode("unicode_escape").decode() for one in shown
     )
+
+
+def printable_lines(text: str) -> str:
+    """A text of several lines, each as `printable` makes it.
+
+    Args:
+        text: The text.
+    """
+    return "\n".join(map(printable, text.splitlines()))

@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
-from softrobot_twin.errors import SceneError, SoftRobotTwinError, one_line, printable
+from softrobot_twin.errors import SceneError, SoftRobotTwinError, one_line, printable_lines
 
 if TYPE_CHECKING:
     from rclpy.executors import Executor
@@ -69,8 +69,8 @@ def run_node(
     try:
         _run(name, load, arguments, stop, about)
     except SoftRobotTwinError as error:
-        lines = str(error).splitlines() if isinstance(error, SceneError) else [one_line(error)]
-        print(f"{name}: " + "\n".join(map(printable, lines)), file=sys.stderr)
+        words = str(error) if isinstance(error, SceneError) else one_line(error)
+        print(f"{name}: {printable_lines(words)}", file=sys.stderr)
         return REFUSED
     except BaseException:
         # A library may turn an interrupt into an error of its own.

@@ -17,6 +17,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from rich.text import Text
 
+from softrobot_twin.errors import printable_lines
+
 Key, Value = TypeVar("Key"), TypeVar("Value")
 _PIPED_WIDTH = 200
 """Columns of a piped table: wide enough that nothing is cut or wrapped."""
@@ -328,7 +330,7 @@ def warn(text: str) -> None:
     Args:
         text: What is wrong.
     """
-    print(f"warning: {text}", file=sys.stderr)
+    print(f"warning: {printable_lines(text)}", file=sys.stderr)
 
 
 _PIPED_PERIOD = 5.0
