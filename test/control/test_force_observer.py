@@ -356,14 +356,18 @@ def test_a_wrench_on_a_rigid_body_is_found(rng, wrench):
     if wrench is None:
         wrench = np.append(rng.uniform(-0.05, 0.05, 3), rng.uniform(-0.002, 0.002, 3))
     hold(real, none, 40, force_of(wrench))
-    observer = ForceObserver(twin)
+    observer, off, deviations = ForceObserver(twin), [], []
     for frame in range(30):
         markers = real.marker_positions() + rng.normal(0.0, 1e-5, (4, 3))
         observe(twin, observer, none, markers, frame)
-    off = observer.found.wrenches[0] - wrench
-    assert np.abs(off[1:3]).max() < 0.005  # Of the 0.05 N and 0.002 N m that are drawn.
-    assert np.abs(off[3:]).max() < 0.0002
-    assert (np.abs(off) < 4.0 * observer.found.deviations[0]).all()
+        off.append(observer.found.wrenches[0] - wrench)
+        deviations.append(observer.found.deviations[0])
+    # Noise alone moves a single torque by 0.00007 N m: what is found is off by 0.0002 in one of a hundred
+    # frames. The mean of many tells what the observer is off.
+    off, deviations = np.array(off[10:]), np.array(deviations[10:])
+    assert np.abs(off.mean(axis=0)[1:3]).max() < 0.002  # Of the 0.05 N and 0.002 N m that are drawn.
+    assert np.abs(off.mean(axis=0)[3:]).max() < 0.0001
+    assert np.sqrt(np.mean((off / deviations) ** 2)) < 2.0
 
 
 @pytest.mark.slow
