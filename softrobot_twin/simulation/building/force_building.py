@@ -62,6 +62,7 @@ from softrobot_twin.simulation.building.deformable_body import (
     part_named,
     single_nodes,
 )
+from softrobot_twin.simulation.building.mapped_surfaces import path_on_elements
 from softrobot_twin.simulation.building.scene_layout import Layout
 
 # The end of a spring on a mass-spring body must be this near to one of its points, as a share of
@@ -518,7 +519,8 @@ def spring_term(layout: Layout, notes: list[str]) -> Springs:
     scene = layout.scene
     parts = [_between(layout, s, key, notes) for key, s in scene.keyed("springs")]
     for key, tube in scene.keyed("tubes"):
-        path = layout.carried(tube.on, tube.points, f"{key}.points", notes)
+        points = path_on_elements(layout.body_named(tube.on), tube.points, f"{key}.points", notes)
+        path = layout.carried(tube.on, points, f"{key}.points", notes)
         parts.append(_along(segments(path, layout.drawn_positions), tube.axial_stiffness))
     for key, fibre in scene.keyed("fibres"):
         parts += _fibre_parts(layout, fibre, key, notes)
@@ -582,9 +584,11 @@ def _fibre_parts(layout: Layout, fibre: Fibre, key: str, notes: list[str]) -> li
         first, second = map(single_nodes, ends.T + body.first_node)
         lengths = np.linalg.norm(first.positions(rest) - second.positions(rest), axis=1)
         return [_along((first, second, lengths), fibre.stiffness, fibre.tension_only)]
-    paths, place = [fibre.points], f"{key}.points"
     if fibre.helix is not None:
         paths, place = list(_helices(fibre.helix)), f"{key}.helix"
+    else:
+        place = f"{key}.points"
+        paths = [path_on_elements(layout.body_named(fibre.on), fibre.points, place, notes)]
     # One mapping for all threads gives one note on all points that are snapped.
     points = layout.carried(fibre.on, np.concatenate(paths), place, notes)
     places = np.split(np.arange(points.point_count), np.cumsum([len(path) for path in paths])[:-1])

@@ -207,3 +207,33 @@ def test_a_bent_finger_rests_on_its_coarse_contact_surface(tmp_path, write_block
         rests.append(result.state.positions.copy())
     # Unsplit, its flat sole between the held ends would pass the ball by, and the beam hang lower.
     np.testing.assert_allclose(rests[1], rests[0], atol=1e-4)
+
+
+@pytest.mark.parametrize("section", ["tubes", "fibres"])
+def test_a_thread_of_two_points_bends_with_its_body(simulate, write_block, section):
+    """It holds a bent bar as one of many points does: one spring from end to end would not."""
+    file = write_block((0.02, 0.02, LENGTH), (4, 4, 12), shake=0.0)
+    ends, tips, told = (-0.0299, 0.0299), [], []
+    for count in (2, 9):
+        points = [[0.008, 0.0, z] for z in np.linspace(*ends, count)]
+        stiff = {"stiffness": 50.0, "tension_only": False}
+        thread = {"name": "thread", "points": points,
+                  **(stiff if section == "fibres" else {"axial_stiffness": 50.0})}  # fmt: skip
+        simulation = simulate(
+            gravity=[0.0, 0.0, 0.0],
+            body={
+                "mesh": {"file": file}, "element": "linear",
+                "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0},
+                "fixed": {"box": {"minimum": [-1.0] * 3, "maximum": [1.0, 1.0, -0.02999]}},
+            },
+            cables=[{"name": "c", "pull_point": [-0.008, 0.0, -0.03],
+                     "points": [[-0.008, 0.0, 0.03]], "tension": [0.0, 10.0]}],
+            effectors=[{"name": "tip", "points": [[0.0, 0.0, 0.03]]}], **{section: [thread]},
+        )  # fmt: skip
+        result = settled(simulation, simulation.rest_setpoints[0] - 0.01)
+        assert result.status is Status.OK
+        told.append(sum("the line is split at" in note for note in simulation.notes))
+        tips.append(simulation.effector_positions().ravel())
+    assert told == [1, 0]
+    assert tips[0] == pytest.approx(tips[1], abs=2e-4)
+    assert abs(tips[0][0]) > 0.01
