@@ -132,6 +132,10 @@ class RoundBeam:
         )  # fmt: skip
         return self._axis
 
+    def outline(self, positions: np.ndarray) -> np.ndarray:
+        """See `DeformableSurface.outline`."""
+        return self.axis(positions).places.reshape(-1, 3).copy()
+
     def carry(self, positions, points, weights, places, *where) -> None:
         """See `DeformableSurface.carry`; points are elements, weights shares along them."""
         positions = writable(positions)

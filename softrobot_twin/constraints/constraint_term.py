@@ -206,10 +206,13 @@ class VaryingTerm(ConstraintTerm, Protocol):
     Attributes:
         last_multipliers: λ of the present rows in the last solution [N], zero for new rows, shape
             (k,).
+        presses_from_afar: Whether rows bear load in the last solution that were detected so far away
+            that other ones may bear it where the bodies came to.
         may_be_negative: Whether `limit_stiffness` changes the stiffness of the present rows.
     """
 
     last_multipliers: np.ndarray
+    presses_from_afar: bool = False
     may_be_negative: bool
 
     def begin_step(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:
@@ -220,6 +223,22 @@ class VaryingTerm(ConstraintTerm, Protocol):
             velocities: Of the unknowns [m/s], shape (free_node_count, 3), or without rows.
             time_step: The step's duration [s].
         """
+
+    def lags(self, positions: np.ndarray) -> bool:
+        """Whether rows of before a prescribed move are violated: bodies do not yet follow it.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
+        return False
+
+    def asks_again(self, positions: np.ndarray) -> bool:
+        """Whether a prescribed move asks for one more linearization; after `remember`.
+
+        Args:
+            positions: Node positions after the move [m], shape (node_count, 3).
+        """
+        return False
 
     def detect(self, positions: np.ndarray) -> None:
         """Detect the rows at a state; sets row_count, entry_rows and entry_nodes.

@@ -12,6 +12,7 @@ Bodies that overlap are not parted at once, which would throw them: the gap aske
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from enum import Enum
 
 import numpy as np
 
@@ -26,6 +27,12 @@ FIRST_ROOM = 64
 # Within a step, free motion may bring things together that are as far apart as this many times the
 # displacement of the fastest point.
 LOOK_AHEAD = 2.0
+# Bodies have followed a prescribed move where no gap is less than asked for by more than this share
+# of the alarm distance.
+NOT_FOLLOWED = 1.0e-2
+# A prescribed move advances by this share of the distance that is left, as its places may move along
+# arcs, so often at most.
+ADVANCE, MOST_ADVANCES = 0.8, 100
 # A contact with less than this share of the greatest normal force does not press.
 PRESSES = 1.0e-9
 # A contact with more than this share of the greatest friction slips.
@@ -311,6 +318,18 @@ def _share_within(longest, reach):
     return 1.0 if longest[0] <= reach[0] else reach[0] / longest[0]
 
 
+class Prescribed(Enum):
+    """What contacts know of a prescribed move, such as that of a guided body.
+
+    Attributes:
+        NONE: There is none, or the bodies have followed.
+        MADE: It is made, and the rows are to be found before it.
+        SEARCHED: It is made, and the rows are those before it.
+    """
+
+    NONE, MADE, SEARCHED = range(3)
+
+
 class ContactMemory:
     """Forces of the last solution, found again by the contacts' keys, whatever rows they have.
 
@@ -444,7 +463,10 @@ class Contacts(VaryingTerm):
         self.rubs = self._most_rows > 1
         self.conserves = not self.rubs
         self.count = 0
-        self._reach, self._start = np.array([alarm_distance]), np.empty((0, 3))
+        self._reach, self._longest_move = np.array([[alarm_distance], [alarm_distance]])
+        self._start = np.empty((0, 3))
+        self._before, self._move = np.empty((0, 3)), Prescribed.NONE
+        self._free_reach = float(alarm_distance)
         is_traceable = all(pair.is_traceable for pair in pairs)
         self.stages = TracedStages(is_traceable, self._detect)
         self._free_index, self._write_largest = free_index, write_largest
@@ -598,13 +620,107 @@ class Contacts(VaryingTerm):
         if len(velocities):
             self._write_largest(writable(velocities), False, self._largest)
         self._reach[0] = self._alarm + LOOK_AHEAD * float(self._largest[0]) * time_step
+        self._longest_move[0] = self._free_reach = float(self._reach[0])
+        self._move = Prescribed.NONE
 
-    def detect(self, positions: np.ndarray) -> None:
-        """Find what is near at a state.
+    def begin_prescribed_move(self, positions: np.ndarray) -> None:
+        """Read the state before a prescribed move: the next rows are those of what is near there.
 
         Args:
             positions: Node positions [m], shape (node_count, 3).
         """
+        if len(self._before) != len(positions):
+            self._before = np.empty_like(positions)
+        self._before[:] = positions
+        self._move = Prescribed.MADE
+
+    def lags(self, positions: np.ndarray) -> bool:
+        """See `VaryingTerm.lags`: a gap is less than asked for, and than where it was detected."""
+        if self._move is Prescribed.NONE:
+            return False
+        least = np.minimum(self._gaps[: self.count], self._distance) - NOT_FOLLOWED * self._alarm
+        return bool((self.gaps(positions) < least).any())
+
+    def asks_again(self, positions: np.ndarray) -> bool:
+        """See `VaryingTerm.asks_again`: what a prescribed move came near to may not touch at its end."""
+        is_led = self._move is not Prescribed.NONE
+        return is_led and (self.presses_from_afar or self.lags(positions))
+
+    @property
+    def presses_from_afar(self) -> bool:
+        """See `VaryingTerm.presses_from_afar`: further away than is watched."""
+        if self._reach[0] == self._alarm:
+            return False
+        gaps, normal = self._gaps[: self.count], self.memory.forces[:, 0]
+        return bool((gaps[normal > PRESSES * normal.max(initial=0.0)] > self._alarm).any())
+
+    def ways(self, start: np.ndarray, end: np.ndarray) -> tuple[float, tuple]:
+        """How far a prescribed move carries places of the sides.
+
+        Args:
+            start: Node positions before it [m], shape (node_count, 3).
+            end: Those after it [m], same shape.
+
+        Returns:
+            Longest displacement of a place [m], and the pairs of the sides that move.
+        """
+        moved, longest = set(), 0.0
+        for side in {side for pair in self.pairs for side in (pair.first, pair.second)}:
+            if len(side.nodes) and not np.array_equal(start[side.nodes], end[side.nodes]):
+                moved.add(side)
+                ways = side.outline(end) - side.outline(start)
+                longest = max(longest, float(np.sqrt((ways * ways).sum(axis=1).max(initial=0.0))))
+        return longest, tuple(pair for pair in self.pairs if {pair.first, pair.second} & moved)
+
+    def share_before_touch(
+        self, start: np.ndarray, end: np.ndarray, place: Callable[[np.ndarray, float], None]
+    ) -> float:
+        """How much of a prescribed move keeps what moves apart from all else.
+
+        It goes on by what is left between them until they are near (conservative advancement, Mirtich
+        1996), or nothing is in its way.
+
+        Args:
+            start: Node positions before it [m], shape (node_count, 3).
+            end: Those after it [m], same shape.
+            place: Makes a share of it, of node positions.
+
+        Returns:
+            The share: zero for a move no longer than the alarm distance.
+        """
+        way, pairs = self.ways(start, end)
+        share, tried = 0.0, start.copy()
+        for _ in range(MOST_ADVANCES):
+            left = (1.0 - share) * way
+            if left <= self._alarm:
+                break
+            gap = min((pair.near(tried, left).gaps.min(initial=left) for pair in pairs), default=left)
+            if gap <= self._alarm:
+                break
+            share = min(share + ADVANCE * gap / way, 1.0)
+            tried[:] = start
+            place(tried, share)
+        return share
+
+    def detect(self, positions: np.ndarray) -> None:
+        """Find what is near at a state.
+
+        What something prescribed may pass on its way is near before it moves, not behind it. So the
+        rows after its move are those of before, and stay until the bodies have followed.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
+        if self._move is Prescribed.SEARCHED:
+            if self.lags(positions):
+                return
+            self._reach[0] = self._longest_move[0] = self._free_reach
+            self._move = Prescribed.NONE
+        elif self._move is Prescribed.MADE:
+            # Bodies that follow move as far themselves.
+            way, _ = self.ways(self._before, positions)
+            self._reach[0], self._longest_move[0] = self._free_reach + 2.0 * way, self._free_reach + way
+            positions, self._move = self._before, Prescribed.SEARCHED
         while True:
             # Their points follow by products of matrices, which the driver does not know.
             for surface in self._rigid:
@@ -712,7 +828,7 @@ class Contacts(VaryingTerm):
     def largest_share(self, positions: np.ndarray, move: np.ndarray) -> float:
         """No move is longer than the distance that was searched: nothing is passed unseen."""
         self._write_largest(move, False, self._largest)
-        return _share_within(self._largest, self._reach)
+        return _share_within(self._largest, self._longest_move)
 
     @property
     def last_multipliers(self) -> np.ndarray:

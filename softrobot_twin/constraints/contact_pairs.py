@@ -147,6 +147,14 @@ class DeformableSurface:
         gather_vectors(writable(positions), self.point_nodes, self._points)
         return self._points
 
+    def outline(self, positions: np.ndarray) -> np.ndarray:
+        """Points that tell how far it moves [m], shape (any, 3).
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
+        return positions[self.point_nodes]
+
     def carry(self, positions, points, weights, places, *where) -> None:
         """Write the nodes that carry places on it, and their coefficients; may be traced.
 
@@ -189,6 +197,10 @@ class CarriedSurface:
         """
         write_points(writable(positions), self._nodes, self._weights, self._points)
         return self._points
+
+    def outline(self, positions: np.ndarray) -> np.ndarray:
+        """See `DeformableSurface.outline`."""
+        return self.points(positions).copy()
 
     def carry(self, positions, points, weights, places, *where) -> None:
         """See `DeformableSurface.carry`."""
@@ -241,6 +253,10 @@ class RigidSurface:
         """
         origin, rotation = self.pose(positions)
         return np.add(self._local @ rotation.T, origin, out=self._points)
+
+    def outline(self, positions: np.ndarray) -> np.ndarray:
+        """See `DeformableSurface.outline`; of a plane, which has no end, its origin."""
+        return np.vstack([self.points(positions), positions[self._frame]])
 
     def carry(self, positions, points, weights, places, *where) -> None:
         """See `DeformableSurface.carry`."""

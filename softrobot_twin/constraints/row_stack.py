@@ -183,6 +183,27 @@ class RowStack:
         self._written = self._rows[:entry], self._nodes[:entry], self._blocks[:entry]
         self.row_index, self.node_index, self.blocks = self._written
 
+    def lag(self, positions: np.ndarray) -> bool:
+        """Whether bodies do not yet follow a prescribed move; see `VaryingTerm.lags`.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
+        return any(term.lags(positions) for term in self._varying)
+
+    def ask_again(self, positions: np.ndarray) -> bool:
+        """Whether a prescribed move asks for one more linearization; see `VaryingTerm.asks_again`.
+
+        Args:
+            positions: Node positions after the move [m], shape (node_count, 3).
+        """
+        return any(term.asks_again(positions) for term in self._varying)
+
+    @property
+    def press_from_afar(self) -> bool:
+        """See `VaryingTerm.presses_from_afar`."""
+        return any(term.presses_from_afar for term in self._varying)
+
     def detect(self, positions: np.ndarray) -> None:
         """Detect the rows of all terms at a state.
 

@@ -163,7 +163,8 @@ class Status(Enum):
     INVERTED = "inverted"
     """Elements are flat or inverted: the shape is not reliable."""
     REFUSED = "refused"
-    """Every command that was tried would have inverted elements; the last state was kept."""
+    """Every command that was tried would have inverted elements, or led bodies through each other; the
+    last state was kept."""
     UNSOLVED = "unsolved"
     """The optimisation has no solution; the last setpoints were held."""
     DIVERGED = "diverged"

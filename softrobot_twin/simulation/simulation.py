@@ -33,7 +33,7 @@ from softrobot_twin.simulation.readouts import Readouts
 from softrobot_twin.simulation.result import Status, StepResult
 from softrobot_twin.simulation.scene_warnings import stability_notes
 from softrobot_twin.simulation.state import State
-from softrobot_twin.simulation.step.actuation import INVERSION, Actuation
+from softrobot_twin.simulation.step.actuation import INVERSION, PASSING, Actuation
 from softrobot_twin.simulation.step.augmented_tangent import HeldActuators
 from softrobot_twin.simulation.step.direct_actuation import DirectActuation
 from softrobot_twin.simulation.step.interpretation import Asked, Interpretation
@@ -401,7 +401,7 @@ class Simulation(Readouts):
             for part in self._parts_with["lead"]
         )
         hurry = pressed and newton.may_keep_factor
-        first, iterations, enough = None, 0, False
+        first, iterations, enough, rows = None, 0, False, self.model.rows
         doing, sought = (command, asked), None
         inverted = newton.inverted_count
         while not enough:
@@ -419,13 +419,19 @@ class Simulation(Readouts):
             efforts = done.actuation.efforts
             if not hurry:
                 time_budget.learn(clock.total - begin)
-            enough = hurry or self._is_enough(done, iterations, clock.total, budget)
+            asks_again = rows.ask_again(positions)
+            may_end = hurry and not asks_again
+            enough = may_end or self._is_enough(done, iterations, clock.total, budget, asks_again)
             if sought is None and self._seeks_once(command, done):
                 sought = done.actuation
                 doing = self._as_commanded(sought, command, asked)
+        if asks_again and rows.lag(positions):
+            return self._failed(command, clock, iterations, Status.REFUSED, (PASSING,))
         if sought is not None and iterations > 1:
             done = done._replace(actuation=self.inverse.told(done.actuation, sought))
-        reached = self._balance(done, budget) if led else Balance.MISSED
+        reached = self._balance(done, budget) if led and not asks_again else Balance.MISSED
+        if reached is Balance.REACHED and rows.press_from_afar:
+            reached = Balance.NEAR
         self.is_balanced = reached is not Balance.MISSED
         self._goes_on = not (self.is_balanced or self.model.is_dynamic)
         outcome = Outcome(
@@ -595,12 +601,15 @@ class Simulation(Readouts):
         actuation, held = self._actuate(linear, command, asked, still, rows)
         if self._optimises:
             clock.mark("optimise")
+        # Bodies that follow a prescribed move gain energy by it.
+        is_judged = not self.model.rows.lag(positions)
         if with_stale_factor:
             share, residual, actuation = self._move(positions, actuation, clock)
-        elif isinstance(command, FollowTargets):
+        elif isinstance(command, FollowTargets) and is_judged and not self.model.is_dynamic:
             share, residual, actuation = self._approach(positions, actuation, held, clock)
         else:
-            share, residual, actuation = self._move_and_settle(positions, actuation, clock)
+            is_judged = is_judged and not isinstance(command, FollowTargets)
+            share, residual, actuation = self._move_and_settle(positions, actuation, clock, is_judged)
         return Correction(linear, actuation, held, still, share, residual)
 
     def _seeks_once(self, command: Command, done: Correction) -> bool:
@@ -669,13 +678,22 @@ class Simulation(Readouts):
         )
 
     def _is_enough(
-        self, done: Correction, iterations: int, elapsed: float, budget: float | None
+        self, done: Correction, iterations: int, elapsed: float, budget: float | None,
+        asks_again: bool,
     ) -> bool:
-        """Whether the step has converged, or neither scene nor time allow a further iteration."""
+        """Whether the step has converged, or neither scene nor time allow a further iteration.
+
+        Args:
+            done: The last linearization.
+            iterations: How many there were.
+            elapsed: Time since the step began [s].
+            budget: Time for the step [s], or None.
+            asks_again: Whether a prescribed move asks for one more linearization.
+        """
         solver = self.model.scene.solver
-        if done.share == 1.0 and done.residual <= solver.residual_tolerance:
+        if done.share == 1.0 and done.residual <= solver.residual_tolerance and not asks_again:
             return True
-        most = solver.newton_iterations
+        most = max(solver.newton_iterations, MOST_SHARES if asks_again else 1)
         if self.model.is_dynamic and self.newton.asks_for_more_moves(done.share):
             most = max(most, self._most_shares)
         return not self._time_budget.has_time(iterations, elapsed, budget, most)
@@ -764,9 +782,7 @@ class Simulation(Readouts):
     def _approach(
         self, positions: np.ndarray, actuation: Actuation, held: Actuation, clock: StageClock
     ) -> tuple[float, float, Actuation]:
-        """Correct the positions by as much of an actuation as keeps the body near balance."""
-        if self.model.is_dynamic:
-            return self._move_and_settle(positions, actuation, clock, False)
+        """Correct the positions, in statics, by as much of an actuation as keeps the body near balance."""
         newton, inverts = self.newton, False
         for part in SHARES:
             tried = actuation if part == 1.0 else actuation.blended(held, part)

@@ -45,8 +45,17 @@ class Guiding(StepPart):
 
         The bodies come near balance after each part but the last. See `StepPart.lead`.
         """
-        guides, newton = self._guides, simulation.newton
-        if not guides.moved or newton.is_folded:
+        guides, newton, contacts = self._guides, simulation.newton, simulation.model.contacts
+        if not guides.moved:
+            return True
+        if contacts is not None:
+            before = simulation.state.positions
+            share = contacts.share_before_touch(before, positions, guides.place)
+            if share > 0.0:
+                before = before.copy()
+                guides.place(before, share)
+            contacts.begin_prescribed_move(before)
+        if newton.is_folded:
             return True
         if not newton.folds(simulation.state.positions, positions):
             return True
@@ -62,6 +71,8 @@ class Guiding(StepPart):
             else:
                 newton.forget_folds()
                 return False
+            if contacts is not None:
+                contacts.begin_prescribed_move(positions)
             positions[:], gone = tried, gone + part
             if gone >= 1.0:
                 return True

@@ -11,6 +11,8 @@ from softrobot_twin.simulation.building.limits import ActuatorLimits
 
 # Name of the limit that prevents the actuators from inverting elements.
 INVERSION = "elements.inversion"
+# Name of the limit that prevents prescribed moves from leading bodies through each other.
+PASSING = "contact.passing"
 # An effort below this share of the largest is none.
 NO_EFFORT = 1.0e-6
 
