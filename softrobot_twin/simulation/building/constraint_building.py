@@ -39,6 +39,7 @@ from softrobot_twin.constraints.effector_orientation import (
     spans_a_plane,
 )
 from softrobot_twin.geometry.box_pairs import BoxPairDetector
+from softrobot_twin.geometry.point_location import closest_on_triangles
 from softrobot_twin.geometry.self_proximity import FixedPairs, SelfDetector
 from softrobot_twin.geometry.shapes import Box, Capsule, Cylinder, Plane, Shape, Sphere
 from softrobot_twin.geometry.solid_shape import SolidShapeDetector
@@ -48,7 +49,7 @@ from softrobot_twin.geometry.surface_shape import SurfaceShapeDetector
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.building.beam_bodies import BeamBody, swept_surface
-from softrobot_twin.simulation.building.deformable_body import Body
+from softrobot_twin.simulation.building.deformable_body import ON_BODY, SNAP_SHARE, Body
 from softrobot_twin.simulation.building.mapped_surfaces import surface_on_mesh
 from softrobot_twin.simulation.building.scene_layout import Layout, build_shape, triangulated
 
@@ -208,7 +209,7 @@ def contact_term(layout: Layout, notes: list[str]) -> Contacts:
         friction = entry.friction if touching.friction is None else touching.friction
         first, second = (sides[name] for name in touching.pair)
         pairs.append(_pair(first, second, friction, f"contact.between[{index}]", layout))
-    pairs += _known_ahead(layout, sides)
+    pairs += _known_ahead(layout, sides, notes)
     contacts = Contacts(
         tuple(pairs), layout.nodes.free_index, layout.nodes.write_largest, entry.alarm_distance,
         entry.contact_distance, entry.push_out_speed,
@@ -416,7 +417,7 @@ def _two_surfaces(first: Side, second: Side, friction: float) -> TwoSurfaces:
     return TwoSurfaces(one, other, detector, friction, (first.name, second.name))
 
 
-def _known_ahead(layout: Layout, sides: dict[str, Side]) -> list[TwoSurfaces]:
+def _known_ahead(layout: Layout, sides: dict[str, Side], notes: list[str]) -> list[TwoSurfaces]:
     """Points and triangles that the scene names, body by body."""
     entry = layout.scene.contact
     bodies = {layout.body_named(point.on).name: layout.body_named(point.on)
@@ -426,9 +427,14 @@ def _known_ahead(layout: Layout, sides: dict[str, Side]) -> list[TwoSurfaces]:
         own = [p for p in entry.points if layout.body_named(p.on) is body]
         surface = sides[name].surface
         points = surface.points(layout.nodes.rest_positions)
-        centres = points[surface.triangles].mean(axis=1)
         index = [_nearest(points, p.point) for p in own]
-        triangles = [surface.triangles[_nearest(centres, p.against)] for p in own]
+        triangles = [_nearest_triangle(points, surface.triangles, p.against) for p in own]
+        for p, found in zip(own, index, strict=True):
+            away = float(np.linalg.norm(points[found] - p.point))
+            if away > SNAP_SHARE * body.size:
+                notes.append(f"contact.points[{entry.points.index(p)}].point lies {1e3 * away:.3g} mm "
+                             f"from the nearest point of the surface of {name}, which touches in its "
+                             "place")
         _check_apart(layout, body, index, triangles)
         detector = FixedPairs(np.array(index), np.array(triangles))
         pairs.append(TwoSurfaces(surface, surface, detector, entry.friction, (name, name)))
@@ -437,6 +443,16 @@ def _known_ahead(layout: Layout, sides: dict[str, Side]) -> list[TwoSurfaces]:
 
 def _nearest(points: np.ndarray, point) -> int:
     return int(np.argmin(np.linalg.norm(points - np.asarray(point), axis=1)))
+
+
+def _nearest_triangle(points: np.ndarray, triangles: np.ndarray, place) -> np.ndarray:
+    """The triangle nearest to a place; of several that meet there, that with the nearest centre."""
+    corners, place = points[triangles], np.asarray(place, float)
+    weights = closest_on_triangles(np.broadcast_to(place, (len(corners), 3)), corners)
+    away = np.linalg.norm(np.einsum("tc,tci->ti", weights, corners) - place, axis=1)
+    size = np.linalg.norm(np.ptp(points, axis=0))
+    near = triangles[away <= away.min() + ON_BODY * size]
+    return near[_nearest(points[near].mean(axis=1), place)]
 
 
 def _check_apart(layout: Layout, body: Body, index: list[int], triangles: list) -> None:

@@ -6,7 +6,9 @@ import meshio
 import numpy as np
 import pytest
 
+from softrobot_twin.geometry.self_proximity import FixedPairs
 from softrobot_twin.simulation import CommandSetpoints, Hold, State, Status
+from softrobot_twin.simulation.building import constraint_building
 from test.scene_changes import repeat_step
 
 STEP = 0.02
@@ -237,3 +239,34 @@ def test_a_thread_of_two_points_bends_with_its_body(simulate, write_block, secti
     assert told == [1, 0]
     assert tips[0] == pytest.approx(tips[1], abs=2e-4)
     assert abs(tips[0][0]) > 0.01
+
+
+def test_a_named_contact_is_with_the_triangle_that_holds_its_place_however_large(
+    tmp_path, scene_of, monkeypatch
+):
+    """A large triangle, whose centre is far away, beside small ones; a far point is told."""
+    points = np.array([[0, 0, 0], [10, 0, 0], [0, 10, 0], [0, 0, 10], [-1, -1, 0], [0, -1, 0], [-1, 0, 0.5]],
+                      float) / 100.0  # fmt: skip
+    tets = np.array([[0, 1, 2, 3], [0, 4, 5, 6]])
+    edges = points[tets[:, 1:]] - points[tets[:, :1]]
+    tets[np.linalg.det(edges) < 0.0] = tets[np.linalg.det(edges) < 0.0][:, [0, 2, 1, 3]]
+    file = tmp_path / "two.vtk"
+    meshio.write(file, meshio.Mesh(points, [("tetra", tets)]))
+    fixed_pairs = []
+
+    def noted(*given):
+        fixed_pairs.append(given)
+        return FixedPairs(*given)
+
+    monkeypatch.setattr(constraint_building, "FixedPairs", noted)
+    simulation = scene_of(
+        body={
+            "mesh": {"file": str(file)}, "element": "linear",
+            "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0},
+            "fixed": {"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, 0.001]}},
+        },
+        contact={"points": [{"point": [-0.01, 0.0, 0.02], "against": [0.005, 0.005, 0.0]}]},
+    )  # fmt: skip
+    ((_, (touched,)),) = fixed_pairs
+    assert sorted(touched.tolist()) == [0, 1, 2]
+    assert sum("contact.points[0].point lies 15 mm" in note for note in simulation.notes) == 1
