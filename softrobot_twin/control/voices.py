@@ -32,16 +32,18 @@ interval lets expect. A larger gap is another publisher's number."""
 _REMEMBERED = 10.0
 """A publisher is forgotten after this time [s]."""
 _MOST_VOICES = 8
-_NEAREST_OF, _LEARNED_FROM, _LEARN_EVERY, _ENOUGH = 3, 40, 4, 8
+_NEAREST_OF, _LEARNED_FROM, _ENOUGH = 3, 40, 8
 """A measurement is compared with the nearest of so many before. The noise is learned from so many
-comparisons, anew after so many, and known from so many on. Of random turns of two devices at most
-one comparison in eight is with the other one."""
+comparisons, and known from so many on. Of random turns of two devices at most one comparison in
+eight is with the other one."""
+_LEARN_EVERY, _LEARN_FIRST = 20, 4
+"""It is learned anew after so many comparisons, and at the beginning after so many."""
 _STEADY = 5
 """The speed of a motion is the median of so many comparisons."""
 _TYPICAL, _OF_MANY, _OF_ONE = 0.7, 4.0, 4.0
 """Noise is typically as large as this quantile of comparisons, and at most so many times as large, more
 with few actuators, and with few comparisons: normal noise goes beyond less than once in 10⁵."""
-_FADES = 0.98
+_FADES = 0.9
 """What was learned falls to this share at most where less is learned anew."""
 NOISE_SHARE = 0.25
 """What is a larger share of the travel than this is not noise."""
@@ -144,10 +146,11 @@ class SensorNoise:
         count = len(least)
         self._least, self._most, self.bound = least, most, least.copy()
         self._scale = np.where(np.isfinite(least) & (least > 0.0), least, 1.0)
-        # The newest are first.
-        self._places, self._times = np.full((2, _NEAREST_OF, count), np.nan)
-        self._changes, self._spans = np.full((2, _LEARNED_FROM, count), np.nan)
-        self._counts = np.zeros(count, int)
+        # Rings: the newest measurements with their times, and comparisons with their spans [s].
+        self._places = np.full((_NEAREST_OF, count), np.inf)
+        self._times = np.full((_NEAREST_OF, count), -np.inf)
+        self._changes, self._spans = np.zeros((2, _LEARNED_FROM, count))
+        self._counts, self._heard = np.zeros((2, count), int)
 
     def is_known(self, named: np.ndarray) -> bool:
         """Whether enough was measured of some actuators to judge by.
@@ -170,39 +173,38 @@ class SensorNoise:
             return
         values, before = measured[places], self._places[:, places]
         away = (np.abs(values - before) / self._scale[places]).max(axis=1)
-        if np.isfinite(away).any():
-            nearest = int(np.nanargmin(away))
-            since = time - self._times[nearest, places]
-            _put_first(self._changes, places, values - before[nearest])
-            _put_first(self._spans, places, since)
-            self._counts[places] += 1
-            if self._counts[places[0]] % _LEARN_EVERY == 0:
-                self._renew(places)
-        _put_first(self._places, places, values)
-        _put_first(self._times, places, time)
+        nearest = int(away.argmin())
+        if away[nearest] < np.inf:
+            counts = self._counts[places]
+            rows = counts % _LEARNED_FROM
+            self._changes[rows, places] = values - before[nearest]
+            self._spans[rows, places] = time - self._times[nearest, places]
+            counts += 1
+            self._counts[places] = counts
+            known = int(counts.min())
+            if known % (_LEARN_EVERY if known > _LEARNED_FROM else _LEARN_FIRST) == 0:
+                self._renew(places, min(known, _LEARNED_FROM))
+        rows = self._heard[places] % _NEAREST_OF
+        self._places[rows, places], self._times[rows, places] = values, time
+        self._heard[places] += 1
 
-    def _renew(self, places: np.ndarray) -> None:
-        """Renews the bounds of some actuators."""
-        known = int(min(self._counts[places].min(), _LEARNED_FROM))
+    def _renew(self, places: np.ndarray, known: int) -> None:
+        """Renews the bounds of some actuators by the newest comparisons, of which so many are known."""
         if known < _ENOUGH:
             return
-        changes, spans = self._changes[:known, places], self._spans[:known, places]
+        rows = (self._counts[places] - known + np.arange(known)[:, None]) % _LEARNED_FROM
+        changes, spans = self._changes[rows, places], self._spans[rows, places]
         # At the same moment nothing moves.
         speeds = np.divide(changes, spans, out=np.zeros_like(changes), where=spans > 0.0)
-        steady = np.median(sliding_window_view(speeds, _STEADY, axis=0), axis=-1)
-        inner = slice(_STEADY // 2, known - _STEADY // 2)
-        residuals = np.abs(changes[inner] - steady * spans[inner])
+        middle = _STEADY // 2
+        steady = np.sort(sliding_window_view(speeds, _STEADY, axis=0), axis=-1)[..., middle]
+        inner = slice(middle, known - middle)
+        residuals = np.sort(np.abs(changes[inner] - steady * spans[inner]), axis=0)
         # Of few actuators one of the last measurements is nearer by chance.
         times = (_OF_MANY + _OF_ONE / len(places)) * (1.0 + _ENOUGH / known)
-        learned = times * np.quantile(residuals, _TYPICAL, axis=0)
+        learned = times * residuals[round(_TYPICAL * (len(residuals) - 1))]
         bound = np.maximum(np.maximum(learned, _FADES * self.bound[places]), self._least[places])
         self.bound[places] = np.minimum(bound, self._most[places])
-
-
-def _put_first(rows: np.ndarray, places: np.ndarray, values) -> None:
-    """Moves some columns down by one row, and puts values on top."""
-    rows[1:, places] = rows[:-1, places]
-    rows[0, places] = values
 
 
 class PlaceWatch:
