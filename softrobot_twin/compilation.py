@@ -140,7 +140,17 @@ class CompilationProgress(events.Listener):
             self.seconds += self._clock() - self._began
 
 
+    def elapsed(self) -> float:
+        """Time that compilation took so far, also that which goes on [s]."""
+        return self.seconds + (self._clock() - self._began if self._depth else 0.0)
+
+
 _progress = CompilationProgress()
+
+
+def compilation_time() -> float:
+    """Time that this process has compiled kernels for [s]."""
+    return _progress.elapsed()
 
 
 class _CollectLater(events.Listener):

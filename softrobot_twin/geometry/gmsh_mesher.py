@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,8 +20,35 @@ import numpy as np
 _SHARP = np.radians(35.0)
 # Angle between two segments of such an edge above which their common point is kept [rad].
 _CORNER = np.radians(60.0)
+# Share of a chamber's volume that facets of its curved walls may cut off: 16 a turn of a tube.
+_CHAMBER_LOSS = 0.033
+# Walls of chambers are not meshed finer than this share of the size: the work is bounded.
+_FINEST = 0.125
+# Places along each parameter of a face where its curvature is taken.
+_SAMPLES = 6
 # Tetrahedra of edge length 1 in a unit of volume.
 TETS_PER_VOLUME = 6.0 * 2.0**0.5
+
+
+class Chamber(NamedTuple):
+    """A closed surface inside the part.
+
+    Attributes:
+        faces: Tags of its faces.
+        volume: Volume that it encloses [mm³].
+    """
+
+    faces: list[int]
+    volume: float
+
+    def row(self, gmsh) -> list[float]:
+        """The middle of its bounding box [mm] and its volume [mm³].
+
+        Args:
+            gmsh: The library.
+        """
+        low, high = _bounds(gmsh, self.faces)
+        return [*(0.5 * (low + high)), self.volume]
 
 
 class Refused(Exception):
@@ -54,10 +82,13 @@ def main(folder: Path) -> int:
             return 0
         _set_options(gmsh, job["size"])
         if "shells" in job:
-            _solids_of_shells(gmsh, np.load(folder / "shells.npz"), job["solids"])
+            of_shell = _solids_of_shells(gmsh, np.load(folder / "shells.npz"), job["solids"])
             names, volume = [""] * len(job["solids"]), job["volume"]
+            chambers = [Chamber(of_shell[shell], own) for shell, own in job["chambers"]]
         else:
             names, volume = _solids_of_file(gmsh, job)
+            chambers = _chambers_of_solids(gmsh)
+        _refine(gmsh, job, chambers)
         _mesh(gmsh)
         nodes, tets, solids = _tets(gmsh)
     except Refused as error:
@@ -66,7 +97,8 @@ def main(folder: Path) -> int:
         lines = [line for line in gmsh.logger.get() if line.startswith(("Error", "Warning"))]
         return _failed(folder, "gmsh", " ".join([str(error), *lines[-3:]]))
     np.savez(folder / "mesh.npz", nodes=nodes, tets=tets, solids=solids, names=np.array(names),
-             volume=volume, version=np.array(gmsh.__version__))
+             volume=volume, version=np.array(gmsh.__version__),
+             chambers=np.array([chamber.row(gmsh) for chamber in chambers]).reshape(-1, 4))
     return 0
 
 
@@ -98,8 +130,8 @@ def _without_parameters(gmsh, job: dict, folder: Path) -> np.ndarray:
     return np.fromfile(folder / "plain.msh", np.uint8)
 
 
-def _solids_of_shells(gmsh, shells, solids: list[list[int]]) -> None:
-    """Solids between closed surfaces of triangles.
+def _solids_of_shells(gmsh, shells, solids: list[list[int]]) -> dict[int, list[int]]:
+    """Solids between closed surfaces of triangles; returns the faces of each shell.
 
     Args:
         gmsh: The library.
@@ -131,6 +163,105 @@ def _solids_of_shells(gmsh, shells, solids: list[list[int]]) -> None:
         loops = [gmsh.model.geo.addSurfaceLoop(of_shell[shell]) for shell in own]
         gmsh.model.geo.addVolume(loops)
     gmsh.model.geo.synchronize()
+    return of_shell
+
+
+def _bounds(gmsh, faces: list[int]) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest corner of the bounding box of faces [mm]."""
+    boxes = np.array([gmsh.model.getBoundingBox(2, face) for face in faces])
+    return boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)
+
+
+def _chambers_of_solids(gmsh) -> list[Chamber]:
+    """The closed surfaces of the solids of a STEP file that lie within others."""
+    outer = gmsh.model.getBoundary(gmsh.model.getEntities(3), combined=True, oriented=False)
+    group_of_curve, groups = {}, []
+    for _, face in outer:
+        curves = {tag for _, tag in gmsh.model.getBoundary([(2, face)], oriented=False)}
+        joined = [own for own in groups if any(group_of_curve.get(curve) is own for curve in curves)]
+        group = sum(joined, [face])
+        groups = [own for own in groups if not any(own is other for other in joined)] + [group]
+        for other in joined:
+            for curve, own in group_of_curve.items():
+                group_of_curve[curve] = group if own is other else own
+        group_of_curve.update(dict.fromkeys(curves, group))
+    boxes = [_bounds(gmsh, group) for group in groups]
+    chambers = []
+    for group, (low, high) in zip(groups, boxes, strict=True):
+        if any((around[0] < low).all() and (high < around[1]).all() for around in boxes):
+            volume = gmsh.model.occ.addVolume([gmsh.model.occ.addSurfaceLoop(group)])
+            chambers.append(Chamber(group, abs(gmsh.model.occ.getMass(3, volume))))
+            gmsh.model.occ.remove([(3, volume)])
+    return chambers
+
+
+def _refine(gmsh, job: dict, chambers: list[Chamber]) -> None:
+    """Sizes on curved faces: as asked for a full turn on all of them, or as the walls of each chamber
+    need to lose little of its volume.
+
+    Edges of length s cut s²/12 ∫ (|κ1| + |κ2|) dA off the space inside a curved wall.
+    """
+    size, turn, sizes = job["size"], job["turn"], {}
+    curved = {face: _curvature(gmsh, face) for _, face in gmsh.model.getEntities(2)}
+    if turn is not None:
+        wanted = [(face, 2.0 * np.pi / (turn * highest)) for face, (_, highest) in curved.items()
+                  if turn and highest * size > 1e-3]  # fmt: skip
+    else:
+        wanted = []
+        for chamber in chambers:
+            total = sum(curved[face][0] for face in chamber.faces)
+            if total > 0.0:
+                edge = max((12.0 * _CHAMBER_LOSS * chamber.volume / total) ** 0.5, _FINEST * size)
+                wanted += [(face, edge) for face in chamber.faces if curved[face][1] * size > 1e-3]
+    for face, edge in wanted:
+        # Seams too: they are on both sides of their face.
+        curves = gmsh.model.getBoundary([(2, face)], combined=False, oriented=False)
+        for entity in [(2, face), *curves]:
+            sizes[entity] = min(edge, sizes.get(entity, size))
+    if any(edge < size for edge in sizes.values()):
+        gmsh.model.mesh.setSizeCallback(
+            lambda dimension, tag, x, y, z, edge: min(edge, sizes.get((dimension, tag), size))
+        )
+
+
+def _curvature(gmsh, face: int) -> tuple[float, float]:
+    """∫ (|κ1| + |κ2|) dA [mm] of a face, and its greatest curvature, or mean of facets [1/mm]."""
+    kind = gmsh.model.getType(2, face)
+    if kind == "Plane":
+        return 0.0, 0.0
+    if kind != "Discrete surface":
+        low, high = gmsh.model.getParametrizationBounds(2, face)
+        # In the middle of intervals: not at poles.
+        shares = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
+        places = [low + (high - low) * [u, v] for u in shares for v in shares]
+        highest, lowest, *_ = gmsh.model.getPrincipalCurvatures(face, np.ravel(places))
+        each = np.abs(highest) + np.abs(lowest)
+        area = gmsh.model.occ.getMass(2, face)
+        return float(each.mean() * area), float(np.maximum(np.abs(highest), np.abs(lowest)).max())
+    _, corners = gmsh.model.mesh.getElementsByType(2, face)
+    tags, nodes = np.unique(corners, return_inverse=True)
+    points = np.array([gmsh.model.mesh.getNode(tag)[0] for tag in tags])
+    triangles = nodes.reshape(-1, 3)
+    normals = np.cross(points[triangles[:, 1]] - points[triangles[:, 0]],
+                       points[triangles[:, 2]] - points[triangles[:, 0]])  # fmt: skip
+    areas = np.linalg.norm(normals, axis=1)
+    normals /= np.where(areas > 0.0, areas, 1.0)[:, None]
+    halves = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2))
+    edges, place, counts = np.unique(halves, axis=0, return_inverse=True, return_counts=True)
+    order = np.argsort(place.ravel(), kind="stable")[np.repeat(counts == 2, counts)].reshape(-1, 2)
+    one, other = normals[order[:, 0] // 3], normals[order[:, 1] // 3]
+    ends = edges[counts == 2]
+    # An edge is hollow where the far corner of one triangle lies above the other one.
+    far = points[triangles.ravel()[3 * (order[:, 1] // 3) + (order[:, 1] + 2) % 3]]
+    signs = -np.sign(np.einsum("ni,ni->n", one, far - points[ends[:, 0]]))
+    angles = signs * np.arctan2(np.linalg.norm(np.cross(one, other), axis=1),
+                                np.einsum("ni,ni->n", one, other))  # fmt: skip
+    lengths = np.linalg.norm(points[ends[:, 1]] - points[ends[:, 0]], axis=1)
+    # Facets of a smooth wall bend to both sides; around a point that cancels.
+    at_points = np.zeros(len(points))
+    np.add.at(at_points, ends, 0.5 * (angles * lengths)[:, None])
+    total = float(np.abs(at_points).sum())
+    return total, total / (0.5 * float(areas.sum()))
 
 
 def _solids_of_file(gmsh, job: dict) -> tuple[list[str], float]:

@@ -8,16 +8,22 @@ the size, whose exponent two measurements tell.
 from __future__ import annotations
 
 import math
+import multiprocessing
+import os
 import shlex
 import tempfile
+import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import NamedTuple
 
 import meshio
 import numpy as np
 
+from softrobot_twin.compilation import compilation_time
 from softrobot_twin.errors import MeshError, SoftRobotTwinError
 from softrobot_twin.geometry.cad_meshing import (
     TRIANGLE_SUFFIXES,
@@ -44,6 +50,10 @@ from softrobot_twin.study.terminal import console, table, terminal_status, warn
 
 BUSY = 1.3
 """A machine on which steps take this many times as long as they compute is called busy."""
+MOST_SECONDS = 20.0
+"""A mesh is built and its steps are measured for at most this time [s]."""
+# The error of a mesh is estimated where a step takes less [s]: the estimate takes as long as many.
+_QUICK = 0.5
 TRIALS = 5
 """Most meshes that are tried for a wanted time of a step."""
 # A mesh is fine enough if its step takes this share of the wanted time.
@@ -70,13 +80,16 @@ class StepTime(NamedTuple):
     """Time of a step on this machine.
 
     Attributes:
-        median: In the round of steps that other programs disturbed least [s].
+        median: In the round of steps that other programs disturbed least [s]; infinite where no step
+            ended in time.
         slowdown: Elapsed time of all rounds by that in which this program computed: 1 on a machine
             that nothing else uses.
+        left_out: What of the measurement was left out because it takes too long.
     """
 
     median: float
     slowdown: float
+    left_out: str = ""
 
 
 class Trial(NamedTuple):
@@ -96,28 +109,69 @@ class Trial(NamedTuple):
 
 
 def measured_step(scene: Scene) -> StepTime:
-    """Measures the time of a step on this machine.
+    """Measures the time of a step on this machine, for at most `MOST_SECONDS` besides compilation.
 
-    Its effectors follow targets where it has actuators; otherwise it settles under gravity.
+    A process of its own does, because a step of a large mesh cannot be ended otherwise. Effectors
+    follow targets where the scene has actuators; otherwise it settles under gravity.
 
     Args:
         scene: The scene.
+
+    Raises:
+        MeshingError: The scene cannot be built.
     """
-    simulation = Simulation(scene, with_warnings=False)
-    simulation.warm_up()
-    command = Hold(0.02)
-    if simulation.actuators.count:
-        near = simulation.effector_positions() + _MOVE * simulation.model.nodes.size
-        command = FollowTargets(near, 0.02)
-    for _ in range(_WARM_STEPS):
-        simulation.step(command)
-    times = np.empty((_ROUNDS, _STEPS))
-    computed = time.process_time()
-    for index in np.ndindex(times.shape):
-        times[index] = simulation.step(command).report.compute_time
-    computed = time.process_time() - computed
-    slowdown = max(1.0, float(times.sum()) / max(computed, 1e-9))
-    return StepTime(float(np.median(times, axis=1).min()), slowdown)
+    context = multiprocessing.get_context("spawn")
+    receiver, sender = context.Pipe(duplex=False)
+    process = context.Process(target=_measure, args=(scene, sender, MOST_SECONDS), daemon=True)
+    process.start()
+    sender.close()
+    steps: list[tuple[float, float]] = []
+    try:
+        with suppress(EOFError):
+            while True:
+                told = receiver.recv()
+                if isinstance(told, str):
+                    raise MeshingError(f"its steps cannot be measured: {told}")
+                steps.append(told)
+    finally:
+        process.kill()
+        process.join()
+    if not steps:
+        return StepTime(math.inf, 1.0, "not measured: building it and a step take more than "
+                        f"{MOST_SECONDS:.0f} s")  # fmt: skip
+    measured = np.array(steps[_WARM_STEPS:] or steps[-1:])
+    rounds = [np.median(measured[first : first + _STEPS, 0])
+              for first in range(0, max(len(measured) - _STEPS, 0) + 1, _STEPS)]  # fmt: skip
+    total = _WARM_STEPS + _ROUNDS * _STEPS
+    left_out = "" if len(steps) == total else (
+        f"measured in {len(steps)} of {total} steps: all take more than {MOST_SECONDS:.0f} s")
+    slowdown = measured[:, 0].sum() / max(float(measured[:, 1].sum()), 1e-9)
+    return StepTime(float(min(rounds)), max(1.0, float(slowdown)), left_out)
+
+
+def _measure(scene: Scene, sender: Connection, most_seconds: float) -> None:
+    """Sends the time of each step, elapsed and computed [s]; ends the process when time is over."""
+    began, compiled = time.monotonic(), compilation_time()
+
+    def watch() -> None:
+        while time.monotonic() - began - (compilation_time() - compiled) < most_seconds:
+            time.sleep(0.05)
+        os._exit(0)
+
+    threading.Thread(target=watch, daemon=True).start()
+    try:
+        simulation = Simulation(scene, with_warnings=False)
+        simulation.warm_up()
+        command = Hold(0.02)
+        if simulation.actuators.count:
+            near = simulation.effector_positions() + _MOVE * simulation.model.nodes.size
+            command = FollowTargets(near, 0.02)
+        for _ in range(_WARM_STEPS + _ROUNDS * _STEPS):
+            computed = time.process_time()
+            elapsed = simulation.step(command).report.compute_time
+            sender.send((elapsed, time.process_time() - computed))
+    except Exception as error:  # whatever it is, the parent tells it
+        sender.send(f"{type(error).__name__}: {error}")
 
 
 def size_for(
@@ -175,6 +229,7 @@ def size_for(
 def mesh_part(
     path: Path, output: Path, *, size: float | None = None, step: float | None = None,
     unit: str | None = None, element: str = "quadratic", repair: bool = False,
+    turn: int | None = None,
 ) -> int:  # fmt: skip
     """Meshes a part, writes the mesh in metres and tells its quality.
 
@@ -187,6 +242,7 @@ def mesh_part(
         unit: Unit of a surface file, of `UNITS`; None for millimetres.
         element: Kind of elements whose step is measured.
         repair: Whether holes are closed and solids that overlap united.
+        turn: Elements in a full turn of all curved faces; None refines walls of cavities alone.
 
     Returns:
         Exit code.
@@ -217,14 +273,18 @@ def mesh_part(
     with tempfile.TemporaryDirectory(prefix="softrobot_twin_mesh_") as folder:
         def tried(size: float) -> Trial:
             with terminal_status(f"meshing with {1e3 * size:.3g} mm"):
-                made = mesh_cad(path, size, scale, repair)
+                made = mesh_cad(path, size, scale, repair, turn)
             return _tried(made, size, Path(folder) / f"{path.stem}.msh", element)
 
         trial = tried(size) if step is None else _searched(path, step, tried, scale, repair)
         _print(path, trial, element)
-        # The law is a simple one of the same moduli.
-        corotational = with_law(trial.scene, "corotational")
-        print_mesh_error(corotational, begin="With a tip at the far end: ")
+        if trial.step.median < _QUICK:
+            # The law is a simple one of the same moduli.
+            corotational = with_law(trial.scene, "corotational")
+            print_mesh_error(corotational, begin="With a tip at the far end: ")
+        else:
+            console().print("The error of the mesh is not estimated: that takes as long as many steps; "
+                            "`explain` does it", soft_wrap=True)  # fmt: skip
     with output_file(output) as partial:
         write_msh(partial, trial.made)
     largest = float(np.ptp(trial.made.mesh.node_positions, axis=0).max())
@@ -279,8 +339,9 @@ def _searched(
         trials[size] = tried(size)
         mesh, step = trials[size].made.mesh, trials[size].step
         console().print(f"{1e3 * size:8.3g} mm {mesh.node_count:8d} nodes   step "
-                        f"{_time(step.median)}")  # fmt: skip
-        return step.median
+                        f"{step.left_out if math.isinf(step.median) else _time(step.median)}")  # fmt: skip
+        # One that was not measured takes longer than the measurement.
+        return min(step.median, MOST_SECONDS)
 
     try:
         largest = 0.5 * float(part.extents.max())
@@ -311,15 +372,19 @@ def _print(path: Path, trial: Trial, element: str) -> None:
     shown.add_row("thinnest part", f"{1e3 * thin.thickness:.3g} mm, {thin.elements:.1f} elements "
                   f"across, at {_place(thin.place)}")  # fmt: skip
     for name in made.cavities:
-        shown.add_row(name, f"{1e9 * made.cavity_volume(name):.6g} mm³, a named surface of "
+        lost = f", {100.0 * made.lost[name]:.1f} % less than in the part" if name in made.lost else ""
+        shown.add_row(name, f"{1e9 * made.cavity_volume(name):.6g} mm³{lost}, a named surface of "
                       f"{len(made.cavities[name])} triangles")  # fmt: skip
     if not made.cavities:
         shown.add_row("cavities", "none: no closed surface lies inside the part")
     for name, tets in made.regions.items():
         shown.add_row(f"region {name}", f"{len(tets)} tetrahedra")
     step = trial.step
-    shown.add_row("expected step", f"{_time(step.median)} with {element} elements on this "
-                  f"machine, {MARGIN / step.median:.0f} Hz")  # fmt: skip
+    if math.isfinite(step.median):
+        shown.add_row("expected step", f"{_time(step.median)} with {element} elements on this "
+                      f"machine, {MARGIN / step.median:.3g} Hz")  # fmt: skip
+    if step.left_out:
+        shown.add_row("" if math.isfinite(step.median) else "expected step", step.left_out)
     if step.slowdown > BUSY:
         shown.add_row("", f"measured while other programs slowed this one down {step.slowdown:.1f} "
                       "times")  # fmt: skip

@@ -200,6 +200,61 @@ def test_a_void_of_a_step_solid_is_a_cavity_and_its_unit_is_known(tmp_path):
     assert size.volume == pytest.approx(made.mesh.volume, rel=1e-6)
 
 
+def tube(path):
+    """A bar of 30 × 12 × 12 mm with a round chamber of 20 mm, written as STEP or STL."""
+    import gmsh
+
+    gmsh.initialize(["gmsh"], readConfigFiles=False, interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        occ = gmsh.model.occ
+        occ.cut([(3, occ.addBox(0, 0, 0, 30, 12, 12))],
+                [(3, occ.addCylinder(5, 6, 6, 20, 0, 0, 3))])
+        occ.synchronize()
+        if path.suffix == ".stl":
+            gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", 40)
+            gmsh.model.mesh.generate(2)
+        gmsh.write(str(path))
+    finally:
+        gmsh.finalize()
+    return path
+
+
+@pytest.mark.parametrize("suffix", [".step", pytest.param(".stl", marks=pytest.mark.exhaustive)])
+def test_round_walls_of_chambers_are_refined_and_what_they_lose_is_told(suffix, tmp_path):
+    need_gmsh()
+    path = tube(tmp_path / f"tube{suffix}")
+    volume = 3.0**2 * np.pi * 20.0
+    fine, coarse, turned = (mesh_cad(path, 6 * MM, MM, turn=turn) for turn in (None, 0, 24))
+    for made in (fine, coarse, turned):
+        true = 1e9 * made.cavity_volume("cavity_1") / (1.0 - made.lost["cavity_1"])
+        assert true == pytest.approx(volume, rel=0.02 if suffix == ".stl" else 1e-6)
+    assert turned.lost["cavity_1"] < fine.lost["cavity_1"] < 0.03 < 0.08 < coarse.lost["cavity_1"]
+    assert not any("cavity_1" in note for note in fine.notes)
+    assert any("% off the volume of cavity_1" in note for note in coarse.notes)
+
+
+def test_small_fillets_of_a_chamber_are_refined_no_more_than_its_volume_needs(tmp_path):
+    need_gmsh()
+    import gmsh
+
+    gmsh.initialize(["gmsh"], readConfigFiles=False, interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        occ = gmsh.model.occ
+        occ.addBox(10, 4, 4, 40, 8, 8)
+        occ.synchronize()
+        edges = [tag for _, tag in gmsh.model.getEntities(1)]
+        hollow = occ.fillet([1], edges, [0.5])
+        occ.cut([(3, occ.addBox(0, 0, 0, 60, 16, 16))], hollow)
+        occ.synchronize()
+        gmsh.write(str(tmp_path / "box.step"))
+    finally:
+        gmsh.finalize()
+    made = mesh_cad(tmp_path / "box.step", 4 * MM)
+    assert made.mesh.node_count < 4000 and made.lost["cavity_1"] < 0.03
+
+
 def test_text_is_no_step_file(tmp_path):
     need_gmsh()
     path = tmp_path / "part.step"

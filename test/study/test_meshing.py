@@ -9,8 +9,10 @@ import pytest
 from softrobot_twin.__main__ import main
 from softrobot_twin.command_line.commands import length, step_time
 from softrobot_twin.errors import MeshError
+from softrobot_twin.geometry.cad_meshing import mesh_cad, write_msh
 from softrobot_twin.geometry.mesh_reading import read_solid_mesh
 from softrobot_twin.study import meshing
+from softrobot_twin.study.first_scene import MeshSource, first_scene
 from softrobot_twin.study.meshing import MeshingError, StepTime, scene_command, size_for
 from test.cad_parts import box, lines_of, need_gmsh, write_stl
 
@@ -84,6 +86,27 @@ def test_the_size_is_searched_for_a_step_time(tmp_path, capsys, monkeypatch):
     cells = read_solid_mesh(output).mesh.cell_count
     assert 200 < cells <= 500
     assert "at most 5 meshes" in out and "step" in out and not lines_of(err)
+
+
+def test_what_takes_too_long_to_measure_is_left_out_and_told(tmp_path, capsys, monkeypatch):
+    need_gmsh()
+    monkeypatch.setattr(meshing, "MOST_SECONDS", 0.0)
+    part, output = write_stl(tmp_path / "block.stl", box((60, 20, 20))), tmp_path / "block.msh"
+    assert main(["mesh", str(part), "--size", "10mm", "--output", str(output)]) == 0
+    told = capsys.readouterr().out
+    assert "not measured: building it and a step take more than 0 s" in told
+    assert "The error of the mesh is not estimated" in told
+
+
+@pytest.mark.exhaustive
+def test_steps_are_measured_in_a_process_of_their_own(tmp_path):
+    need_gmsh()
+    write_msh(tmp_path / "block.msh", mesh_cad(write_stl(tmp_path / "block.stl", box((6, 2, 2))), 1.0, 1.0))
+    source = MeshSource(tmp_path / "block.msh", 1e-2, None, "")
+    reading = read_solid_mesh(tmp_path / "block.msh", scale=1e-2)
+    _, scene, _ = first_scene(tmp_path / "block.yaml", source, reading, tmp_path)
+    step = meshing.measured_step(scene)
+    assert step.median > 0.0 and step.slowdown >= 1.0
 
 
 @pytest.mark.parametrize("slowdown, is_told", [(1.0, False), (2.1, True)])
