@@ -16,7 +16,7 @@ import numpy as np
 
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.geometry.box_mesh import read_box
-from softrobot_twin.geometry.hexahedral_mesh import INTO_TETS, HexahedralMesh, enhance
+from softrobot_twin.geometry.hexahedral_mesh import INTO_TETS, HexahedralMesh
 from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.geometry.smoothed_mesh import smooth
 from softrobot_twin.geometry.tet_mesh import TetMesh
@@ -324,7 +324,7 @@ def mesh_of(kind: str, grids: list[HexahedralMesh], place, between=None) -> obje
     mirrored = np.einsum("ki,ki->k", np.cross(a, b), c) < 0.0
     if kind == "hexahedral":
         cells[mirrored] = cells[mirrored][:, [3, 2, 1, 0, 7, 6, 5, 4]]
-        return enhance(HexahedralMesh(placed, np.empty((0, 4), np.int64), cells))
+        return HexahedralMesh(placed, np.empty((0, 4), np.int64), cells)
     tets = cells[:, INTO_TETS]
     tets[mirrored] = tets[mirrored][:, :, [1, 0, 2, 3]]
     linear = TetMesh(placed, tets.reshape(-1, 4))

@@ -73,9 +73,9 @@ def _solved(mesh, law: NeoHookean, held, loads, moved, reference: float) -> Wall
 
 
 def _nearest(mesh, place) -> int:
-    """The node nearest to a place; inner nodes of cells are no points."""
+    """The node nearest to a place."""
     distances = np.linalg.norm(mesh.node_positions - place, axis=1)
-    return int(np.argmin(np.where(mesh.are_points, distances, np.inf)))
+    return int(np.argmin(distances))
 
 
 def _across(mesh, place, normal, wall: float, axis: int, moves) -> float:
@@ -102,10 +102,10 @@ def cylinder(kind: str, count: int, layers: int, wall: float = 0.1, poisson: flo
 
     mesh = mapped_mesh(kind, (count, layers, 1), place)
     x, held = mesh.node_positions, np.zeros(mesh.node_positions.shape, bool)
-    held[mesh.are_points] = np.abs(x[mesh.are_points]) < 1e-9
-    held[mesh.are_points, 2] = True
+    held[:] = np.abs(x) < 1e-9
+    held[:, 2] = True
     radii = np.linalg.norm(x[:, :2], axis=1)
-    inner = mesh.are_points & (radii < 1.0 + 1e-9)
+    inner = radii < 1.0 + 1e-9
     # Radial forces of the pressure, shared as by a flat face, and scaled to their sum.
     loads = traction_loads(mesh, inner, (1.0, 0.0, 0.0))[:, :1] * np.column_stack(
         [x[:, :2] / radii[:, None], np.zeros(len(x))])  # fmt: skip
@@ -130,11 +130,11 @@ def _hemisphere(kind: str, count: int, layers: int, wall: float):
             [np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])  # fmt: skip
 
     mesh = mapped_mesh(kind, (count, count, layers), place)
-    x, points = mesh.node_positions, mesh.are_points
+    x = mesh.node_positions
     held = np.zeros(x.shape, bool)
-    held[points, :2] = np.abs(x[points, :2]) < 1e-9
+    held[:, :2] = np.abs(x[:, :2]) < 1e-9
     held[_nearest(mesh, 7.0710678 * np.array([1.0, 1.0, 0.0])), 2] = True
-    return mesh, held, points & (np.abs(x[:, 2]) < 1e-9)
+    return mesh, held, np.abs(x[:, 2]) < 1e-9
 
 
 def pinched_hemisphere(kind: str, count: int, layers: int) -> Wall:
@@ -188,11 +188,11 @@ def _roof(kind: str, count: int, layers: int, wall: float, reference: float) -> 
         return np.column_stack([radius * np.sin(angle), 25.0 * points[:, 1], radius * np.cos(angle)])
 
     mesh = mapped_mesh(kind, (count, count, layers), place)
-    x, points = mesh.node_positions, mesh.are_points
+    x = mesh.node_positions
     held = np.zeros(x.shape, bool)
-    held[points, 0] = np.abs(x[points, 0]) < 1e-9
-    held[points, 1] = np.abs(x[points, 1]) < 1e-9
-    diaphragm = points & (np.abs(x[:, 1] - 25.0) < 1e-9)
+    held[:, 0] = np.abs(x[:, 0]) < 1e-9
+    held[:, 1] = np.abs(x[:, 1]) < 1e-9
+    diaphragm = np.abs(x[:, 1] - 25.0) < 1e-9
     held[np.ix_(diaphragm, [0, 2])] = True
     loads = np.zeros(x.shape)
     for block in mesh.blocks():

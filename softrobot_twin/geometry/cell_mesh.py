@@ -58,14 +58,6 @@ class CellMesh(Protocol):
         """Number of cells."""
         return len(self.cells)
 
-    @property
-    def are_points(self) -> np.ndarray:
-        """Nodes that are points of the body, shape (node_count,) of bool.
-
-        The others are inner parameters of a cell: they bear no mass, and no region holds them.
-        """
-        return np.ones(self.node_count, dtype=bool)
-
     def blocks(self, cells: np.ndarray | None = None) -> tuple[CellBlock, ...]:
         """The cells, apart by their kind.
 

@@ -7,8 +7,7 @@ hexahedra integrate there over the same two triangles: the mean of a gradient ov
 
     V ḡ_a = ∮ N_a n dA
 
-whatever the faces are, and gradients at the quadrature points are shifted to have this mean
-(`_fit_to_tetrahedra`). Displacements are equal at the nodes, and between them to the second order.
+whatever the faces are (`_fit_to_tetrahedra`). Displacements are equal at the nodes, and between them to the second order.
 """
 
 from __future__ import annotations
@@ -19,17 +18,15 @@ from functools import cached_property
 import numpy as np
 
 from softrobot_twin.errors import MeshError
-from softrobot_twin.geometry.cell_mesh import CellBlock, CornerMesh, InnerNodesMesh, SomeCells
+from softrobot_twin.geometry.cell_mesh import CellBlock, CornerMesh, SomeCells
 from softrobot_twin.geometry.quadrature import hexahedron_rule
 from softrobot_twin.geometry.shape_functions import (
-    ENHANCED_HEXAHEDRON,
     HEXAHEDRON_CORNERS,
     LINEAR_TETRAHEDRON,
-    MODE_COUNT,
+    MEAN_HEXAHEDRON,
     TRILINEAR_HEXAHEDRON,
     IntegrationPoints,
-    enhanced_points,
-    with_modes,
+    integration_points,
 )
 from softrobot_twin.geometry.surface import boundary_faces, single_rows
 from softrobot_twin.geometry.tet_mesh import tet_volumes
@@ -138,7 +135,7 @@ class HexahedralMesh(CornerMesh):
     @cached_property
     def volumes(self) -> np.ndarray:
         """Volumes of the cells [m³], shape (cell_count,)."""
-        own = hexahedron_points(self).weights.sum(axis=1)
+        own = self._points.weights[:, 0]
         return np.concatenate([tet_volumes(self.node_positions, self.tets), own])
 
     @cached_property
@@ -154,6 +151,40 @@ class HexahedralMesh(CornerMesh):
     def cells_of_surface(self) -> np.ndarray:
         """Cell of each of the `surface_triangles`, shape (triangle_count,)."""
         return self._free_faces.cells
+
+    @cached_property
+    def _points(self) -> IntegrationPoints:
+        return hexahedron_points(self)
+
+    @cached_property
+    def _shares(self) -> tuple[np.ndarray, np.ndarray]:
+        """Shares of hexahedra in uniform loads and in mass; see `CellBlock`."""
+        rule = hexahedron_rule(3)
+        values = TRILINEAR_HEXAHEDRON.values(rule.points)
+        slopes = TRILINEAR_HEXAHEDRON.slopes(rule.points)
+        corners = self.node_positions[self.hexahedra]
+        jacobians = np.einsum("kai,qaj->kqij", corners, slopes)
+        shares = np.linalg.det(jacobians) * rule.weights
+        shares /= shares.sum(axis=1, keepdims=True)
+        return shares @ values, np.einsum("kq,qa,qb->kab", shares, values, values)
+
+    def blocks(self, cells: np.ndarray | None = None) -> tuple[CellBlock, ...]:
+        """See `CellMesh.blocks`: tetrahedra, then hexahedra."""
+        tet_count = len(self.tets)
+        chosen = np.arange(self.cell_count) if cells is None else np.asarray(cells)
+        tets, own = chosen[chosen < tet_count], chosen[chosen >= tet_count] - tet_count
+        blocks = []
+        if len(tets):
+            some = SomeCells(self.node_positions, self.tets[tets], LINEAR_TETRAHEDRON)
+            shares = np.full(4, 0.25)
+            blocks.append(CellBlock(some, tets, self.volumes[tets], shares))
+        if len(own):
+            points = IntegrationPoints(*(array[own] for array in self._points))
+            some = SomeCells(self.node_positions, self.hexahedra[own], MEAN_HEXAHEDRON, points)
+            loads, masses = self._shares
+            blocks.append(CellBlock(some, own + tet_count, self.volumes[own + tet_count],
+                                    loads[own], masses[own]))  # fmt: skip
+        return tuple(blocks)
 
     @property
     def cell_counts(self) -> dict[str, int]:
@@ -242,38 +273,38 @@ def _matching(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def hexahedron_points(mesh: HexahedralMesh) -> IntegrationPoints:
-    """Gradients and volumes at the quadrature points of a mesh's hexahedra.
+    """Mean gradients and volumes of a mesh's hexahedra.
 
     Args:
         mesh: The mesh.
 
     Returns:
-        Those of enhanced hexahedra; see `EnhancedHexahedron`.
+        One point of each; see `MeanHexahedron`.
     """
     corners = mesh.node_positions[mesh.hexahedra]
-    points = enhanced_points(corners)
+    gradients, weights = integration_points(
+        mesh.node_positions, mesh.hexahedra, TRILINEAR_HEXAHEDRON
+    )
+    integrals = np.einsum("kq,kqai->kai", weights, gradients)
+    volumes = weights.sum(axis=1)
     shared, diagonals = mesh._free_faces.shared, mesh._free_faces.diagonals
-    return _fit_to_tetrahedra(corners, points, shared, diagonals) if len(shared) else points
+    if len(shared):
+        volumes = _fit_to_tetrahedra(corners, integrals, shared, diagonals)
+    means = integrals / volumes[:, None, None]
+    return IntegrationPoints(np.ascontiguousarray(means[:, None]), volumes[:, None])
 
 
 def _fit_to_tetrahedra(
-    corners: np.ndarray, points: IntegrationPoints, shared: np.ndarray, diagonals: np.ndarray
-) -> IntegrationPoints:
-    """Shifts gradients so that a cell's surface has two triangles where it meets tetrahedra."""
-    gradients, weights = points
-    volumes = weights.sum(axis=1)
-    means = np.einsum("kq,kqai->kai", weights, gradients[:, :, :8])
-    integrals = means.copy()
+    corners: np.ndarray, integrals: np.ndarray, shared: np.ndarray, diagonals: np.ndarray
+) -> np.ndarray:
+    """Changes V ḡ_a so that a cell's surface has two triangles where it meets tetrahedra; gives V."""
     rows, faces = shared.T
     local = HEXAHEDRON_FACES[faces]
     placed = np.take_along_axis(corners[rows], local[:, :, None], axis=1)
     change = _of_triangles(placed, diagonals) - _of_bilinear(placed)
     np.add.at(integrals, (rows[:, None], local), change)
     # The divergence theorem for x itself: Σ x_a · ∮ N_a n dA = 3 V.
-    fitted = np.einsum("kai,kai->k", corners, integrals) / 3.0
-    shift = integrals / fitted[:, None, None] - means / volumes[:, None, None]
-    changed = gradients + with_modes(shift, np.zeros((len(shift), MODE_COUNT, 3)))[:, None]
-    return IntegrationPoints(changed, weights * (fitted / volumes)[:, None])
+    return np.einsum("kai,kai->k", corners, integrals) / 3.0
 
 
 def _of_triangles(placed: np.ndarray, diagonals: np.ndarray) -> np.ndarray:
@@ -297,104 +328,3 @@ def _of_bilinear(placed: np.ndarray) -> np.ndarray:
         across = np.einsum("a,kai->ki", corners[:, 1] * factors[:, 0] / 4.0, placed)
         sums += factors.prod(axis=1)[:, None] / 4.0 * np.cross(along, across)[:, None, :]
     return sums
-
-
-@dataclass(frozen=True, eq=False)
-class EnhancedMesh(InnerNodesMesh):
-    """Enhanced hexahedra, and linear tetrahedra beside them. Arrays are read-only.
-
-    Attributes:
-        corner_mesh: The same cells by their corners.
-        node_positions: Node positions [m], those of the corners, then the inner ones of each
-            hexahedron, at the mean of its corners, shape (node_count, 3).
-        hexahedra: Corners and inner nodes of the hexahedra, shape (hexahedron_count, 13).
-        mid_edge_ends: The eight corners of each inner node, shape (inner_count, 8).
-    """
-
-    corner_mesh: HexahedralMesh
-    node_positions: np.ndarray
-    hexahedra: np.ndarray
-    mid_edge_ends: np.ndarray
-
-    shape_functions = None
-
-    @cached_property
-    def cells(self) -> np.ndarray:
-        """Nodes of each cell, of a tetrahedron the last one repeatedly, shape (cell_count, 13)."""
-        padded = self.corner_mesh.tets[:, _PADDED_TET + [3] * MODE_COUNT]
-        return np.concatenate([padded, self.hexahedra])
-
-    @cached_property
-    def are_points(self) -> np.ndarray:
-        """True for corners, shape (node_count,); see `CellMesh.are_points`."""
-        are_points = np.ones(self.node_count, dtype=bool)
-        are_points[self.hexahedra[:, 8:]] = False
-        return are_points
-
-    @property
-    def surface_triangles(self) -> np.ndarray:
-        """See `HexahedralMesh.surface_triangles`."""
-        return self.corner_mesh.surface_triangles
-
-    @cached_property
-    def _points(self) -> IntegrationPoints:
-        return hexahedron_points(self.corner_mesh)
-
-    @cached_property
-    def _shares(self) -> tuple[np.ndarray, np.ndarray]:
-        """Shares of hexahedra in uniform loads and in mass; see `CellBlock`."""
-        rule = hexahedron_rule(3)
-        values = ENHANCED_HEXAHEDRON.values(rule.points)
-        slopes = TRILINEAR_HEXAHEDRON.slopes(rule.points)
-        corners = self.corner_mesh.node_positions[self.corner_mesh.hexahedra]
-        jacobians = np.einsum("kai,qaj->kqij", corners, slopes)
-        shares = np.linalg.det(jacobians) * rule.weights
-        shares /= shares.sum(axis=1, keepdims=True)
-        return shares @ values, np.einsum("kq,qa,qb->kab", shares, values, values)
-
-    def blocks(self, cells: np.ndarray | None = None) -> tuple[CellBlock, ...]:
-        """See `CellMesh.blocks`: tetrahedra, then hexahedra."""
-        tet_count = len(self.corner_mesh.tets)
-        chosen = np.arange(self.cell_count) if cells is None else np.asarray(cells)
-        tets, own = chosen[chosen < tet_count], chosen[chosen >= tet_count] - tet_count
-        blocks = []
-        if len(tets):
-            some = SomeCells(self.node_positions, self.corner_mesh.tets[tets], LINEAR_TETRAHEDRON)
-            shares = np.full(4, 0.25)
-            blocks.append(CellBlock(some, tets, self.volumes[tets], shares))
-        if len(own):
-            points = IntegrationPoints(*(array[own] for array in self._points))
-            some = SomeCells(self.node_positions, self.hexahedra[own], ENHANCED_HEXAHEDRON, points)
-            loads, masses = self._shares
-            blocks.append(CellBlock(some, own + tet_count, self.volumes[own + tet_count],
-                                    loads[own], masses[own]))  # fmt: skip
-        return tuple(blocks)
-
-    @property
-    def cell_counts(self) -> dict[str, int]:
-        """See `CellMesh.cell_counts`."""
-        return self.corner_mesh.cell_counts
-
-    def carriers(self, cells: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """See `CellMesh.carriers`: inner nodes carry no points."""
-        return self.corner_mesh.carriers(cells, weights)
-
-
-def enhance(mesh: HexahedralMesh) -> EnhancedMesh:
-    """Gives hexahedra their inner nodes.
-
-    Args:
-        mesh: The hexahedra, and tetrahedra beside them.
-
-    Returns:
-        The mesh of enhanced hexahedra; the corners keep their numbers.
-    """
-    count = MODE_COUNT * len(mesh.hexahedra)
-    inner = mesh.node_count + np.arange(count).reshape(-1, MODE_COUNT)
-    middles = mesh.node_positions[mesh.hexahedra].mean(axis=1)
-    return EnhancedMesh(
-        mesh,
-        np.vstack([mesh.node_positions, np.repeat(middles, MODE_COUNT, axis=0)]),
-        np.hstack([mesh.hexahedra, inner]),
-        np.repeat(mesh.hexahedra, MODE_COUNT, axis=0),
-    )

@@ -149,41 +149,19 @@ def _signed(points: np.ndarray) -> np.ndarray:
     return np.asarray(points, dtype=float)[:, None, :] * HEXAHEDRON_CORNERS
 
 
-class EnhancedHexahedron:
-    """Eight nodes at the corners and `MODE_COUNT` inner ones, which carry enhanced strain.
+class MeanHexahedron(TrilinearHexahedron):
+    """Eight nodes at the corners, and one point: that of the mean of their gradients over the cell.
 
-    The deformation gradient is that of the corners and, for each inner node k, (x_k - x_c) g_kᵀ
-    with the mean x_c of the corners and a field g_k whose mean over the cell is zero. So inner nodes
-    are at x_c at rest and in every affine deformation; they bear no mass and no load, and no other
-    cell knows them. See `enhanced_points` for g_k and `MODES` for the choice of fields.
+    The other motions of the corners are those of `HourglassFields`.
     """
 
-    node_count = 13
-    gradient_degree = None
-    quadrature = hexahedron_rule(2)
-
-    def values(self, points: np.ndarray) -> np.ndarray:
-        """N at reference coordinates (point_count, 3), zero for inner nodes, (point_count, 13).
-
-        Args:
-            points: Reference coordinates ξ, -1 to 1, shape (point_count, 3).
-        """
-        corners = TRILINEAR_HEXAHEDRON.values(points)
-        return np.hstack([corners, np.zeros((len(corners), MODE_COUNT))])
-
-    def slopes(self, points: np.ndarray) -> np.ndarray:
-        """∂N/∂ξ there, with the fields of inner nodes as in a cube, (point_count, 13, 3).
-
-        Args:
-            points: Reference coordinates ξ, -1 to 1, shape (point_count, 3).
-        """
-        return with_modes(TRILINEAR_HEXAHEDRON.slopes(points), modes(points))
+    quadrature = hexahedron_rule(1)
 
 
 LINEAR_TETRAHEDRON, QUADRATIC_TETRAHEDRON = LinearTetrahedron(), QuadraticTetrahedron()
-TRILINEAR_HEXAHEDRON, ENHANCED_HEXAHEDRON = TrilinearHexahedron(), EnhancedHexahedron()
+TRILINEAR_HEXAHEDRON, MEAN_HEXAHEDRON = TrilinearHexahedron(), MeanHexahedron()
 MODE_COUNT = 5
-"""Inner nodes of an enhanced hexahedron."""
+"""Fields of enhanced strain in a hexahedron."""
 
 
 def modes(points: np.ndarray) -> np.ndarray:
@@ -208,19 +186,6 @@ def modes(points: np.ndarray) -> np.ndarray:
     return np.concatenate(
         [bending, products[:, None], np.roll(products, 1, axis=1)[:, None]], axis=1
     )
-
-
-def with_modes(corners: np.ndarray, inner: np.ndarray) -> np.ndarray:
-    """Gradients of all nodes of an enhanced hexahedron.
-
-    Args:
-        corners: Those of the corners' own functions, shape (..., 8, 3).
-        inner: The fields of the inner nodes, shape (..., MODE_COUNT, 3).
-
-    Returns:
-        Shape (..., 13, 3); an inner node acts relative to the mean of the corners.
-    """
-    return np.concatenate([corners - inner.sum(axis=-2, keepdims=True) / 8.0, inner], axis=-2)
 
 
 def quadratic_values(barycentric: np.ndarray) -> np.ndarray:
@@ -295,24 +260,46 @@ def integration_points(
     return IntegrationPoints(np.ascontiguousarray(np.broadcast_to(gradients, count)), volumes)
 
 
-def enhanced_points(corners: np.ndarray) -> IntegrationPoints:
-    """Gradients and volumes at the quadrature points of enhanced hexahedra.
+class HourglassFields(NamedTuple):
+    """The motions of a hexahedron's corners beside the affine ones, and the strain that they make.
 
-    The fields of the inner nodes are g_k = |J₀| / |J| J₀⁻ᵀ m_k with the `modes` m_k and J₀ = ∂x/∂ξ in
-    the middle. Their means over the cell are zero, so that the cell reproduces every uniform strain
-    exactly whatever its shape (Taylor, Beresford and Wilson 1976; Simo and Rifai 1990).
+    Attributes:
+        gammas: γ_i of the corners, orthogonal to every affine field, shape (cell_count, 4, 8).
+        gradients: ∇N_a of the corners less their means, then the fields of enhanced strain, at the points
+            of the rule of the trilinear hexahedron [1/m], shape (cell_count, 8, 8 + MODE_COUNT, 3).
+        weights: Volume of each point [m³], shape (cell_count, 8).
+    """
+
+    gammas: np.ndarray
+    gradients: np.ndarray
+    weights: np.ndarray
+
+
+def hourglass_fields(corners: np.ndarray, means: np.ndarray | None = None) -> HourglassFields:
+    """The fields of hexahedra.
+
+    Those of enhanced strain are g_k = |J₀| / |J| J₀⁻ᵀ m_k with the `modes` m_k and J₀ = ∂x/∂ξ in the
+    middle. Their means over the cell are zero, as those of all fields here: so a uniform strain makes
+    none of them (Taylor, Beresford and Wilson 1976; Simo and Rifai 1990).
 
     Args:
         corners: Rest positions of the corners [m], shape (cell_count, 8, 3).
-
-    Returns:
-        The points of each cell.
+        means: Mean ∇N_a that the affine motions are measured by [1/m], shape (cell_count, 8, 3); those
+            of the trilinear functions when None.
     """
-    points, weights = ENHANCED_HEXAHEDRON.quadrature
+    points, weights = TRILINEAR_HEXAHEDRON.quadrature
     jacobians = np.einsum("kai,qaj->kqij", corners, TRILINEAR_HEXAHEDRON.slopes(points))
     middle = np.einsum("kai,aj->kij", corners, TRILINEAR_HEXAHEDRON.slopes(np.zeros((1, 3)))[0])
     determinants = np.linalg.det(jacobians)
+    volumes = determinants * weights
     own = TRILINEAR_HEXAHEDRON.slopes(points) @ np.linalg.inv(jacobians)
+    of_mean = np.einsum("kq,kqai->kai", volumes, own) / volumes.sum(axis=1)[:, None, None]
+    means = of_mean if means is None else means
     share = np.linalg.det(middle)[:, None] / determinants
     inner = share[:, :, None, None] * (modes(points) @ np.linalg.inv(middle)[:, None])
-    return IntegrationPoints(np.ascontiguousarray(with_modes(own, inner)), determinants * weights)
+    gradients = np.concatenate([own - of_mean[:, None], inner], axis=2)
+    # ηζ, ζξ, ξη and ξηζ at the corners.
+    c = HEXAHEDRON_CORNERS
+    patterns = np.stack([c[:, 1] * c[:, 2], c[:, 2] * c[:, 0], c[:, 0] * c[:, 1], c.prod(axis=1)]) / 8.0
+    gammas = patterns - np.einsum("ic,kcj,kaj->kia", patterns, corners, means)
+    return HourglassFields(gammas, gradients, volumes)

@@ -13,9 +13,8 @@ be inside out between them. Two proofs that it is not:
   that is flat or inside out.
 
 Where F is constant, its one point tells all. A hexahedron is upright if F is so at its quadrature
-points, and if the map of its eight corners alone is so in each of them: enhanced strain can hide
-that the corners are inside out. Of other elements nothing is proved: they are upright if they are so
-at their quadrature points.
+point, and if the map of its eight corners is so in each of them. Of other elements nothing is
+proved: they are upright if they are so at their quadrature points.
 
 Arguments of the kernels here; those of one batch have no first axis:
     A, B, C: Matrices, three rows of three numbers.
@@ -48,7 +47,7 @@ from softrobot_twin.geometry.matrix3 import (
     transposed,
 )
 from softrobot_twin.geometry.quadrature import barycentric_coordinates
-from softrobot_twin.geometry.shape_functions import ENHANCED_HEXAHEDRON, HEXAHEDRON_CORNERS
+from softrobot_twin.geometry.shape_functions import MEAN_HEXAHEDRON, HEXAHEDRON_CORNERS
 from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, row
 from softrobot_twin.mechanics.element_batches import BATCH, copy_entries, matrix_at, put_matrix
 from softrobot_twin.mechanics.polar import is_upright
@@ -98,7 +97,7 @@ def watched_corners(mesh) -> WatchedCorners:
     Args:
         mesh: The elements at rest, as far as `Elements` needs them.
     """
-    if mesh.shape_functions is not ENHANCED_HEXAHEDRON:
+    if mesh.shape_functions is not MEAN_HEXAHEDRON:
         return no_corners()
     corners = HEXAHEDRON_CORNERS
     beside = np.abs(corners[:, None] - corners[None]).sum(axis=2) == 2.0

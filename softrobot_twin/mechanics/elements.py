@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from softrobot_twin.geometry.cell_mesh import node_counts_of, points_of
+from softrobot_twin.geometry.shape_functions import MEAN_HEXAHEDRON, hourglass_fields
 from softrobot_twin.geometry.smoothed_mesh import EdgeRings
 from softrobot_twin.geometry.vector_arrays import (
     add_numbers,
@@ -25,6 +26,8 @@ from softrobot_twin.mechanics.element_inversion import (
 )
 from softrobot_twin.mechanics.fold_barrier import FoldBarrier
 from softrobot_twin.mechanics.force_term import ForceTerm
+from softrobot_twin.mechanics.hourglass import Hourglass
+from softrobot_twin.mechanics.material import LameParameters
 from softrobot_twin.mechanics.point_law import law_of
 from softrobot_twin.mechanics.ring_barrier import RingBarrier
 from softrobot_twin.mechanics.strain_watch import StrainWatch, extreme_squares
@@ -51,9 +54,13 @@ class Elements(ForceTerm):
     Attributes:
         law: Parameters of the law.
         strain_watch: Watches their strain, where their law has a range of strains; else None.
+        has_energy: Whether it is elastic: what it does follows from the state alone.
+        hourglass: What resists the motions of hexahedra that their points do not see; else None.
     """
 
     strain_watch: StrainWatch | None = None
+    hourglass: Hourglass | None = None
+    has_energy = True
     is_traceable = True
 
     def __init__(self, mesh, free_index: np.ndarray, law: tuple):
@@ -64,7 +71,7 @@ class Elements(ForceTerm):
             free_index: Unknown of each node, -1 where it is fixed, shape (node_count,).
             law: Parameters of a registered law.
         """
-        self.law = law
+        self.law = self._law_at_rest = law
         self.name = f"{law_of(law).name} elements"
         self.stays_upright = not law_of(law).is_linear
         self.mesh, self._free_index = mesh, free_index
@@ -118,6 +125,13 @@ class Elements(ForceTerm):
             self.fold_barrier.bind(elimination_rank, slots)
         elif self.fold_barrier is not None:
             self.fold_barrier.bind(batches)
+        if self.mesh.shape_functions is MEAN_HEXAHEDRON:
+            rest, cells = self.mesh.node_positions, self.mesh.cells
+            fields = hourglass_fields(rest[cells], self._points.gradients[:, 0])
+            self.hourglass = Hourglass(
+                rest, fields, batches, self._lame_at_rest(), law_of(self.law).is_linear,
+                self.has_energy,
+            )  # fmt: skip
         if law_of(self.law).is_linear:
             self._constant_stiffness = self._sum_stiffness_once()
 
@@ -147,6 +161,21 @@ class Elements(ForceTerm):
             return 0.0
         stretched = self._reference * [1.0 + SMALL_STRETCH, 1.0, 1.0]
         return 2.0 * self._law_energy(stretched)[0] / (self._weights.sum() * SMALL_STRETCH**2)
+
+    def _lame_at_rest(self) -> LameParameters:
+        """Lamé's constants of the law at small strains, from energies of a shear and of volumes."""
+        size, volume = SMALL_STRETCH, self._weights.sum()
+        rest = self.mesh.node_positions
+        sheared = np.outer(rest[:, 1], [size, 0.0, 0.0])
+        moves = (sheared, size * rest, -size * rest)
+        of_shear, *of_volume = (
+            assembly_of(type(self._law_at_rest)).add_energies(
+                self._law_at_rest, move, self._cells, self._gradients, self._weights,
+                np.empty_like(self.deformations), np.empty_like(self._uprights),
+            ) for move in moves)  # fmt: skip
+        mu = 2.0 * of_shear / (volume * size**2)
+        kappa = sum(of_volume) / (9.0 * volume * size**2)
+        return LameParameters(kappa - 2.0 * mu / 3.0, mu)
 
     def _sum_stiffness_once(self) -> np.ndarray:
         """The stiffness at rest, laid out as the factorization stores it."""
@@ -189,6 +218,9 @@ class Elements(ForceTerm):
             self._gradients, self._weights, self._barrier_stiffness, self._to_corners,
             self.deformations, self._rotations, self._uprights, self._forces,
         )  # fmt: skip
+        if self.hourglass is not None:
+            self.hourglass.take(positions)
+            self.hourglass.add_forces(self._forces)
         self._add_fold_forces()
         return inverted_count
 
@@ -248,6 +280,11 @@ class Elements(ForceTerm):
             self.deformations, self._rotations, self._uprights,
             self._offsets, self._strides, self._are_contiguous, storage,
         )  # fmt: skip
+        self._add_hourglass_stiffness(storage, projected)
+
+    def _add_hourglass_stiffness(self, storage, projected: bool) -> None:
+        if self.hourglass is not None:
+            self.hourglass.add_stiffness(projected, self._are_contiguous, storage)
 
     def largest_share(self, before: np.ndarray, after: np.ndarray) -> float:
         """How much of a move may be made before an element loses most of its volume.
@@ -281,6 +318,9 @@ class Elements(ForceTerm):
             self.law, positions - self._reference, writable(direction), self._cells, self._free,
             self._gradients, self._weights, CURVATURE_STEP, curvature,
         )  # fmt: skip
+        if self.hourglass is not None:
+            self.hourglass.add_force_curvature(positions, direction, curvature)
+            self._forget()
 
     def extreme_squares(
         self, positions: np.ndarray, least: float, greatest: float
@@ -301,6 +341,8 @@ class Elements(ForceTerm):
             positions: Node positions [m], shape (node_count, 3).
         """
         energy, is_upright = self._law_energy(positions)
+        if self.hourglass is not None:
+            energy += self.hourglass.energy(positions)
         if self._barrier_stiffness and is_upright:
             deformations = self._deformations_at(positions)
             energy += add_barrier_energies(self._barrier_stiffness, self._weights, deformations)

@@ -187,8 +187,7 @@ def uniform_masses(mesh, density) -> np.ndarray:
         density: Mass per volume [kg/m³], of all cells or of each, shape (cell_count,).
     """
     total = np.sum(density * mesh.volumes) if np.ndim(density) else density * np.sum(mesh.volumes)
-    count = int(np.count_nonzero(mesh.are_points))
-    return np.where(mesh.are_points, total / count, 0.0)
+    return np.full(mesh.node_count, total / mesh.node_count)
 
 
 @njit(**KERNEL)

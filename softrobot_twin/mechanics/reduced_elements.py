@@ -37,6 +37,7 @@ import numpy as np
 from softrobot_twin.compilation import INNER, KERNEL, UNCACHED, njit
 from softrobot_twin.geometry.cell_mesh import CellBlock, points_of
 from softrobot_twin.geometry.matrix3 import product, transposed_product
+from softrobot_twin.geometry.shape_functions import MEAN_HEXAHEDRON, hourglass_fields
 from softrobot_twin.geometry.vector_arrays import gather_vectors, multiply_transposed
 from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.element_assembly import (
@@ -68,6 +69,8 @@ from softrobot_twin.mechanics.point_law import (
     law_projects,
     law_turns,
 )
+from softrobot_twin.mechanics.material import LameParameters
+from softrobot_twin.mechanics.reduced_hourglass import HourglassRows, ReducedHourglass
 from softrobot_twin.mechanics.row_sums import WIDTH, add_squares, row_sums
 from softrobot_twin.mechanics.stencil import add_stencil_matrix, bind_stencils
 from softrobot_twin.mechanics.strain_watch import extreme_squares
@@ -75,6 +78,8 @@ from softrobot_twin.mechanics.strain_watch import extreme_squares
 # Modes are padded by empty ones to a multiple of this: vector instructions take 48 modes in less
 # time than 45.
 LANES = WIDTH
+# Strain by which the stiffness of a law at rest is measured.
+SMALL_STRAIN = 1.0e-4
 
 
 class SampledPoints(NamedTuple):
@@ -112,11 +117,13 @@ class PointGradients(NamedTuple):
         gradients: G of each point [1/m], entries of F row by row, shape (count, 9, mode_count).
         weights: Its volume times its weight [m³], shape (count,).
         are_all: Whether they are all points of the body, by their own volumes.
+        hourglass: Rows of the other motions of hexahedra; None for other cells.
     """
 
     gradients: np.ndarray
     weights: np.ndarray
     are_all: bool = False
+    hourglass: HourglassRows | None = None
 
 
 def point_gradients(block: CellBlock, sampled: SampledPoints, basis: np.ndarray) -> PointGradients:
@@ -142,7 +149,14 @@ def point_gradients(block: CellBlock, sampled: SampledPoints, basis: np.ndarray)
             "paj,paim->pijm", points.gradients[rows, q[some]], basis[cells[place[some]]])
         gradients[some] = G.reshape(-1, 9, mode_count)
         weights[some] *= points.weights[rows, q[some]]
-    return PointGradients(gradients, weights, are_all)
+    hourglass = None
+    if block.mesh.shape_functions is MEAN_HEXAHEDRON:
+        means = points_of(block.mesh, place).gradients[:, 0]
+        fields = hourglass_fields(block.mesh.node_positions[cells[place]], means)
+        vectors = np.einsum("pia,pacm->picm", fields.gammas, basis[cells[place]])
+        rows = vectors.reshape(len(place), -1, mode_count)
+        hourglass = HourglassRows(rows, fields, sampled.weights[own])
+    return PointGradients(gradients, weights, are_all, hourglass)
 
 
 # --- loops over points ---------------------------------------------------------------------------
@@ -493,6 +507,12 @@ class ReducedElements(ForceTerm):
         self._at_nodes = self._coordinates[: 3 * len(self._nodes)].reshape(-1, 3)
         self._stiffness = np.zeros((self._width, self._width), precision)
         self._inverted_count, self._bound = 0, None
+        self._hourglass: ReducedHourglass | None = None
+        if sampled.hourglass is not None:
+            self._hourglass = ReducedHourglass(
+                self.gradients, sampled.hourglass, self._lame_at_rest(), kind.is_linear,
+                not self.remembers_start,
+            )
         if isinstance(law, Corotational):
             self._lay_out_spin_rows(padded, weights)
         elif kind.is_linear:
@@ -500,6 +520,20 @@ class ReducedElements(ForceTerm):
             self._constant = self.by_matrices(np.empty_like(self.gradients), False)
         else:
             self._changes = np.empty_like(self.gradients)
+
+    def _lame_at_rest(self) -> LameParameters:
+        """Lamé's constants of the law at small strains, from energies of a shear and of volumes."""
+        size, energies = SMALL_STRAIN, []
+        sheared = np.eye(3) + np.outer([size, 0.0, 0.0], [0.0, 1.0, 0.0])
+        weights = np.zeros((1, BATCH))
+        weights[0, 0] = 1.0
+        for F in (sheared, (1.0 + size) * np.eye(3), (1.0 - size) * np.eye(3)):
+            states = np.repeat(F.reshape(1, 9, 1), BATCH, axis=2).reshape(1, -1)
+            energies.append(self._assembly.sum_energies(
+                self.law, states, weights, np.zeros_like(states), np.ones_like(weights)))  # fmt: skip
+        mu = 2.0 * energies[0] / size**2
+        kappa = (energies[1] + energies[2]) / (9.0 * size**2)
+        return LameParameters(kappa - 2.0 * mu / 3.0, mu)
 
     def _lay_out_spin_rows(self, padded: np.ndarray, weights: np.ndarray) -> None:
         """Allocate what the corotational law needs, and sum its constant part."""
@@ -530,6 +564,8 @@ class ReducedElements(ForceTerm):
             self._stresses,
         )  # fmt: skip
         sum_forces(self._rows, self._stresses.reshape(-1), self._forces)
+        if self._hourglass is not None:
+            self._hourglass.add_forces(self._coordinates, self._forces)
 
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
         """Add the forces on the coordinates [N]; see `ForceTerm.add_forces`.
@@ -566,6 +602,12 @@ class ReducedElements(ForceTerm):
         Args:
             projected: As for `stiffness`.
         """
+        of_points = self._stiffness_of_points(projected)
+        if self._hourglass is None:
+            return of_points
+        return self._hourglass.added_to(of_points, projected)
+
+    def _stiffness_of_points(self, projected: bool) -> np.ndarray:
         if isinstance(self.law, Corotational):
             return self._by_spin_rows(projected)
         if law_of(self.law).is_linear:
@@ -611,6 +653,8 @@ class ReducedElements(ForceTerm):
         self._evaluate_at(np.asarray(coordinates, float))
         batches = self._stresses.reshape(len(self._weights), 9, BATCH, 1)
         forces = (batches * self.gradients).sum(axis=1)
+        if self._hourglass is not None:
+            forces = forces + self._hourglass.cell_forces()
         return forces.reshape(-1, self._width)[: self.point_count, : self.mode_count]
 
     def extreme_squares(
@@ -628,10 +672,11 @@ class ReducedElements(ForceTerm):
         coordinates, deformations = np.zeros(self._width), np.empty_like(self.deformations)
         coordinates[: self.mode_count] = positions[self._nodes].ravel()
         deform_points(self._rows, coordinates, deformations.reshape(-1))
-        return self._assembly.sum_energies(
+        energy = self._assembly.sum_energies(
             self.law, deformations, self._weights, np.zeros_like(self._rotations),
             np.empty_like(self._uprights),
         )  # fmt: skip
+        return energy if self._hourglass is None else energy + self._hourglass.energy(coordinates)
 
 
 @njit(**KERNEL)

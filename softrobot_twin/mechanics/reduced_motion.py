@@ -217,6 +217,8 @@ class ReducedStrainRateDamping(ReducedElements):
         self._start = self._started[: self._at_nodes.size].reshape(-1, 3)
         self._moves = np.zeros_like(self._coordinates)
         self._weights[:] = self._constant[:] = 0.0
+        if self._hourglass is not None:
+            self._hourglass.scale[0] = 0.0
 
     def begin_step(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:
         """Take the shape at the beginning of the step as the stress-free one."""
@@ -228,6 +230,8 @@ class ReducedStrainRateDamping(ReducedElements):
             self.gradients, self._scaled.reshape(self.gradients.shape),
         )  # fmt: skip
         self._constant[:] = self._scaled.T @ self._scaled
+        if self._hourglass is not None:
+            self._hourglass.begin(self._started, self._beta / time_step)
         self._coordinates[: self.mode_count] = np.nan
 
     def _moved(self) -> np.ndarray:

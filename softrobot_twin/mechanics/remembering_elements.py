@@ -183,12 +183,21 @@ class RememberingElements(Elements):
         self._recording = recording_of(type(law))
         self._begin_positions = mesh.node_positions.copy()
         self._factors = StepFactors(np.empty(0), np.empty(0))
+        self._hourglass_overstresses = np.zeros((len(self.viscosity), 0))
         super().__init__(mesh, free_index, self._law_of_step(0.0))
+        self._law_at_rest = law
         self.name = f"{law_of(law).name} elements"
         if self.viscosity:
             self.name = f"viscous {self.name}"
         if softening is not None:
             self.name = f"softening {self.name}"
+
+    def bind(self, elimination_rank: np.ndarray, slots) -> None:
+        """Find the places of the stiffness, see `Elements`, and lay out what hour-glass modes remember."""
+        super().bind(elimination_rank, slots)
+        if self.hourglass is not None:
+            shape = (len(self.viscosity), *self.hourglass.strains.shape)
+            self._hourglass_overstresses = np.zeros(shape)
 
     def _wrapped(self, bulk_modulus: float) -> tuple:
         """The law with another bulk modulus [Pa], softened where it softens."""
@@ -208,9 +217,10 @@ class RememberingElements(Elements):
 
     def memory_at_rest(self) -> dict[str, np.ndarray]:
         """What points of new material remember: overstresses [Pa] of the terms of the series, and the
-        greatest energies [J/m³]; see `recall`."""
+        greatest energies [J/m³], and overstresses [N] of hour-glass modes; see `recall`."""
         return {"overstresses": np.zeros_like(self._overstresses),
-                "greatest": np.zeros_like(self._greatest)}  # fmt: skip
+                "greatest": np.zeros_like(self._greatest),
+                "hourglass": np.zeros_like(self._hourglass_overstresses)}  # fmt: skip
 
     def recall(self, memory: Mapping[str, np.ndarray], positions, efforts) -> None:
         """Take what points remember, before `begin_step`.
@@ -221,6 +231,7 @@ class RememberingElements(Elements):
             efforts: Not needed.
         """
         self._overstresses[:], self._greatest[:] = memory["overstresses"], memory["greatest"]
+        self._hourglass_overstresses[:] = memory["hourglass"]
         self._forget()
 
     def begin_step(
@@ -240,6 +251,12 @@ class RememberingElements(Elements):
                 self._wrapped(0.0), *self._factors, positions - self._reference, self._cells,
                 self._gradients, self._overstresses, self._memory,
             )  # fmt: skip
+            if self.hourglass is not None:
+                kept, gained = self._factors
+                begun = self.hourglass.forces_at(positions)
+                relaxed = np.tensordot(kept, self._hourglass_overstresses, 1)
+                self.hourglass.scale[0] = self._factors.scale
+                self.hourglass.pull[:] = gained.sum() * begun - relaxed
         self._forget()
 
     def memory_after(self, positions: np.ndarray, efforts) -> dict[str, np.ndarray]:
@@ -261,4 +278,13 @@ class RememberingElements(Elements):
                 self._unwrapped._replace(bulk_modulus=0.0), after, self._cells, self._gradients,
                 greatest,
             )  # fmt: skip
-        return {"overstresses": overstresses, "greatest": greatest}
+        return {"overstresses": overstresses, "greatest": greatest,
+                "hourglass": self._hourglass_overstresses_after(positions)}  # fmt: skip
+
+    def _hourglass_overstresses_after(self, positions: np.ndarray) -> np.ndarray:
+        """Those of g at the end of a step [N], see `advance_overstresses`."""
+        if self.hourglass is None or not self.viscosity:
+            return self._hourglass_overstresses.copy()
+        kept, gained = self._factors
+        change = self.hourglass.forces_at(positions) - self.hourglass.forces_at(self._begin_positions)
+        return kept[:, None, None] * self._hourglass_overstresses + gained[:, None, None] * change

@@ -120,6 +120,7 @@ class StrainRateDamping(Elements):
 
     is_traceable = True
     remembers_start = True
+    has_energy = False
 
     def __init__(self, mesh, free_index: np.ndarray, material: LameParameters, beta: float):
         """Prepare the elements.
@@ -151,6 +152,8 @@ class StrainRateDamping(Elements):
         self._gradients = self._rest_gradients.copy()
         self._no_rotations = np.zeros((*self._volumes.shape[:2], 0))
         self._weights, self._rate = np.zeros_like(self._volumes), 0.0
+        if self.hourglass is not None:
+            self.hourglass.scale[0] = 0.0
 
     def begin_step(
         self, positions: np.ndarray, velocities: np.ndarray, time_step: float
@@ -169,6 +172,9 @@ class StrainRateDamping(Elements):
             np.multiply(self._volumes, rate, out=self._weights)
             self._rate = rate
         self._reference[:] = positions
+        if self.hourglass is not None:
+            self.hourglass.scale[0] = rate
+            self.hourglass.start[:] = self.hourglass.strains_at(positions)
         self._forget()
 
     def add(self, positions, forces, storage, projected: bool) -> None:
@@ -182,6 +188,9 @@ class StrainRateDamping(Elements):
             self.deformations, self._no_rotations, self._uprights, self._offsets, self._strides,
             self._are_contiguous, storage,
         )  # fmt: skip
+        if self.hourglass is not None:
+            self.hourglass.take(positions)
+            self._add_hourglass_stiffness(storage, projected)
 
     def knows(self, positions: np.ndarray) -> bool:
         """See `ForceTerm.knows`; where the step begins nothing has to be known."""

@@ -237,6 +237,8 @@ def _elastic_arrays(scene: Scene, body: Body) -> dict[str, np.ndarray]:
 
 
 def _check_laws(scene: Scene, body: Body) -> None:
+    if "hexahedra" in body.mesh.cell_counts:
+        raise _refused(scene, f"{body.key}.element", body.entry.element, "a body of hexahedra")
     for part in body.materials:
         if part.law not in LAWS:
             words = f"a law other than {' and '.join(LAWS)}"

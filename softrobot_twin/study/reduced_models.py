@@ -135,10 +135,10 @@ def _model_of(path: Path, levels: Sequence[MeshLevel]) -> ReducedModel | None:
     file = ModelFile(path)
     nodes = len(file.taken("basis", None, 3, None))
     for level in levels:
-        # Fingerprints take longer than a look at the number of nodes. To the corners come nodes at
-        # mid-edges, and those within hexahedra.
+        # Fingerprints take longer than a look at the number of nodes. To the corners of quadratic
+        # elements come nodes at mid-edges.
         corners = level.node_count
-        has_more = level.scene.body.element != "linear"
+        has_more = level.scene.body.element == "quadratic"
         if not (corners < nodes < 10 * corners if has_more else nodes == corners):
             continue
         try:

@@ -149,7 +149,7 @@ def vibration_modes(simulation: Simulation, body: Body, count: int) -> np.ndarra
         if term.remembers_start:
             term.begin_step(nodes.rest_positions, still, np.inf)
         term.add(nodes.rest_positions, forces, made.storage, False)
-    free = np.flatnonzero(~body.fixed & body.mesh.are_points)
+    free = np.flatnonzero(~body.fixed)
     own, unknowns = ((3 * of[:, None] + np.arange(3)).ravel()
                      for of in (free, nodes.free_index[body.first_node + free]))  # fmt: skip
     K = made.matrix().tocsr()[unknowns][:, unknowns].tocsc()

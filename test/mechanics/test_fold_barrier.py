@@ -8,7 +8,6 @@ from scipy.spatial.transform import Rotation
 
 from softrobot_twin.geometry.box_mesh import read_box
 from softrobot_twin.geometry.cell_mesh import points_of
-from softrobot_twin.geometry.hexahedral_mesh import enhance
 from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.geometry.shape_functions import (
     HEXAHEDRON_CORNERS,
@@ -54,7 +53,7 @@ def tetrahedron(bind, /, law="corotational"):
 @builder
 def cube(bind, /, law="corotational"):
     """Binds one hexahedron of a law; its first two nodes are held."""
-    (block,) = enhance(read_box(np.ones(3), (1, 1, 1), of_hexahedra=True).mesh).blocks()
+    (block,) = read_box(np.ones(3), (1, 1, 1), of_hexahedra=True).mesh.blocks()
     return block.mesh, bind((law, block.mesh, 2e5, 0.3), fixed=[0, 1])
 
 

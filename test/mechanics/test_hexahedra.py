@@ -8,7 +8,6 @@ from softrobot_twin.geometry.box_mesh import read_box
 from softrobot_twin.geometry.hexahedral_mesh import (
     INTO_TETS,
     HexahedralMesh,
-    enhance,
 )
 from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.geometry.shape_functions import HEXAHEDRON_CORNERS
@@ -41,7 +40,7 @@ def distorted(seed, cells=(3, 2, 2), amount=0.2, mixed=False):
 
 
 def inner_nodes(mesh):
-    """Nodes that are not on the surface of an enhanced mesh."""
+    """Nodes that are not on the surface of a mesh."""
     return np.setdiff1d(np.arange(mesh.node_count), np.unique(mesh.surface_triangles))
 
 
@@ -49,7 +48,7 @@ def inner_nodes(mesh):
 @pytest.mark.parametrize("mixed", [False, True])
 @pytest.mark.parametrize("law", law_names())
 def test_distorted_cells_reproduce_a_uniform_strain_exactly(bind_blocks, law, mixed, seed):
-    mesh = enhance(distorted(seed, mixed=mixed))
+    mesh = distorted(seed, mixed=mixed)
     bound = bind_blocks(mesh, law)
     strain = np.random.default_rng(seed).uniform(-0.1, 0.1, (3, 3))
     forces, inverted = bound.forces(mesh.node_positions @ (np.eye(3) + strain).T)
@@ -59,7 +58,7 @@ def test_distorted_cells_reproduce_a_uniform_strain_exactly(bind_blocks, law, mi
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_uniform_strain_prescribed_on_the_surface_is_found_inside(bind_blocks, seed):
-    mesh = enhance(distorted(seed, mixed=True))
+    mesh = distorted(seed, mixed=True)
     surface = np.unique(mesh.surface_triangles)
     bound = bind_blocks(mesh, "linear", fixed=surface)
     rest, strain = mesh.node_positions, np.random.default_rng(seed).uniform(-0.1, 0.1, (3, 3))
@@ -84,7 +83,7 @@ def test_warped_faces_between_hexahedra_and_tetrahedra_leave_no_gap():
 @pytest.mark.parametrize("degrees", [1, 90, 180, 359])
 @pytest.mark.parametrize("mixed", [False, True])
 def test_rigid_rotation_stores_no_energy_and_makes_no_force(bind_blocks, degrees, mixed):
-    mesh = enhance(distorted(4, mixed=mixed))
+    mesh = distorted(4, mixed=mixed)
     turn = Rotation.from_rotvec(np.radians(degrees) * np.array([0.36, 0.48, 0.8]))
     bound = bind_blocks(mesh)
     turned = turn.apply(mesh.node_positions) + [1.0, -2.0, 3.0]
@@ -95,7 +94,7 @@ def test_rigid_rotation_stores_no_energy_and_makes_no_force(bind_blocks, degrees
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_single_cell_has_only_the_six_rigid_modes_without_stiffness(bind_blocks, seed):
-    mesh = enhance(distorted(seed, cells=(1, 1, 1), amount=0.15))
+    mesh = distorted(seed, cells=(1, 1, 1), amount=0.15)
     for poisson in (0.0, 0.3, 0.499):
         _, K = bind_blocks(mesh, "linear", poisson).assemble(mesh.node_positions)
         values = np.linalg.eigvalsh(K.toarray())
@@ -106,7 +105,7 @@ def test_a_single_cell_has_only_the_six_rigid_modes_without_stiffness(bind_block
 @pytest.mark.parametrize("law", law_names())
 @pytest.mark.parametrize("seed", range(2))
 def test_forces_and_stiffness_are_the_derivatives_of_the_energy(bind_blocks, law, seed):
-    mesh = enhance(distorted(seed, cells=(2, 1, 1), mixed=True))
+    mesh = distorted(seed, cells=(2, 1, 1), mixed=True)
     bound = bind_blocks(mesh, law)
     rng = np.random.default_rng(seed)
     x = mesh.node_positions + 5e-4 * rng.standard_normal(mesh.node_positions.shape)
@@ -114,7 +113,7 @@ def test_forces_and_stiffness_are_the_derivatives_of_the_energy(bind_blocks, law
 
 
 def test_the_projected_stiffness_of_a_crushed_cell_is_positive_semidefinite(bind_blocks):
-    mesh = enhance(distorted(2))
+    mesh = distorted(2)
     bound = bind_blocks(mesh, poisson=0.45)
     crushed = mesh.node_positions * [0.4, 1.0, 1.2]
     exact, projected = bound.least_curvatures(crushed)
@@ -122,7 +121,7 @@ def test_the_projected_stiffness_of_a_crushed_cell_is_positive_semidefinite(bind
 
 
 def test_an_inverted_cell_is_counted(bind_blocks):
-    mesh = enhance(read_box((0.03, 0.01, 0.01), (3, 1, 1), of_hexahedra=True).mesh)
+    mesh = read_box((0.03, 0.01, 0.01), (3, 1, 1), of_hexahedra=True).mesh
     bound = bind_blocks(mesh)
     x = mesh.node_positions.copy()
     assert bound.forces(x)[1] == 0
@@ -146,11 +145,11 @@ def timoshenko(depth, poisson):
 @builder
 def deflection(bind_blocks, /, depth, cells, poisson):
     """Deflection of a cantilever's end under a shear load, over beam theory's."""
-    mesh = enhance(read_box((LENGTH, depth, depth), cells, of_hexahedra=True).mesh)
+    mesh = read_box((LENGTH, depth, depth), cells, of_hexahedra=True).mesh
     x = mesh.node_positions
     bound = bind_blocks(mesh, "linear", poisson, fixed=np.flatnonzero(x[:, 0] < 1e-9))
     forces = np.zeros_like(x)
-    end = mesh.are_points & (x[:, 0] > LENGTH - 1e-9)
+    end = x[:, 0] > LENGTH - 1e-9
     shares = [np.where((x[end, axis] > 1e-9) & (x[end, axis] < depth - 1e-9), 1.0, 0.5)
               for axis in (1, 2)]  # fmt: skip
     forces[end, 2] = LOAD * shares[0] * shares[1] / (shares[0] * shares[1]).sum()
@@ -186,7 +185,7 @@ def cooks_membrane(bind, bind_blocks, /, cells, poisson, of_tets=False):
 
     grid = read_box((1, 1, 1), (cells, cells, 1), of_hexahedra=True).mesh
     corners = HexahedralMesh(shape(grid.node_positions), grid.tets, grid.hexahedra)
-    mesh = enhance(corners)
+    mesh = corners
     if of_tets:
         mesh = add_mid_edge_nodes(TetMesh(corners.node_positions, corners.as_tets))
     x = mesh.node_positions
@@ -240,7 +239,7 @@ def test_displacements_converge_quadratically_on_distorted_meshes(bind_blocks):
         grid = read_box((1, 1, 1), (count, count, count), of_hexahedra=True).mesh
         x = grid.node_positions
         bend = 0.08 * np.prod(np.sin(np.pi * x), axis=1)[:, None] * [1.0, -1.0, 0.5]
-        mesh = enhance(HexahedralMesh(x + bend, grid.tets, grid.hexahedra))
+        mesh = HexahedralMesh(x + bend, grid.tets, grid.hexahedra)
         surface = np.unique(mesh.surface_triangles)
         bound = bind_blocks(mesh, "linear", 0.49, fixed=surface)
         placed = mesh.node_positions.copy()
@@ -248,8 +247,8 @@ def test_displacements_converge_quadratically_on_distorted_meshes(bind_blocks):
         forces, _ = bound.assemble(placed)
         assert bound.matrix.factor()
         placed[bound.free] += bound.matrix.solve(forces)
-        points = mesh.node_positions[mesh.are_points]
-        miss = (placed - mesh.node_positions)[mesh.are_points] - field(points)
+        points = mesh.node_positions
+        miss = placed - mesh.node_positions - field(points)
         errors.append(np.sqrt((miss**2).sum() / len(points)))
     assert errors[0] > 3.0 * errors[1]
 
@@ -260,14 +259,14 @@ def test_displacements_converge_quadratically_on_distorted_meshes(bind_blocks):
 @pytest.mark.parametrize("mixed", [False, True])
 def test_masses_sum_to_that_of_the_body_and_have_its_centre(mixed):
     corners = distorted(5, mixed=mixed)
-    mesh = enhance(corners)
+    mesh = corners
     density = np.random.default_rng(0).uniform(500.0, 1500.0, mesh.cell_count)
     total = density @ mesh.volumes
     for masses in (lumped_masses(mesh, density), borne_masses(mesh, density)):
         assert masses.sum() == pytest.approx(total)
-        assert np.all(masses[mesh.are_points] > 0.0) and not masses[~mesh.are_points].any()
+        assert np.all(masses > 0.0)
     uniform = distorted(5)
-    at = borne_masses(enhance(uniform), 1.0) @ enhance(uniform).node_positions / uniform.volume
+    at = borne_masses(uniform, 1.0) @ uniform.node_positions / uniform.volume
     np.testing.assert_allclose(at, centre_of_mass(uniform), rtol=1e-12)
 
 
@@ -284,7 +283,7 @@ def centre_of_mass(mesh):
 
 
 def test_a_viscous_cell_resists_strain_and_not_rotation(bind):
-    mesh = enhance(distorted(6))
+    mesh = distorted(6)
 
     def term(block, free, lame):
         return StrainRateDamping(block, free, lame, 0.1)

@@ -6,7 +6,6 @@ from scipy.sparse.linalg import spsolve
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.geometry.box_mesh import read_box
-from softrobot_twin.geometry.hexahedral_mesh import enhance
 from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.laws.neo_hookean import NeoHookean
@@ -27,7 +26,7 @@ KINDS = ("linear", "quadratic", "hexahedral")
 def meshes(block, /, kind, cells=(3, 2, 2), size=SIZE, shake=0.2):
     """Makes a block of each kind of elements, its inner nodes moved about."""
     if kind == "hexahedral":
-        return enhance(read_box(size, cells, of_hexahedra=True).mesh).blocks()[0].mesh
+        return read_box(size, cells, of_hexahedra=True).mesh.blocks()[0].mesh
     linear = block(size, cells, shake)
     return linear if kind == "linear" else add_mid_edge_nodes(linear)
 

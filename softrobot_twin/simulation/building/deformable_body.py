@@ -666,12 +666,11 @@ def _nodes_in(region: Region, search: _RegionSearch, key: str) -> np.ndarray:
     positions = mesh.node_positions
     if region.frame == "mesh":
         positions = in_mesh(entry, positions)
-    points = np.flatnonzero(mesh.are_points)
     if region.box is not None:
         low, high = np.array(region.box.minimum), np.array(region.box.maximum)
-        nodes = points[nodes_in_box(positions[points], low, high)]
+        nodes = nodes_in_box(positions, low, high)
         beside = BESIDE * _size(positions)
-        around = len(nodes_in_box(positions[points], low - beside, high + beside)) - len(nodes)
+        around = len(nodes_in_box(positions, low - beside, high + beside)) - len(nodes)
         if around:
             notes.append(
                 f"{key}: {around} nodes lie outside the box by less than {1e3 * beside:.2g} mm and "
@@ -679,9 +678,7 @@ def _nodes_in(region: Region, search: _RegionSearch, key: str) -> np.ndarray:
             )
         value, unit = str(region.box), "m"
     elif region.sphere is not None:
-        nodes = points[
-            nodes_in_sphere(positions[points], region.sphere.centre, region.sphere.radius)
-        ]
+        nodes = nodes_in_sphere(positions, region.sphere.centre, region.sphere.radius)
         value, unit = f"{list(region.sphere.centre)}, radius {region.sphere.radius}", "m"
     else:
         asked = np.asarray(region.nodes, dtype=np.int64)

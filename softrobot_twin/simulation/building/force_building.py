@@ -415,7 +415,7 @@ def _motion_terms(layout: Layout) -> Iterator[ForceTerm]:
             continue
         density, alpha = body.density, body.entry.damping.mass
         is_diagonal = body.entry.mass_model != "consistent"
-        own = np.flatnonzero(~body.fixed & body.mesh.are_points)
+        own = np.flatnonzero(~body.fixed)
         nodes = own + body.first_node
         if dynamic and not is_diagonal:
             mesh = layout.mesh_among_nodes(body)

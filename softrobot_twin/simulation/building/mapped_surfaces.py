@@ -202,5 +202,4 @@ def nodes_between(mesh) -> int:
     """
     if isinstance(mesh, CubicMesh):
         return 2
-    # Inner nodes of a cell, as hexahedra have, are on no face.
-    return int(len(mesh.mid_edge_ends) > 0 and bool(mesh.are_points.all()))
+    return int(len(mesh.mid_edge_ends) > 0)
