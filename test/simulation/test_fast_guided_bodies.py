@@ -125,3 +125,20 @@ def test_a_move_that_nothing_can_follow_is_refused_and_named(pressed):
     assert result.status is Status.REFUSED
     assert "contact.passing" in result.report.active_limits
     np.testing.assert_allclose(bar_of(simulation), before, atol=1e-12)
+
+
+def test_a_ball_that_a_post_deflects_from_afar_is_not_called_ok(scene_of):
+    simulation = scene_of(
+        gravity=[0, 0, 0], integration="dynamic",
+        rigid_bodies=[{"name": "ball", "sphere": {"radius": 0.005}, "mass": 0.002,
+                       "position": [-0.08, 0.03, 0], "velocity": [5, 0, 0]}],
+        obstacles=[{"name": "post", "sphere": {"radius": 0.005}}],
+        contact={"between": [{"pair": ["ball", "post"]}]},
+    )  # fmt: skip
+    first = simulation.model.rigid[0].first_node
+    for _ in range(4):
+        before = simulation.state.positions[first, 1]
+        result = simulation.step(Hold(STEP))
+        is_deflected = simulation.state.positions[first, 1] - before > 1e-3
+        if result.report.contact_count:
+            assert is_deflected and result.status is Status.LINEARIZED
