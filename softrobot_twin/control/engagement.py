@@ -10,7 +10,8 @@ import numpy as np
 from softrobot_twin.control.command_gate import ActuatorCommand, CommandGate, Passage
 from softrobot_twin.control.device import MeasuredSetpoints
 from softrobot_twin.control.guidance import Guidance
-from softrobot_twin.simulation import Simulation, StepResult
+from softrobot_twin.simulation import Simulation, State, StepResult
+from softrobot_twin.simulation.appearance import Pose
 
 LONGEST_FAILURE = 0.5
 """A return or a resynchronisation ends when its steps fail for longer than this [s]. A single
@@ -74,6 +75,7 @@ class Engagement:
         )
         self._must_return = self.is_without_model = False
         self._failing, self._led = 0.0, (None, None)
+        self._begun: tuple[State, ActuatorCommand, bool, dict[str, Pose]] | None = None
         self.activity = Activity.HOLDING if device is None else Activity.DISABLED
         self.reason = "" if device is None else "not enabled"
         self.has_given_up = False
@@ -160,10 +162,25 @@ class Engagement:
 
     def begin(self) -> None:
         """Checks before a tick that the model is where the last command sent the robot."""
+        self._begun = (self._simulation.state, self.gate.last, self.gate.is_outside,
+                       dict(self._guidance.sent))  # fmt: skip
         if not self.is_enabled or self.is_without_model:
             return
         if self.activity is not Activity.RESYNCHRONISING and not self._is_synchronised():
             self.resynchronise("the model was not where the robot was sent")
+
+    def keep(self) -> None:
+        """Ends a tick whose command leaves."""
+        self._begun = None
+
+    def undo(self) -> None:
+        """Takes back a tick that failed before its end: of its command nothing has left."""
+        state = self._simulation.state
+        if self._begun is not None:
+            state, self.gate.last, self.gate.is_outside, self._guidance.sent = self._begun
+            self._begun = None
+        # What the simulation remembers beside its state may be of an unfinished step.
+        self._simulation.restore(state)
 
     def _is_synchronised(self) -> bool:
         gate, state = self.gate, self._simulation.state

@@ -10,6 +10,10 @@ it (Kalman 1960): with the variance R of a coordinate,
 One that is far off counts less, by weights w of markers (Huber 1964). A force that changes at
 once does not walk: where what the markers tell is far off the prediction, P begins anew.
 
+The model bears as much of a force as markers support. What moves all markers as the actuators would is
+no force, but a robot that is not where it was sent, or markers that lie. What may be either moves the
+effectors by a limit at most. A force without support decays.
+
 An unknown place is the point of the surface at which a pushing force explains the markers best. What
 the model itself is off does not vanish by averaging: it is carried to the deviations of the forces.
 """
@@ -24,6 +28,7 @@ from scipy.special import gammaincinv
 
 from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.control.loop_timing import NANOSECONDS
+from softrobot_twin.control.marker_checks import GREATEST_MISFIT
 from softrobot_twin.control.model_history import Moment
 from softrobot_twin.simulation import CommandSetpoints, Hold, Simulation, State
 from softrobot_twin.simulation.command import LONG
@@ -43,9 +48,10 @@ CONE = 0.5
 """Cosine of the greatest angle of a force at an unknown place from the inward normal."""
 KEPT = 0.95
 """After each measurement so much is left of the weight of those before, where a place is looked for."""
-NOTICEABLE = 0.25
+NOTICEABLE, CALM, CHANGED = 0.25, 0.1, 3.0
 """The model bears a changed force when it is off by this share of its deviation, or goes a part of a
-long way towards it."""
+long way towards it. By how many deviations a change must be more than noise; of others each measurement
+adds this share, as to the correction of a target that stands."""
 DOUBT = 0.1
 """A linearization may be wrong by this share of how far the markers are from the model."""
 UNSETTLED = 0.3
@@ -54,9 +60,17 @@ place is looked for, a long move waits for the one before, until no more of how 
 REACH = 0.02
 """A change of forces moves no marker further at once than this share of the robot's size, because a
 linearization does not tell so far."""
-LOOKS, STILL = 24, 0.5
-"""Steps that follow a larger change at once, at most: until it, and what a step left, move markers by
-less than so many deviations."""
+LOOKS, BALANCES, STILL = 8, 3, 0.5
+"""Steps that follow a larger change at once, and those after each tick of the next second, at most:
+until it, and what a step left, move markers by less than so many deviations."""
+FADES = 0.2
+"""Time constant with which a force without support decays [s]."""
+BLIND = 0.1
+"""So long forces stay what they were where measurements cannot be used [s]."""
+OUTVOTED = 3
+"""Of markers that are seen, at most one of so many may not be plausible where forces are learnt."""
+SURER = 4.0
+"""A force is certain where the actuators leave so many times as much of the squares of deviations."""
 USUAL_NOISE = 1.0e-4
 """Standard deviation of a marker's coordinate where neither scene nor measurement gives one [m]."""
 GREATEST = 3.0
@@ -86,7 +100,9 @@ class ForceObserver:
         stamp: Time of the last measurement [ns].
         settled: The model where the last measurement was, if steps there have found a large change.
         is_settling: Whether forces have changed so much that they are not yet known.
+        faded: How far what `update` or `fade` let decay moved the markers [m], shape (marker_count, 3).
         is_blind: Whether the tangent of the last look was indefinite: measurements are not used then.
+        belief: The share of the forces that markers support, 0 to 1.
         by_loads: Their motion by each number of the loads, shape (3 marker_count, load_count).
     """
 
@@ -103,6 +119,10 @@ class ForceObserver:
         size = simulation.model.nodes.finite_size
         arms = np.concatenate([np.repeat([1.0, size], 3)[:count] for count in sizes])
         self._arms, self._size = arms, size
+        count = len(simulation.marker_ids)
+        groups = [own for own in simulation.effector_markers if len(own)] or np.arange(count)[:, None]
+        # Means of the markers of each effector, or all markers, shape (n, marker_count).
+        self._means = np.array([np.isin(np.arange(count), own) / len(own) for own in groups])
         # Covariance before anything is seen, and what a second adds to it.
         self._prior = np.diag((self._entry.greatest_force * arms) ** 2)
         self._known = np.linalg.inv(self._prior)
@@ -116,9 +136,11 @@ class ForceObserver:
         self.is_blind = False
         self.lag = np.zeros((count, 3))
         self.by_loads = np.zeros((3 * count, len(self._arms)))
-        self._loads = np.zeros(len(self._arms))
+        self._by_actuators = np.zeros((3 * count, 0))
+        self.belief, self._blind_for = 0.0, 0.0
+        self._loads = self._next = np.zeros(len(self._arms))
         self._covariance = self._prior
-        self.stamp, self._moved = 0, 0.0
+        self.stamp, self._moved, self.faded = 0, 0.0, np.zeros((count, 3))
         self.settled: State | None = None
         # Mean of what markers are beside the model, and how many measurements it is of.
         self._mean, self._counts = np.zeros((count, 3)), np.zeros(count)
@@ -131,7 +153,8 @@ class ForceObserver:
         if found is None:
             self.lag = np.zeros_like(self.lag)
         else:
-            self.by_loads, self.lag = found[0], found[1].reshape(-1, 3)
+            self.by_loads, self.lag = found.by_loads, found.lag.reshape(-1, 3)
+            self._by_actuators = found.by_actuators
 
     def balance(self, measured: tuple) -> None:
         """Looks after a step, and lets the model come to balance in the second after a large change.
@@ -142,7 +165,7 @@ class ForceObserver:
             measured: What else steps are to bear.
         """
         self.look()
-        for _ in range(LOOKS // 3 if self._is_following else 0):
+        for _ in range(BALANCES if self._is_following else 0):
             if np.abs(self.lag).max() < self._still:
                 break
             if self._simulation.step(Hold(), None, [self.found, *measured]).status.is_failure:
@@ -219,9 +242,15 @@ class ForceObserver:
         """Numbers of all loads."""
         return len(self._arms)
 
+    @property
+    def shifts(self) -> np.ndarray:
+        """How far the forces that the model bears move the markers [m], shape (marker_count, 3)."""
+        return (self.by_loads @ self.loads).reshape(-1, 3)
+
     def update(
-        self, markers: np.ndarray, model: Moment, noise: float, stamp: int, measured: tuple = ()
-    ) -> Moment | None:
+        self, markers: np.ndarray, model: Moment, noise: float, stamp: int, measured: tuple = (),
+        limit: float = math.inf, left_out: int = 0,
+    ) -> Moment | None:  # fmt: skip
         """Uses the markers of one measurement.
 
         The simulation stands where it did.
@@ -232,33 +261,63 @@ class ForceObserver:
             noise: Standard deviation of each coordinate, where the scene gives none [m].
             stamp: Time of the measurement [ns]; an old one is not used again.
             measured: What else steps are to bear.
+            limit: Forces that are not certain move no effector further [m].
+            left_out: How many more markers are seen, but not plausible.
 
         Returns:
             The model of that moment under the loads that are known now, where it is another one
             than `under_loads` tells: at another place, or far off.
         """
         since, self.stamp, self.settled = (stamp - self.stamp) / NANOSECONDS, stamp, None
-        if since == 0.0 or self.is_blind or not np.isfinite(markers).all(axis=1).any():
+        self.faded[:] = 0.0
+        if since == 0.0:
             return None
-        self._covariance = self._covariance + min(abs(since), 1.0) * self._walk
-        is_new = self._use(markers, model, noise)
+        since, seen = min(abs(since), 1.0), int(np.isfinite(markers).all(axis=1).sum())
+        self._blind_for = self._blind_for + since if self.is_blind else 0.0
+        is_unsupported = not seen or OUTVOTED * left_out > left_out + seen
+        if self._blind_for > BLIND or is_unsupported:
+            self.fade(since)
+        if self.is_blind or is_unsupported:
+            return None
+        self._covariance = self._covariance + since * self._walk
+        is_new = self._use(markers, model, noise, since, limit)
         if self.is_settling and not (self._unknown or self._simulation.model.is_dynamic):
-            model, is_new = self._settle(markers, model, noise, measured), True
+            model, is_new = self._settle(markers, model, noise, measured, limit), True
         if not is_new:
             return None
         moved = self.by_loads @ self.loads - model.by_loads @ model.loads
         return model._replace(markers=model.markers + moved.reshape(-1, 3), loads=self.loads,
                               by_loads=self.by_loads)  # fmt: skip
 
+    def fade(self, duration: float) -> None:
+        """Lets the forces decay: no marker supports them.
+
+        Args:
+            duration: Time that has passed [s].
+        """
+        share, found, before = math.exp(-duration / FADES), self.found, self.shifts
+        self.faded[:] = 0.0
+        if not found.is_any:
+            return
+        self.belief *= share
+        least = NOTICEABLE * np.abs(found.deviations)
+        fades = share * found.wrenches
+        self.found = found._replace(
+            wrenches=np.where(np.abs(fades) > least, fades, 0.0),
+            is_detected=np.zeros_like(found.is_detected))  # fmt: skip
+        self._loads, self._covariance = self.loads, self._prior
+        self._counts[:], self.is_settling = 0.0, False
+        self.faded[:] = before - self.shifts
+
     def _settle(
-        self, markers: np.ndarray, model: Moment, noise: float, measured: tuple
+        self, markers: np.ndarray, model: Moment, noise: float, measured: tuple, limit: float
     ) -> Moment:
         """Follows a change for which one linearization is not enough, by steps of the model.
 
         Returns:
             The model of the moment, as the last of them left it.
         """
-        simulation, before = self._simulation, self._simulation.state
+        simulation, before, borne = self._simulation, self._simulation.state, self.found
         command = CommandSetpoints(model.setpoints, LONG)
         for _ in range(LOOKS):
             result = simulation.step(command, None, [self.found, *measured])
@@ -266,18 +325,25 @@ class ForceObserver:
                 break
             self.look()
             if self.is_blind:
-                break
+                # So far the model does not bear it.
+                self.found, self.is_settling = borne, False
+                simulation.restore(before)
+                self._loads, self.settled = self.loads, None
+                return model
+            borne = self.found
             model = self.moment(simulation.marker_positions(), model.effectors)
             # The same measurement again, and not one more.
             self._covariance, self._counts[:] = self._prior.copy(), 0.0
-            self._use(markers, model, noise)
+            self._use(markers, model, noise, 0.0, limit)
             if max(self._moved, np.abs(self.lag).max()) < STILL * noise:
                 break
         self.settled, self._followed, self._still = simulation.state, self.stamp, STILL * noise
         simulation.restore(before)
         return model
 
-    def _use(self, markers: np.ndarray, model: Moment, noise: float) -> bool:
+    def _use(
+        self, markers: np.ndarray, model: Moment, noise: float, since: float, limit: float
+    ) -> bool:
         """Uses markers by one linearization; whether a load acts at another place than before."""
         beside = markers - self.under_loads(model).markers
         seen = np.isfinite(beside).all(axis=1)
@@ -294,28 +360,69 @@ class ForceObserver:
             self._counts[:] = 0.0
         self._counts = KEPT * self._counts + seen
         self._mean += (seen / np.maximum(self._counts, 1.0))[:, None] * (beside - self._mean)
-        has_moved, before = False, (self._loads, self._covariance)
-        for share in (1.0, None):
-            if share is None:
-                # So far a linearization does not tell: go a part of the way.
-                share = REACH * self._size / moved
-            has_moved |= self._find(borne + share * self._mean.ravel(), *R)
-            if has_moved:
-                before = self._loads, self._covariance
-            y = borne + share * beside.ravel()
-            after, spread, weights = _estimate(*before, y, self.by_loads, sum(R), seen.astype(float))
-            moved = np.linalg.norm((self.by_loads @ after - borne).reshape(-1, 3), axis=1).max()
-            self.is_settling = bool(moved > REACH * self._size) or share < 1.0
-            if not self.is_settling:
-                break
-        if self.is_settling:
-            spread, self._counts[:] = self._prior, 0.0
-        self._moved = moved
+        has_moved = self._find(borne + self._mean.ravel(), *R)
+        y = borne + beside.ravel()
+        after, spread, weights = _estimate(
+            self._loads, self._covariance, y, self.by_loads, sum(R), seen.astype(float))
         most = GREATEST * self._entry.greatest_force * self._arms
-        self._loads, self._covariance = np.clip(after, -most, most), spread
+        after = np.clip(after, -most, most)
+        borne_next = self._allowed(after, y, noise, seen.astype(float), since, limit)
+        moved = np.linalg.norm((self.by_loads @ borne_next - borne).reshape(-1, 3), axis=1).max()
+        self.is_settling = bool(moved > REACH * self._size)
+        if self.is_settling:
+            # So far a linearization does not tell: go a part of the way.
+            borne_next = given + REACH * self._size / moved * (borne_next - given)
+            after, spread, self._counts[:] = borne_next, self._prior, 0.0
+        self._moved = moved
+        self._loads, self._covariance = after, spread
+        self._next = borne_next
         self._tell(self.by_loads, sum(R), weights)
         self._mean -= (self.by_loads @ self.loads - borne).reshape(-1, 3)
         return has_moved
+
+    def _allowed(
+        self, loads: np.ndarray, y: np.ndarray, noise: float, seen: np.ndarray, since: float,
+        limit: float,
+    ) -> np.ndarray:  # fmt: skip
+        """What the model shall bear of loads, by what supports them and how far they move effectors.
+
+        Args:
+            loads: Numbers of the loads, shape (load_count,).
+            y: Displacements of the markers by all loads [m], shape (3 marker_count,).
+            noise: Standard deviation of a coordinate [m].
+            seen: 1 for each marker that is seen, else 0, shape (marker_count,).
+            since: Time that has passed since the last measurement [s].
+            limit: Forces that are not certain move no effector further [m].
+        """
+        far = np.sort(np.linalg.norm(y.reshape(-1, 3), axis=1)[seen > 0.0])
+        own = (self._entry.marker_noise or noise) ** 2 + self._entry.systematic_error**2
+        R, G = own + (DOUBT * far[len(far) // 2]) ** 2, self.by_loads
+        by_noise = 3.0 * seen.sum() * own / R
+        free, _, _ = _estimate(np.zeros(len(loads)), self._prior, y, G, R, seen)
+        left, none = _squares(y - G @ free, R, seen), _squares(y, R, seen)
+        explained, left = none - left, max(left - by_noise, 0.0)
+        A = self._by_actuators
+        A = A / np.maximum(np.abs(A).max(axis=0, initial=0.0), np.finfo(float).tiny)
+        wide = self._size**2 * np.eye(A.shape[1])
+        moves, _, _ = _estimate(np.zeros(A.shape[1]), wide, y, A, R, seen)
+        elsewhere = max(_squares(y - A @ moves, R, seen) - by_noise, 0.0)
+        belief, most = 0.0, GREATEST_MISFIT * self._size
+        by_marker_noise = greatest_square(len(loads)) * (self._entry.marker_noise or noise) ** 2 / R
+        if explained > max(left, by_marker_noise) and left <= elsewhere + NEARER:
+            belief = min(2.0 - 2.0 * left / explained, 1.0)
+        count = 3 * int(seen.sum())
+        by_luck = NEARER + (greatest_square(count) - count) * own / R
+        if elsewhere <= SURER * left + by_luck:
+            most = min(limit, most)
+        moved = self._means @ (G @ loads).reshape(-1, 3)
+        furthest = np.linalg.norm(moved, axis=1).max(initial=0.0)
+        allowed = min(belief, most / max(furthest, np.finfo(float).tiny)) * loads
+        given, kept = self.loads, math.exp(-since / FADES)
+        is_better = _squares(y - G @ allowed, R, seen) < _squares(y - G @ given, R, seen)
+        if belief < self.belief and not is_better:
+            allowed = allowed + kept * (given - allowed)
+        self.belief = max(belief, belief + kept * (self.belief - belief))
+        return allowed
 
     def _notice(self, y: np.ndarray, R: float, seen: np.ndarray) -> bool:
         """Begins anew with each force that changed at once; whether one did."""
@@ -325,14 +432,15 @@ class ForceObserver:
         for own in self._own:
             off = free[own] - self._loads[own]
             both = (self._covariance + spread)[own, own]
-            if off @ np.linalg.solve(both, off) > greatest_square(len(off)):
+            if _square(off, both) > greatest_square(len(off)):
                 self._covariance[own, :] = self._covariance[:, own] = 0.0
                 self._covariance[own, own] = self._prior[own, own]
                 has_changed = True
         return has_changed
 
     def _tell(self, G: np.ndarray, R: float, weights: np.ndarray) -> None:
-        """Says what the model is to bear, and how sure it is."""
+        """Says what the model is to bear of what is allowed, and how sure it is."""
+        allowed = self._next
         weighted, lag = G.T * (weights.repeat(3) / R), self.lag.ravel()
         gain = np.linalg.solve(self._known + weighted @ G, weighted)
         off, square = self._entry.systematic_error**2 + UNSETTLED**2 * (lag @ lag) / lag.size, gain @ gain.T
@@ -343,13 +451,16 @@ class ForceObserver:
         is_detected = np.zeros(len(self._places), bool)
         for place, own in enumerate(self._own):
             loads = self._loads[own]
-            square = loads @ np.linalg.solve(by_noise[own, own], loads)
-            is_detected[place] = square > greatest_square(len(loads))
+            is_detected[place] = _square(loads, by_noise[own, own]) > greatest_square(len(loads))
             if self._places[place].is_found and not is_detected[place]:
-                self._loads[own] = 0.0
+                self._loads[own] = allowed[own] = 0.0
+            is_detected[place] &= self.belief > 0.0
         least = NOTICEABLE * np.sqrt(by_noise.diagonal())
-        if self.is_settling or (np.abs(self._loads - given) > least).any():
-            given = self._loads
+        changes = np.abs(allowed - given)
+        if self.is_settling or (NOTICEABLE * changes > CHANGED * least).any():
+            given = allowed
+        elif (changes > least).any():
+            given = given + CALM * (allowed - given)
         wrenches, spreads = np.zeros((2, len(self._places), 6))
         for place, own in enumerate(self._own):
             count = self._places[place].dimension
@@ -384,6 +495,8 @@ class ForceObserver:
         if w @ (left * left) <= greatest_square(len(w)):
             return False
         field = self._compliance.by_candidates(place)
+        if not np.isfinite(field).all():
+            return False
         for _ in range(2):
             weighted = field * w[:, None]
             square = np.einsum("pki,pkj->pij", weighted, field)
@@ -427,17 +540,22 @@ def _estimate(before, covariance, y, G, R, seen):
     Returns:
         The forces, their covariance, and the weights of the markers.
     """
-    n, weights, known = len(before), seen.copy(), np.linalg.inv(covariance)
+    n, weights = len(before), seen.copy()
     off = y - G @ before
+    variances, directions = np.linalg.eigh(covariance)
+    root = directions * np.sqrt(np.maximum(variances, 0.0))
     for _ in range(ROUNDS):
-        sums, right = known.copy(), np.zeros(n)
+        sums, right = np.zeros((n, n)), np.zeros(n)
         for k in range(len(y)):
             w = weights[k // 3] / R
             for i in range(n):
                 right[i] += w * G[k, i] * off[k]
                 for j in range(n):
                     sums[i, j] += w * G[k, i] * G[k, j]
-        after = np.linalg.inv(sums)
+        # (P⁻¹ + A)⁻¹ = L (I + Lᵀ A L)⁻¹ Lᵀ with P = L Lᵀ: nothing is inverted that may be singular.
+        squares, along = np.linalg.eigh(root.T @ sums @ root)
+        spread = root @ along
+        after = (spread / (1.0 + np.maximum(squares, 0.0))) @ spread.T
         change = after @ right
         left, largest = off - G @ change, 0.0
         for marker in range(len(seen)):
@@ -449,3 +567,20 @@ def _estimate(before, covariance, y, G, R, seen):
         if largest < ALIKE:
             break
     return before + change, after, weights
+
+
+def _square(values: np.ndarray, covariance: np.ndarray) -> float:
+    """Square of values by their deviations; none along what no measurement tells."""
+    return float(values @ np.linalg.pinv(covariance, hermitian=True) @ values)
+
+
+def _squares(off: np.ndarray, R: float, seen: np.ndarray) -> float:
+    """Sum of the squares of deviations of markers; one that is far off counts as `HUBER` of them.
+
+    Args:
+        off: Displacements that nothing explains [m], shape (3 marker_count,).
+        R: Variance of a coordinate [m²].
+        seen: 1 for each marker that is seen, else 0, shape (marker_count,).
+    """
+    squares = (off.reshape(-1, 3) ** 2).sum(axis=1) / R
+    return float(seen @ np.minimum(squares, HUBER**2))

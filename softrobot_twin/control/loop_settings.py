@@ -89,7 +89,8 @@ class LoopSettings:
         misfit_rate: Rate at which that correction follows the misfit of the markers [1/s].
         correction_gain: Gain k_i of the integrator that stands in for it where setpoints are not
             measured [1/s].
-        correction_limit: Greatest length of the correction [m].
+        correction_limit: Greatest length of the correction, together with what forces of an observer that
+            are not certain move an effector [m].
         lead_limit: In closed loop a moving target is aimed at where it will be when the command is
             executed, at most this time ahead [s]; 0 aims at where it is.
         marker_timeout: Markers count as lost after this time without any [s].

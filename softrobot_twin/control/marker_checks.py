@@ -90,7 +90,10 @@ class MarkerPlausibility:
             return measured
         return np.where(self._out[:, np.newaxis], np.nan, measured)
 
-    def judge(self, misfits: np.ndarray | None, stamp: int, follows_robot: bool) -> None:
+    def judge(
+        self, misfits: np.ndarray | None, stamp: int, follows_robot: bool,
+        bare: np.ndarray | None = None,
+    ) -> None:  # fmt: skip
         """Judges a frame, if it is new.
 
         Args:
@@ -98,6 +101,8 @@ class MarkerPlausibility:
                 markers; None where all are.
             stamp: Time of the measurement [ns].
             follows_robot: Whether the model is where the robot is; else no misfit is expected.
+            bare: The same by the model without what an observer found, where `misfits` are by the model
+                that bears it, same shape: a marker may be near either.
         """
         if not follows_robot:
             if self._stamp:
@@ -112,16 +117,19 @@ class MarkerPlausibility:
         if stamp < self._stamp:
             self.forget()
         self._stamp = stamp
-        self._judge(misfits, seen, stamp / NANOSECONDS)
+        self._judge(misfits, bare, seen, stamp / NANOSECONDS)
 
-    def _judge(self, misfits: np.ndarray, seen: np.ndarray, now: float) -> None:
+    def _judge(
+        self, misfits: np.ndarray, bare: np.ndarray | None, seen: np.ndarray, now: float
+    ) -> None:
         known = now - self._seen_at <= DROPPED_AFTER
         known &= np.isfinite(self._expected[:, 0])
         changes = misfits - np.where(known[:, np.newaxis], self._expected, 0.0)
         votes = self._votes(seen)
-        # Both medians in one call: this runs in every tick with a new frame.
-        both = self._common(np.concatenate([changes, misfits], axis=1), votes)
-        common, typical = both[:, :3], both[:, 3:]
+        # All medians in one call: this runs in every tick with a new frame.
+        others = [] if bare is None else [bare]
+        medians = self._common(np.concatenate([changes, misfits, *others], axis=1), votes)
+        common = medians[:, :3]
         apart = np.linalg.norm(changes - common, axis=1)
         shared, as_seen = np.linalg.norm(common, axis=1), np.linalg.norm(changes, axis=1)
         # The median of one or two markers is their own change: then the change is the noise.
@@ -132,9 +140,9 @@ class MarkerPlausibility:
         noise = NOISE_FACTOR * self.noise
         tolerance = noise + JUMP_SHARE * self._size
         with np.errstate(invalid="ignore"):
-            possible = np.linalg.norm(misfits, axis=1) <= GREATEST_MISFIT * self._size + noise
-            bent = np.linalg.norm(misfits - typical, axis=1)
-            possible &= bent <= self._bend + STRAIN * np.linalg.norm(typical, axis=1) + noise
+            possible = self._is_possible(misfits, medians[:, 3:6], noise)
+            if bare is not None:
+                possible |= self._is_possible(bare, medians[:, 6:], noise)
             as_before = as_seen <= tolerance
             speed = SPEED_SHARE * self._size * (now - self._accepted_at)
             as_others = (apart <= tolerance + STRAIN * shared) & (shared <= tolerance + speed)
@@ -148,6 +156,12 @@ class MarkerPlausibility:
             self._learn_noise(deviations[accepted])
         self._seen_at[seen] = now
         self._learn(misfits, accepted, known, now)
+
+    def _is_possible(self, misfits, typical, noise: float) -> np.ndarray:
+        """Whether each marker is near enough to the model, and no further bent than others."""
+        bent = np.linalg.norm(misfits - typical, axis=1)
+        near = np.linalg.norm(misfits, axis=1) <= GREATEST_MISFIT * self._size + noise
+        return near & (bent <= self._bend + STRAIN * np.linalg.norm(typical, axis=1) + noise)
 
     def _learn(self, misfits, accepted, known, now: float) -> None:
         fresh = accepted & (~known | (now - self._accepted_at >= ACCEPT_AFTER))

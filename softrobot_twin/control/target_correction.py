@@ -195,6 +195,15 @@ class EffectorMeasurement:
                 found[1, effector] = turn.as_rotvec()
         return EffectorMisfit(found[0], counts, found[1] if any(self._oriented) else None)
 
+    def moved(self, shifts: np.ndarray) -> np.ndarray:
+        """How far effectors move with their markers [m], shape (effector_count, 3); 0 without markers.
+
+        Args:
+            shifts: Motion of the markers [m], shape (marker_count, 3).
+        """
+        return np.array([shifts[own].mean(axis=0) if len(own) else np.zeros(3)
+                         for own in self._markers]).reshape(-1, 3)  # fmt: skip
+
     def controlled(self, targets: np.ndarray, positions: np.ndarray) -> np.ndarray:
         """Targets in the controlled directions, positions in the others [m], same shape.
 
@@ -235,12 +244,13 @@ def _rotation(before: np.ndarray, after: np.ndarray, least_spread: float) -> Rot
         before: The points [m], shape (n, 3).
         after: Where they are after it [m], same shape.
         least_spread: Standard deviation of the points along the second of their main axes that they
-            must have [m].
+            must have, before and after [m].
     """
     before, after = before - before.mean(axis=0), after - after.mean(axis=0)
     if len(before) < 3:
         return None
-    spread = np.linalg.svd(before, compute_uv=False)[1] / math.sqrt(len(before))
+    spread = min(np.linalg.svd(points, compute_uv=False)[1] for points in (before, after))
+    spread /= math.sqrt(len(before))
     return Rotation.align_vectors(after, before)[0] if spread >= least_spread else None
 
 
@@ -259,6 +269,8 @@ class TargetCorrection:
 
     Args:
         effector_count: Number of effectors of the simulation.
+        lengths_per_radian: Displacement that counts as much as one radian [m/rad], shape
+            (effector_count,); None where no effector asks for an orientation.
 
     Attributes:
         offsets: Correction c of each target [m], shape (effector_count, 3).
@@ -266,8 +278,9 @@ class TargetCorrection:
         law: How they were found last.
     """
 
-    def __init__(self, effector_count: int):
+    def __init__(self, effector_count: int, lengths_per_radian: np.ndarray | None = None):
         self.offsets, self.turns = np.zeros((2, effector_count, 3))
+        self._lengths_per_radian = lengths_per_radian
         self.law = Law.NONE
         self._stamp = self._aligned = 0
         self._calm = 1.0
@@ -300,6 +313,7 @@ class TargetCorrection:
     def tick(
         self, settings: LoopSettings, stamp: int, errors: np.ndarray | None,
         misfit: EffectorMisfit | None, status: Status, noise: float = 0.0, stands: bool = False,
+        loaded: np.ndarray | None = None,
     ) -> None:  # fmt: skip
         """Uses each new measurement in closed loop; in open loop the correction decays.
 
@@ -311,7 +325,17 @@ class TargetCorrection:
             status: Status of the last step.
             noise: Standard deviation of each coordinate of a marker [m]; 0 where it is not known.
             stands: Whether the targets stand and are reached.
+            loaded: How far the forces of an observer move the effectors [m], same shape as `offsets`;
+                None without an observer.
         """
+        self._use(settings, stamp, errors, misfit, status, noise, stands)
+        if loaded is not None:
+            self.share_limit(loaded, settings.correction_limit)
+
+    def _use(
+        self, settings: LoopSettings, stamp: int, errors: np.ndarray | None,
+        misfit: EffectorMisfit | None, status: Status, noise: float, stands: bool,
+    ) -> None:  # fmt: skip
         since, self._stamp = (stamp - self._stamp) / NANOSECONDS, stamp
         if not settings.closed_loop:
             self.law = Law.NONE
@@ -327,6 +351,32 @@ class TargetCorrection:
             self.update(
                 errors, abs(since), status, settings.correction_gain, settings.correction_limit
             )
+
+    def take_over(self, faded: np.ndarray) -> None:
+        """Corrects what a force does no more that decayed without a measurement: no command changes.
+
+        Args:
+            faded: How far that force moved the effectors [m], shape (effector_count, 3).
+        """
+        self.offsets -= faded
+
+    def share_limit(self, loaded: np.ndarray, limit: float) -> None:
+        """Makes corrections so short that they and the forces of an observer together keep the limit.
+
+        With a force the model reaches a target as if the target were moved against what the force does.
+        Where a force that is certain moves an effector further than the limit, no correction adds to it.
+
+        Args:
+            loaded: How far the forces move the effectors [m], shape (effector_count, 3).
+            limit: Greatest length of both together [m].
+        """
+        for offset, moved in zip(self.offsets, loaded, strict=True):
+            radius, along = max(limit**2, moved @ moved), offset @ moved
+            square = offset @ offset
+            if square - 2.0 * along + moved @ moved > radius:
+                # The greatest t with |t offset - moved| = radius.
+                root = math.sqrt(max(along**2 + square * (radius - moved @ moved), 0.0))
+                offset *= (along + root) / square
 
     def follow(
         self, misfit: EffectorMisfit, share: float, limit: float, noise: float = 0.0,
@@ -353,8 +403,12 @@ class TargetCorrection:
         for corrections, misfits in pairs:
             seen = np.isfinite(misfits).all(axis=1)
             corrections[seen] += self._calm * share * (-misfits[seen] - corrections[seen])
+        tiny = np.finfo(float).tiny
         lengths = np.linalg.norm(self.offsets, axis=1, keepdims=True)
-        self.offsets *= np.minimum(1.0, limit / np.maximum(lengths, np.finfo(float).tiny))
+        self.offsets *= np.minimum(1.0, limit / np.maximum(lengths, tiny))
+        if misfit.turns is not None and self._lengths_per_radian is not None:
+            angles = np.linalg.norm(self.turns, axis=1) * self._lengths_per_radian
+            self.turns *= np.minimum(1.0, limit / np.maximum(angles, tiny))[:, np.newaxis]
 
     def update(
         self, errors: np.ndarray, time_step: float, status: Status, gain: float, limit: float

@@ -386,7 +386,8 @@ class TwinLoop:
         self._no_targets = TargetReading.none(simulation.oriented_effectors)
         self._guidance = Guidance(simulation, self.poses)
         self.measurement = EffectorMeasurement(simulation)
-        self.correction = TargetCorrection(len(simulation.effector_names))
+        self.correction = TargetCorrection(
+            len(simulation.effector_names), simulation.lengths_per_radian)
         self.lead = TargetLead(len(simulation.effector_names))
         limits = simulation.limits
         self.observer = None if simulation.scene.observer is None else ForceObserver(simulation)
@@ -519,8 +520,7 @@ class TwinLoop:
         Returns:
             The last safe command, which may be published; None where none may.
         """
-        # What the simulation remembers beside its state may be of an unfinished step.
-        self.simulation.restore(self.simulation.state)
+        self._engagement.undo()
         if in_a_row >= MOST_FAILURES and self.is_enabled:
             self._engagement.give_up(f"{in_a_row} ticks in a row failed: {failure}")
         return self.last_command
@@ -711,6 +711,7 @@ class TwinLoop:
         is_resting = result.report.is_resting and activity in _MAY_REPEAT and not violated
         if is_resting and not self._waits(now):
             self._rest = _Rest(outcome, command)
+        self._engagement.keep()
         return outcome
 
     def _repeat(self, now: float, ros_time: int, time: TickTime) -> TickOutcome | None:
@@ -758,6 +759,7 @@ class TwinLoop:
             or self.commands.age(now) <= settings.target_timeout
             or (targets is not None and targets.age(now) <= settings.target_timeout)
             or self.correction.is_any
+            or (self.observer is not None and self.observer.found.is_any)
             or bool(self.lead.ways.any())
             or bool(self._contested)
         )
@@ -970,18 +972,27 @@ class TwinLoop:
             self.observer.reset()
             return
         stamp = self.markers.stamp
-        if seen is self.markers.hidden or not self._history.is_any:
-            return
-        if self.observer.is_new(stamp):
+        if seen is self.markers.hidden:
+            self.observer.fade(self.settings.period)
+            self._take_over(activity)
+        elif self._history.is_any and self.observer.is_new(stamp):
             model = self._executed(stamp) or self._history.at(stamp)
             accepted = self._plausibility.without_left_out(seen)
-            loaded = self.observer.update(accepted, model, self._plausibility.noise, stamp, felt)
+            loaded = self.observer.update(
+                accepted, model, self._plausibility.noise, stamp, felt,
+                self.settings.correction_limit, len(self._plausibility.left_out))
+            self._take_over(activity)
             if loaded is not None:
                 self._history.load_otherwise(model, loaded)
             if (settled := self.observer.settled) is not None:
                 # The robot is there already, but for what it was commanded since.
                 self.simulation.restore(replace(self.simulation.state, positions=settled.positions,
                                                 efforts=settled.efforts))  # fmt: skip
+
+    def _take_over(self, activity: Activity) -> None:
+        """Lets the correction do what a force did that decayed because no marker supports it."""
+        if self.settings.closed_loop and activity is Activity.FOLLOWING and self.observer.faded.any():
+            self.correction.take_over(self.measurement.moved(self.observer.faded))
 
     def _executed(self, stamp: int) -> Moment | None:
         """The model at the command that the robot executed at a time [ns]; None where unknown."""
@@ -1002,8 +1013,12 @@ class TwinLoop:
         if seen is self.markers.hidden:
             self._plausibility.judge(None, stamp, follows)
             return seen, Misfit(seen, math.nan, 0)
-        expected = self._history.at(stamp).markers
-        self._plausibility.judge(seen - expected, stamp, follows)
+        model = self._history.at(stamp)
+        expected, bare = model.markers, None
+        if self.observer is not None:
+            # What the observer found may be imagined.
+            bare = seen - expected + (model.by_loads @ model.loads).reshape(-1, 3)
+        self._plausibility.judge(seen - expected, stamp, follows, bare)
         measured = self._plausibility.without_left_out(seen)
         return measured, self.markers.misfit(measured, expected)
 
@@ -1044,8 +1059,9 @@ class TwinLoop:
         targets, before = aims.reading.targets, self._aimed
         self._aimed = targets
         stands = result.status.is_success and np.array_equal(targets, before, equal_nan=True)
+        loaded = None if self.observer is None else self.measurement.moved(self.observer.shifts)
         self.correction.tick(self.settings, stamp, errors, misfit, result.status,
-                             self._plausibility.noise, stands)  # fmt: skip
+                             self._plausibility.noise, stands, loaded)  # fmt: skip
 
 
 def _commands_same(result: StepResult, before: StepResult) -> bool:

@@ -368,6 +368,7 @@ class TwinDiagnostics:
         for name, force, spread in zip(observer.names, forces, spreads, strict=True):
             values[f"{name}_force_n"] = " ".join(f"{one:.3g}" for one in force)
             values[f"{name}_deviation_n"] = " ".join(f"{one:.2g}" for one in spread)
+        values["support"] = round(observer.belief, 2)
         found = ", ".join(compress(observer.names, observer.found.is_detected))
         return first_of(
             values, "no force beyond noise",

@@ -214,7 +214,7 @@ RUNTIME = (
              0.0, 1000.0),
     _setting("correction_gain", "Gain of the integrator that stands in where setpoints are not "
              "measured; with 0 a correction stays when the loop is opened.", "1/s", 0.0, 1000.0),
-    _setting("correction_limit", "Greatest length of the correction.", "m", 0.0, 1.0),
+    _setting("correction_limit", "Greatest length of the correction, and of what an observer adds to it.", "m", 0.0, 1.0),
     _setting("lead_limit", "In closed loop a target that moves steadily is aimed at where it will be "
              "when the robot executes the command, at most this time ahead; 0 aims at where it is.",
              "s", 0.0, 1.0),

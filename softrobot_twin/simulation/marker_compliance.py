@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from softrobot_twin.compilation import KERNEL, njit
@@ -15,6 +17,22 @@ from softrobot_twin.solvers.multifrontal import Multifrontal
 # Where a step left markers further from balance than this share of the robot's size, what they yield is
 # found by the stiffness there, and not by that where the step began.
 FAR = 0.001
+
+
+class MarkerMoves(NamedTuple):
+    """What moves the markers around one state.
+
+    Attributes:
+        by_loads: Motion by each number of the loads [m/N] and [m/(N m)], shape
+            (3 marker_count, load_count).
+        by_actuators: Motion by each actuator with a row that holds its displacement, or is driven by
+            its effort, each up to a factor, shape (3 marker_count, n).
+        lag: What the last step left to move [m], shape (3 marker_count,).
+    """
+
+    by_loads: np.ndarray
+    by_actuators: np.ndarray
+    lag: np.ndarray
 
 
 class MarkerCompliance(HeldTangent):
@@ -41,7 +59,7 @@ class MarkerCompliance(HeldTangent):
 
     def at_state(
         self, points: np.ndarray, may_be_slow: bool = True
-    ) -> tuple[np.ndarray, np.ndarray] | None:
+    ) -> MarkerMoves | None:
         """What markers yield, and how far they are from balance, by one linearization.
 
         By the factorization of the last step where it has that of statics; see
@@ -53,9 +71,8 @@ class MarkerCompliance(HeldTangent):
                 what holds it: that takes a hundred times as long.
 
         Returns:
-            Motion by each number of the loads [m/N] and [m/(N m)], shape
-            (3 marker_count, load_count); and what the last step left to move [m], shape
-            (3 marker_count,). None where they would take too long.
+            What moves the markers; None where that would take too long, or the equations have no
+            finite solution.
         """
         if self.rows.choose(points):
             self._take_rows()
@@ -66,14 +83,17 @@ class MarkerCompliance(HeldTangent):
         factorization, is_slow = self._factorization(positions, holding), not self._may_be_definite
         if factorization is None and not (is_slow or may_be_slow):
             return None
-        by_force, lag = self._moves(factorization, rows, holding, left, apart)
-        markers = 3 * self.rows.marker_count
-        if factorization is not None and np.abs(lag[:markers]).max() > FAR * self._model.nodes.size:
-            # So far from balance the tangent is another one than where the step began.
-            here = self._definite(positions)
-            if here is not None or may_be_slow:
-                by_force, lag = self._moves(here, rows, holding, left, apart)
-        return by_force[:markers, markers:] @ self.rows.basis(positions), lag[:markers]
+        try:
+            moves = self._moves(factorization, rows, holding, left, apart)
+            if factorization is not None and np.abs(moves.lag).max() > FAR * self._model.nodes.size:
+                # So far from balance the tangent is another one than where the step began.
+                here = self._definite(positions)
+                if here is not None or may_be_slow:
+                    moves = self._moves(here, rows, holding, left, apart)
+        except np.linalg.LinAlgError:
+            return None
+        moves = moves._replace(by_loads=moves.by_loads @ self.rows.basis(positions))
+        return moves if all(np.isfinite(part).all() for part in moves) else None
 
     def places_at(self, points: np.ndarray) -> np.ndarray:
         """Where the loads act at the present state [m], shape (place_count, 3).
@@ -88,8 +108,8 @@ class MarkerCompliance(HeldTangent):
     def _moves(
         self, factorization: Factorization | None, rows, holding, left: np.ndarray,
         apart: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-        """Motion of markers and places by forces on them, and by what the last step left.
+    ) -> MarkerMoves:  # fmt: skip
+        """Motion of the markers by forces at the rows of places, by actuators, and by what is left.
 
         Args:
             factorization: A⁻¹; None where only the saddle has a solution.
@@ -99,15 +119,24 @@ class MarkerCompliance(HeldTangent):
             apart: Displacements that what holds is apart, shape (held_count,).
         """
         count, h = len(holding.held) + len(holding.contacts), holding.places
+        markers, held = 3 * self.rows.marker_count, np.count_nonzero(holding.held)
+        driven = np.flatnonzero(holding.is_by_effort & ~holding.held)
         if factorization is None:
             saddle = self._saddle(rows, holding)
-            E = saddle.H[count:].toarray()
-            below = np.column_stack([np.zeros((len(h), len(E))), apart])
-            moves = E @ saddle.solve(np.column_stack([E.T, left.ravel()]), below)[0]
+            H = saddle.H.toarray()
+            E = H[count:]
+            below = np.column_stack([np.zeros((len(h), len(E) + len(driven))), apart])
+            unknowns, multipliers = saddle.solve(
+                np.column_stack([E.T, H[driven].T, left.ravel()]), below)
+            moves, by_held = E @ unknowns, multipliers[:, : len(E)]
+            by_driven = moves[:markers, len(E) : -1]
         else:
             W, free = factorization.condense(rows.H, left)
-            moves = _released(W, free, h, holding.own_of_places, apart, count)
-        return moves[:, :-1], moves[:, -1]
+            moves, by_held = _released(W, free, h, holding.own_of_places, apart, count)
+            # W is symmetric: what a row is held by tells how it follows what holds it.
+            by_driven = W[count : count + markers, driven] + by_held[:, :markers].T @ W[np.ix_(h, driven)]
+        by_actuators = np.column_stack([by_held[:held, :markers].T, by_driven])
+        return MarkerMoves(moves[:markers, markers : len(moves)], by_actuators, moves[:markers, -1])
 
     def _left(self, holding) -> tuple[np.ndarray, np.ndarray]:
         """What the last step left: forces out of balance [N], and displacements of what holds."""
@@ -159,6 +188,8 @@ class MarkerCompliance(HeldTangent):
 def _released(W, free, held, own, apart, first):
     """Motion of the rows from `first` on by forces on them, and in the last column by themselves.
 
+    In addition the efforts of what holds, by the same.
+
     Args:
         W: Compliance of all rows, shape (row_count, row_count).
         free: Their motion when nothing holds, shape (row_count,).
@@ -180,4 +211,4 @@ def _released(W, free, held, own, apart, first):
     for k in range(count):
         for i in range(n):
             moves[k] += W[first + k, held[i]] * by_held[i]
-    return moves
+    return moves, by_held

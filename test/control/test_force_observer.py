@@ -100,7 +100,7 @@ def test_the_compliance_of_markers_is_the_slope_of_their_motion(observed, rng, w
         setpoints = observed.rest_setpoints - 0.01
     observed.reset()
     hold(observed, setpoints, 80)
-    by_loads, lag = MarkerCompliance(observed).at_state(np.zeros(1, int))
+    by_loads, _, lag = MarkerCompliance(observed).at_state(np.zeros(1, int))
     assert np.abs(lag).max() < 1e-8
     before, state, size = observed.marker_positions(), observed.state, 1e-3
     for axis in range(3):
@@ -115,7 +115,7 @@ def test_what_a_step_left_to_move_is_told_by_its_residual(observed, rng):
     observed.reset()
     hold(observed, setpoints, 60)
     hold(observed, setpoints, 1, force_of([1.0, 0.0, 0.0]))
-    _, lag = MarkerCompliance(observed).at_state(np.zeros(1, int))
+    *_, lag = MarkerCompliance(observed).at_state(np.zeros(1, int))
     before = observed.marker_positions()
     hold(observed, setpoints, 60, force_of([1.0, 0.0, 0.0]))
     left = (observed.marker_positions() - before).ravel()
@@ -129,7 +129,7 @@ def test_a_force_at_each_point_of_the_surface_moves_the_markers_as_at_that_point
     compliance = MarkerCompliance(searching)
     field = compliance.by_candidates(0)
     for point in rng.integers(len(field), size=4):
-        alone, _ = compliance.at_state(np.array([point]))
+        alone, *_ = compliance.at_state(np.array([point]))
         assert field[point] == pytest.approx(alone, abs=1e-9 * np.abs(alone).max())
 
 

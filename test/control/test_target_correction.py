@@ -335,3 +335,17 @@ def test_a_wanted_orientation_is_turned_back_by_its_misfit():
     aim = Rotation.from_quat(correction.turned(wanted.as_quat()[None])[0])
     assert (turn * aim * wanted.inv()).magnitude() < 1e-9
     assert np.isnan(correction.turned(np.full((1, 4), np.nan))).all()
+
+
+def test_markers_that_mirror_turn_a_wanted_orientation_no_further_than_the_limit():
+    correction, length = TargetCorrection(1, np.array([0.05])), 0.05
+    turned = misfit(0.0)._replace(turns=np.array([[0.0, 0.0, 3.0]]))
+    for _ in range(20):
+        correction.follow(turned, SURE_SHARE, 0.01)
+    assert np.linalg.norm(correction.turns[0]) == pytest.approx(0.01 / length)
+
+
+def test_markers_that_collapse_tell_no_rotation(posed):
+    measurement, model = posed
+    collapsed = np.tile(model.markers.mean(axis=0), (len(model.markers), 1))
+    assert np.isnan(measurement.misfit(collapsed, model).turns).all()
