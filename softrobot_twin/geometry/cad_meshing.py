@@ -10,9 +10,10 @@ import hashlib
 import os
 import re
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 import meshio
@@ -61,17 +62,17 @@ class CadMesh(NamedTuple):
         regions: Tetrahedra of each solid, where there are several, by its name.
         cavities: Triangles of each closed inner surface, normals out of the gas, by its name,
             shape (triangle_count, 3).
-        lost: Share of the volume of each cavity of the part that its facets cut off, by its name.
         notes: One sentence for each repair and each finding.
         version: Version of gmsh.
+        lost: Share of the volume of each cavity of the part that its facets cut off, by its name.
     """
 
     mesh: TetMesh
     regions: dict[str, np.ndarray]
     cavities: dict[str, np.ndarray]
-    lost: dict[str, float]
     notes: tuple[str, ...]
     version: str
+    lost: Mapping[str, float] = MappingProxyType({})
 
     def cavity_volume(self, name: str) -> float:
         """Volume enclosed by a cavity [m³].
@@ -284,7 +285,7 @@ def _made(path: Path, made: dict, notes: list[str]) -> CadMesh:
     if len(names) > 1:
         for index, name in enumerate(_distinct(names)):
             regions[name] = np.flatnonzero(made["solids"] == index)
-    return CadMesh(mesh, regions, cavities, lost, tuple(notes), str(made["version"]))
+    return CadMesh(mesh, regions, cavities, tuple(notes), str(made["version"]), lost)
 
 
 def _lost_shares(
