@@ -7,11 +7,22 @@ tangent. Its deformation is the logarithm of the relative pose,
 
 with J⁻¹ the inverse of the left Jacobian of rotations. ψ and t are the curvature and the strain, each
 times the length, of the helix that leads from A to B. So they are the same for an element that was
-moved as a rigid body, and they do not depend on the path to a pose. The energy is
+moved as a rigid body, and they do not depend on the path to a pose. Between the ends the axis leaves
+the helix: a lateral force bends it to an S that leaves the ends by the angle φ of t to their mean, and whose length is
 
-    U = ½ (t - t₀)·K_t (t - t₀) + ½ (ψ - ψ₀)·K_r (ψ - ψ₀).
+    ℓ = |t| + (|t| - t₁)/5.
 
-t₀ and ψ₀ belong to the rest shape, which may be curved. With
+With c = t₁/|t| = cos φ, v = (1 + c)/2 and
+
+    s = (ℓ, h t₂, h t₃),    h = 1/√v - (1 - v)/2,
+
+the energy is
+
+    U = ½ (s - s₀)·K_t (s - s₀) + ½ (ψ - ψ₀)·K_r (ψ - ψ₀).
+
+h is one but for the fourth power of φ; with it the energy grows up to half a turn of φ, so that no
+element rests with its ends pointing back along its chord.
+s₀ and ψ₀ belong to the rest shape, which may be curved. With
 
     K_t = 1/(L/EA),  1/(L/κ_y GA + L³/12 EI_z),  1/(L/κ_z GA + L³/12 EI_y),    K_r = (GJ, EI_y, EI_z)/L
 
@@ -21,6 +32,14 @@ strain are constant (a ring, a helix, any pure bend) U has no error at any rotat
 in one element. It is therefore a geometrically exact beam with the helix between its nodes and the
 residual bending flexibility of MacNeal 1978, and equally a corotational beam whose local frame is
 the mean of the rotations of its ends. Error against the elastica and the 45° bend: `test_beams.py`.
+
+An axial force N acts on the length of the axis. So N adds 6 N/5 L to the lateral stiffness of an
+element, and together with the helix it does what it does on Hermite's cubic: for an angle of one the S
+stores half of N L/5, the bow half of N L/12. A beam-column has N/(L (1 - tanh(k/2)/(k/2))) with
+k² = N L²/EI, and 12 EI/L³ + 6 N/5 L differs from it by k⁴/8400 of 12 EI/L³. Because ℓ is never less than
+the chord, a thread without bending stiffness stretches by N/EA at every tension, however its nodes
+are turned. With t₁ in place of ℓ, elements would fold sideways where N > 12 EI/L². In compression
+an element bows by itself at N = -10 EI/L²; U has no pole there, and a bowed element has its energy.
 
 An end is a constant pose in a frame: that of the beam's own node, or of a rigid body to which it is
 joined. Forces and stiffness are those of the ends,
@@ -32,11 +51,11 @@ moved to the origin of the frame by the lever ρ between them: torque m + ρ × 
 A slender element is much stiffer along than across. Where it turns by θ in a move of Newton's method,
 it is stretched by θ²/2, and this force, which the next move takes away again, would spoil the geometric
 stiffness: the tangent becomes far too stiff, or indefinite. The geometric stiffness is therefore taken
-at the strain that the last linearization predicted, t + dt and ψ + dψ, as for a beam whose stresses are
+at the strain that the last linearization predicted, s + ds and ψ + dψ, as for a beam whose stresses are
 unknowns too (Magisano, Leonetti and Garcea 2017). Forces are always those of the state. The first
 linearization of a step has the tangent of the state, unless the last step ended out of balance.
 
-Damping in proportion to stiffness adds β K times the rates of t and ψ, by backward Euler.
+Damping in proportion to stiffness adds β K times the rates of s and ψ, by backward Euler.
 
 Arguments of the kernels here; those of one element have no first axis:
     A, K: A matrix, three rows of three numbers; in `project` an array of shape (12, 12).
@@ -45,13 +64,15 @@ Arguments of the kernels here; those of one element have no first axis:
     block: A matrix, three rows of three numbers.
     forces: On the unknowns [N] and [N m], shape (free_node_count, 3); added to.
     gradient, lever, psi, t: Vectors, three numbers.
+    h, root: h and 1/√v.
     has_lever: Whether each end lies off the origin of its frame, shape (element_count, 2).
-    k, pulls: Stiffnesses [N/m] and [N m], and k times t₀ and ψ₀, shape (element_count, 6).
+    k, pulls: Stiffnesses [N/m] and [N m], and k times s₀ and ψ₀, shape (element_count, 6).
     order, offsets, strides: See `BoundStencils`, shape (element_count, 4) and (element_count, 10).
     origins, unknowns: Node and unknown of the frame of each end, shape (element_count, 2).
-    out: t and ψ, shape (element_count, 6); or the stiffness of one element, shape (12, 12).
+    out: t and ψ, or s and ψ, shape (element_count, 6); or the stiffness of one element, shape (12, 12).
     points: Place of each end in its frame [m], shape (element_count, 2, 3).
-    predicted: t and ψ, shape (element_count, 6), or (0, 6) where there are none.
+    predicted: s and ψ, shape (element_count, 6), or (0, 6) where there are none.
+    strain, stress, turn, u: s, K_t (s - s₀), ∂c/∂t and t/|t|; vectors, three numbers.
     square: φ² [rad²].
     vector: Three numbers, shape (3,).
 """
@@ -100,6 +121,10 @@ from softrobot_twin.mechanics.stencil import add_stencil_matrix, of_frames
 # An element whose ends are turned by more than this against each other counts as folded, and no
 # step makes one [rad]: at π the logarithm has a jump.
 GREATEST_TURN = 0.9 * np.pi
+# Share of the S in the length of the axis: 1/5 of half the squared angle between helix and ends.
+_BOW = 0.2
+# A length of zero [m], and v of an element whose ends point back along its chord.
+_SHORTEST, _REVERSED = 1.0e-30, 1.0e-6
 # Squared angle [rad²] up to which the series is used: its terms left out are below round-off.
 _SERIES_BELOW = 1.0
 # |B_2k|/(2k)! for k = 1, 2, ...: the series of (1 - φ/2 cot φ/2)/φ² by powers of φ².
@@ -203,14 +228,6 @@ def _slope_of_moment(psi, m, c, c_1):
 
 
 @njit(**INLINED)
-def _diagonal_times(k, first, A):
-    """diag(k_first, ...) A."""
-    return (
-        scaled(A[0], k[first]), scaled(A[1], k[first + 1]), scaled(A[2], k[first + 2])
-    )  # fmt: skip
-
-
-@njit(**INLINED)
 def _end_lever(x, origin, point):
     """ρ: from the origin of a frame to an end."""
     return transform(rotation_at(x, origin), _row_of(point))
@@ -238,26 +255,99 @@ def _chord_in_helix(psi, y, c):
     return transform(skew_polynomial(psi, -0.5, c), y)
 
 
+@njit(**INLINED)
+def _strain(t):
+    """s, |t|, the unit vector along t, h, ∂c/∂t and 1/√v; see the top."""
+    length = np.sqrt(dot(t, t))
+    share = 1.0 / max(length, _SHORTEST)
+    u = scaled(t, share)
+    v = max(0.5 + 0.5 * u[0], _REVERSED)
+    root = 1.0 / np.sqrt(v)
+    h = root + 0.5 * v - 0.5
+    turn = (share - share * u[0] * u[0], -share * u[0] * u[1], -share * u[0] * u[2])
+    strain = (length + _BOW * (length - t[0]), h * t[1], h * t[2])
+    return strain, length, u, h, turn, root
+
+
+@njit(**INLINED)
+def _helix_and_bend(x, origins, points, axes):
+    """t and ψ of one element."""
+    R, chord, psi = _relative_pose(x, origins, points, axes)
+    c, _, _ = curvature_factors(dot(psi, psi))
+    return _chord_in_helix(psi, transform(transposed(R), chord), c), psi
+
+
 @njit(**KERNEL)
 def write_deformations(x, origins, points, axes, out):
     """t and ψ of every element."""
     for e in range(len(origins)):
-        R, chord, psi = _relative_pose(x, origins[e], points[e], axes[e])
-        c, _, _ = curvature_factors(dot(psi, psi))
-        t = _chord_in_helix(psi, transform(transposed(R), chord), c)
+        t, psi = _helix_and_bend(x, origins[e], points[e], axes[e])
         for i in range(3):
             out[e, i], out[e, 3 + i] = t[i], psi[i]
 
 
+@njit(**KERNEL)
+def _measure_axes(deformations):
+    """Put s in the place of t, of t and ψ of every element."""
+    for e in range(len(deformations)):
+        strain, _, _, _, _, _ = _strain(_row_of(deformations[e]))
+        for i in range(3):
+            deformations[e, i] = strain[i]
+
+
 @njit(**INLINED)
-def _element_loads(psi, t, k, pulls, e):
-    """n = K_t (t - t₀) and m = K_r (ψ - ψ₀), as k ε - pulls."""
-    n = (k[e, 0] * t[0] - pulls[e, 0], k[e, 1] * t[1] - pulls[e, 1], k[e, 2] * t[2] - pulls[e, 2])
+def _stresses(psi, strain, k, pulls, e):
+    """K_t (s - s₀) and m = K_r (ψ - ψ₀), as k ε - pulls."""
+    stress = (
+        k[e, 0] * strain[0] - pulls[e, 0], k[e, 1] * strain[1] - pulls[e, 1],
+        k[e, 2] * strain[2] - pulls[e, 2],
+    )  # fmt: skip
     m = (
         k[e, 3] * psi[0] - pulls[e, 3], k[e, 4] * psi[1] - pulls[e, 4],
         k[e, 5] * psi[2] - pulls[e, 5],
     )  # fmt: skip
-    return n, m
+    return stress, m
+
+
+@njit(**INLINED)
+def _slope_of_lean(root):
+    """dh/dc = (1 - v^-1.5)/4."""
+    return 0.25 - 0.25 * root * root * root
+
+
+@njit(**INLINED)
+def _slope_of_length(u):
+    """∂ℓ/∂t."""
+    return (u[0] + _BOW * (u[0] - 1.0), (1.0 + _BOW) * u[1], (1.0 + _BOW) * u[2])
+
+
+@njit(**INLINED)
+def _force_on_helix(t, stress, u, h, turn, root):
+    """n = ∂U/∂t."""
+    by_turn = (stress[1] * t[1] + stress[2] * t[2]) * _slope_of_lean(root)
+    n = add_scaled(scaled(_slope_of_length(u), stress[0]), turn, by_turn)
+    return add(n, (0.0, h * stress[1], h * stress[2]))
+
+
+@njit(**INLINED)
+def _helix_stiffness(t, stress, length, u, h, turn, root, k, e):
+    """∂²U/∂t²: that of constant stress, and Σ k ∂s ∂sᵀ.
+
+    With u along t, ∂²|t| = (1 - u uᵀ)/|t| and ∂²c = -(∂c uᵀ + u ∂cᵀ + c ∂²|t|)/|t|.
+    """
+    share = 1.0 / max(length, _SHORTEST)
+    across, h_1 = stress[1] * t[1] + stress[2] * t[2], _slope_of_lean(root)
+    by_turn = share * across * h_1
+    taut = share * ((1.0 + _BOW) * stress[0] - by_turn * u[0])
+    own = add_outer(scaled_matrix(IDENTITY, taut), scaled(u, -taut), u)
+    along = _slope_of_length(u)
+    own = add_outer(own, scaled(along, k[e, 0]), along)
+    mixed = add_scaled((0.0, h_1 * stress[1], h_1 * stress[2]), u, -by_turn)
+    mixed = add_scaled(mixed, turn, 0.09375 * across * root**5)
+    own = add_outer(add_outer(own, mixed, turn), turn, mixed)
+    y, z = scaled(turn, h_1 * t[1]), scaled(turn, h_1 * t[2])
+    y, z = (y[0], y[1] + h, y[2]), (z[0], z[1], z[2] + h)
+    return add_outer(add_outer(own, scaled(y, k[e, 1]), y), scaled(z, k[e, 2]), z)
 
 
 @njit(**INLINED)
@@ -296,7 +386,10 @@ def _add_beam_forces(x, origins, unknowns, points, axes, k, pulls, forces):
         R, chord, psi = _relative_pose(x, origins[e], points[e], axes[e])
         c, c_1, _ = curvature_factors(dot(psi, psi))
         y = transform(transposed(R), chord)
-        n, m = _element_loads(psi, _chord_in_helix(psi, y, c), k, pulls, e)
+        t = _chord_in_helix(psi, y, c)
+        strain, length, u, h, turn, root = _strain(t)
+        stress, m = _stresses(psi, strain, k, pulls, e)
+        n = _force_on_helix(t, stress, u, h, turn, root)
         f, moment = _loads_of_ends(R, psi, y, n, m, c, c_1)
         _add_end_forces(x, origins[e], unknowns[e], points[e], chord, f, moment, forces)
         if dot(psi, psi) > GREATEST_TURN * GREATEST_TURN:
@@ -305,18 +398,18 @@ def _add_beam_forces(x, origins, unknowns, points, axes, k, pulls, forces):
 
 
 @njit(**INLINED)
-def _chord_stiffness(psi, y, n, m, k, c, c_1, c_2):
+def _chord_stiffness(psi, y, n, m, K_t, k, c, c_1, c_2):
     """∂²U by the chord y and the turn φ, X ← exp([φ]×) X: blocks yy, yφ and the symmetric φφ."""
     to_helix = skew_polynomial(psi, -0.5, c)
     to_chord = transposed(to_helix)
     S = _slope_of_chord(psi, y, c, c_1)
     S_turn = product(S, to_helix)
-    along_t = product(to_chord, _diagonal_times(k, 0, to_helix))
-    mixed = product(to_chord, _diagonal_times(k, 0, S_turn))
-    bending = transposed_product(S_turn, _diagonal_times(k, 0, S_turn))
-    bending = add_scaled_matrix(
-        bending, product(to_chord, _diagonal_times(k, 3, to_helix)), 1.0
-    )
+    by_turn = product(K_t, S_turn)
+    along_t = product(to_chord, product(K_t, to_helix))
+    mixed = product(to_chord, by_turn)
+    bent = (scaled(to_helix[0], k[3]), scaled(to_helix[1], k[4]), scaled(to_helix[2], k[5]))
+    bending = transposed_product(S_turn, by_turn)
+    bending = add_scaled_matrix(bending, product(to_chord, bent), 1.0)
     mixed = add_scaled_matrix(mixed, product(_slope_of_moment(psi, n, c, c_1), to_helix), 1.0)
     p = add(m, transform(transposed(S), n))
     by_psi = product(to_chord, _curvature_of_chord(psi, y, n, c, c_1, c_2))
@@ -435,7 +528,7 @@ def _end_move(before, after, origin, point):
 
 @njit(**KERNEL)
 def _predict_deformations(before, after, origins, points, axes, out):
-    """t + dt and ψ + dψ of every element, linearized at a state, for the moves to another one."""
+    """s + ds and ψ + dψ of every element, linearized at a state, for the moves to another one."""
     for e in range(len(origins)):
         R, chord, psi = _relative_pose(before, origins[e], points[e], axes[e])
         c, c_1, _ = curvature_factors(dot(psi, psi))
@@ -445,10 +538,15 @@ def _predict_deformations(before, after, origins, points, axes, out):
         moved = add(subtract(u_b, u_a), cross(chord, turn_a))
         to_helix = skew_polynomial(psi, -0.5, c)
         d_psi = transform(to_helix, transform(transposed(R), subtract(turn_b, turn_a)))
-        t = transform(to_helix, add(y, transform(transposed(R), moved)))
-        t = add(t, transform(_slope_of_chord(psi, y, c, c_1), d_psi))
+        t = transform(to_helix, y)
+        strain, length, u, h, turn, root = _strain(t)
+        dt = transform(to_helix, transform(transposed(R), moved))
+        dt = add(dt, transform(_slope_of_chord(psi, y, c, c_1), d_psi))
+        out[e, 0], along = strain[0] + dot(_slope_of_length(u), dt), _slope_of_lean(root) * dot(turn, dt)
         for i in range(3):
-            out[e, i], out[e, 3 + i] = t[i], psi[i] + d_psi[i]
+            out[e, 3 + i] = psi[i] + d_psi[i]
+            if i > 0:
+                out[e, i] = strain[i] + h * dt[i] + t[i] * along
 
 
 @njit(**KERNEL)
@@ -458,21 +556,27 @@ def _add_beam_stiffness(
 ):  # fmt: skip
     """Add the forces and the stiffness of every element.
 
-    The geometric stiffness is that of the predicted t and ψ; of the state, where there are none.
+    The geometric stiffness is that of the predicted s and ψ; of the state, where there are none.
     """
     whole = np.empty((12, 12))
     for e in range(len(origins)):
         R, chord, psi = _relative_pose(x, origins[e], points[e], axes[e])
         c, c_1, c_2 = curvature_factors(dot(psi, psi))
         y = transform(transposed(R), chord)
-        n, m = _element_loads(psi, _chord_in_helix(psi, y, c), k, pulls, e)
+        t = _chord_in_helix(psi, y, c)
+        strain, length, u, h, turn, root = _strain(t)
+        stress, m = _stresses(psi, strain, k, pulls, e)
+        n = _force_on_helix(t, stress, u, h, turn, root)
         f, moment = _loads_of_ends(R, psi, y, n, m, c, c_1)
         _add_end_forces(x, origins[e], unknowns[e], points[e], chord, f, moment, forces)
         if len(predicted) > 0:
-            strain, bend = _row_of(predicted[e]), _row_of(predicted[e, 3:])
-            n, m = _element_loads(bend, strain, k, pulls, e)
+            stress, m = _stresses(
+                _row_of(predicted[e, 3:]), _row_of(predicted[e]), k, pulls, e
+            )
+            n = _force_on_helix(t, stress, u, h, turn, root)
             f, moment = _loads_of_ends(R, psi, y, n, m, c, c_1)
-        K_yy, K_yt, K_tt = _chord_stiffness(psi, y, n, m, k[e], c, c_1, c_2)
+        K_t = _helix_stiffness(t, stress, length, u, h, turn, root, k, e)
+        K_yy, K_yt, K_tt = _chord_stiffness(psi, y, n, m, K_t, k[e], c, c_1, c_2)
         _write_end_stiffness(
             chord, f, moment, _turned_block(R, K_yy), _turned_block(R, K_yt),
             _turned_block(R, K_tt), whole,
@@ -498,7 +602,8 @@ def _share_below_half_turn(before, after, origins, points, axes, greatest):
         _, _, then = _relative_pose(after, origins[e], points[e], axes[e])
         turn, start = norm(subtract(then, psi)), norm(psi)
         if start + share * turn > greatest and norm(then) > start:
-            share = min(share, max(greatest - start, 0.1 * (np.pi - start)) / turn)
+            # Near the limit a step goes half of what is left: shares of it would take all moves.
+            share = min(share, max(greatest - start, 0.5 * (np.pi - start)) / turn)
     return share
 
 
@@ -533,8 +638,10 @@ class Beams(ForceTerm):
         self._is_damped = bool(e.damping.any())
         self._stencils = of_frames(e.unknowns)
         self._has_lever = np.abs(e.end_points).max(axis=2) > 0.0
+        self._rest = np.array(e.rest, float)
+        _measure_axes(self._rest)
         # With damping, K grows by β K/h in a step, and what is subtracted from K ε changes.
-        self._k, self._pulls = e.stiffness.copy(), e.stiffness * e.rest
+        self._k, self._pulls = e.stiffness.copy(), e.stiffness * self._rest
         self._start = np.empty((self.element_count, 6))
         # Node positions of the last linearization of a step, and of the one before; NaN without any.
         self._linearized_at = self._linearized_before = np.empty((0, 3))
@@ -543,19 +650,20 @@ class Beams(ForceTerm):
     def begin_step(
         self, positions: np.ndarray, velocities: np.ndarray, time_step: float
     ) -> None:
-        """Forget the last linearization; with damping, remember t and ψ where a step of h [s] begins.
+        """Forget the last linearization; with damping, remember s and ψ where a step of h [s] begins.
         """
         self._linearized_at.fill(np.nan)
         if not self._is_damped:
             return
         e = self.elements
         write_deformations(positions, e.origins, e.end_points, e.end_axes, self._start)
+        _measure_axes(self._start)
         rate = (e.damping / time_step)[:, None]
         np.multiply(e.stiffness, 1.0 + rate, out=self._k)
-        np.multiply(e.stiffness, e.rest + rate * self._start, out=self._pulls)
+        np.multiply(e.stiffness, self._rest + rate * self._start, out=self._pulls)
 
     def follow_move(self, start: np.ndarray) -> None:
-        """Predict t and ψ in the first linearization of a step too; see `ForceTerm.follow_move`."""
+        """Predict s and ψ in the first linearization of a step too; see `ForceTerm.follow_move`."""
         self._make_room(start)
         self._linearized_at[:] = start
 
@@ -574,8 +682,9 @@ class Beams(ForceTerm):
 
     def energy(self, positions: np.ndarray) -> float:
         """Stored elastic energy [J]."""
-        strains = self.deformations(positions) - self.elements.rest
-        return 0.5 * float(np.sum(self.elements.stiffness * strains**2))
+        strains = self.deformations(positions)
+        _measure_axes(strains)
+        return 0.5 * float(np.sum(self.elements.stiffness * (strains - self._rest) ** 2))
 
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
         """Add the forces [N] and torques [N m].

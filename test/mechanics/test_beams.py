@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import eigh
 
+from softrobot_twin.mechanics.beam_masses import element_masses
 from softrobot_twin.mechanics.beam_sections import rectangle, tube
 from softrobot_twin.mechanics.beams import (
     BeamElements,
@@ -201,6 +203,163 @@ def test_one_element_is_timoshenkos_cantilever_for_small_loads():
         assert tip[axis] == pytest.approx(bending + 0.1 / (shear * section.shear_area_y), rel=1e-12)
     torque = np.linalg.solve(K[6:, 6:], [0, 0, 0, 1.0, 0, 0])
     assert torque[3] == pytest.approx(0.1 / (shear * section.torsion), rel=1e-12)
+
+
+# --- axial forces ---------------------------------------------------------------------------------
+
+# Slender, of very different stiffnesses in the two planes, and hardly stretched at k² = 10⁴.
+RIBBON = rectangle(2.0e-5, 6.0e-5, 0.3)
+PLANES = ((1, RIBBON.inertia_z), (2, RIBBON.inertia_y))
+
+
+def stretched(count, force, section=RIBBON, length=LENGTH):
+    """A straight beam along x under an axial force, and its tangent."""
+    beams, frames, x = chain(count, section, length=length)
+    strain = force / (YOUNG * section.area)
+    for k in range(count + 1):
+        frames.place(x, k, np.array([(1.0 + strain) * k * length / count, 0, 0]), np.eye(3))
+    forces, K = tangent(beams, bound(beams, 2 * count + 2), x)
+    return beams, frames, x, forces, K
+
+
+def lateral(K, count, axis):
+    """Stiffness of the places and turns of all nodes in one plane, shape (2 count + 2,) squared."""
+    place = 6 * np.arange(count + 1) + axis
+    own = np.column_stack([place, place + (4 if axis == 1 else 2)]).ravel()
+    return K[np.ix_(own, own)]
+
+
+@pytest.mark.parametrize("count", [1, 2, 7])
+@pytest.mark.parametrize("square", [1e-3, 1.0, 12.5, 1e2, 1e4, 1e6])
+def test_a_taut_beam_is_stable_and_stretches_by_its_axial_stiffness(count, square):
+    force = square * YOUNG * RIBBON.inertia_z * count**2 / LENGTH**2
+    beams, frames, x, forces, K = stretched(count, force)
+    assert forces[-2, 0] == pytest.approx(-force, rel=1e-6)
+    assert np.abs(forces[1:-2]).max() < 1e-9 * YOUNG * RIBBON.area
+    assert np.linalg.eigvalsh(K[6:, 6:])[0] > 0.0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_no_pose_between_held_ends_stores_less_than_the_straight_one(seed):
+    """An element that could fold in tension would let its beam grow."""
+    print("seed", seed)
+    random, count, strain = np.random.default_rng(seed), 5, 0.01
+    beams, frames, x, _, _ = stretched(count, strain * YOUNG * RIBBON.area)
+    least = 0.5 * YOUNG * RIBBON.area * LENGTH * strain**2
+    assert beams.energy(x) == pytest.approx(least)
+    for size in np.repeat([0.01, 0.1, 0.5, 1.0], 25):
+        for k in range(count + 1):
+            place = np.array([(1.0 + strain) * k * LENGTH / count, 0, 0])
+            place += (0 < k < count) * size * random.normal(scale=0.1 * LENGTH, size=3)
+            frames.place(x, k, place, rotation_from_vector(size * random.normal(size=3)))
+        assert beams.energy(x) > least
+
+
+# Errors of a load in the middle, where the string has a kink: by the length of an element.
+@pytest.mark.parametrize("square, error", [(1e-2, 1e-5), (1.0, 2e-4), (1e2, 7e-3), (1e4, 1.4e-2)])
+def test_a_taut_beam_is_as_stiff_to_the_side_as_a_string_with_bending_stiffness(square, error):
+    count = 16
+    for axis, inertia in PLANES:
+        rigidity = YOUNG * inertia
+        force = square * rigidity * count**2 / LENGTH**2
+        layer, length = np.sqrt(rigidity / force), LENGTH * (1.0 + force / (YOUNG * RIBBON.area))
+        K = lateral(stretched(count, force)[-1], count, axis)
+        load = np.zeros(2 * count + 2)
+        load[-2] = force
+        tip = np.linalg.solve(K[2:, 2:], load[2:])[-2]
+        assert tip == pytest.approx(length - layer * np.tanh(length / layer), rel=error)
+        free = np.delete(np.arange(2 * count + 2), [0, 2 * count])
+        load = np.zeros(2 * count + 2)
+        load[count] = force
+        middle = np.linalg.solve(K[np.ix_(free, free)], load[free])[count - 1]
+        exact = 0.25 * length - 0.5 * layer * np.tanh(0.5 * length / layer)
+        assert middle == pytest.approx(exact, rel=error)
+
+
+@pytest.mark.parametrize("square", [1e-2, 1.0, 1e2, 1e4])
+def test_a_taut_beam_has_the_frequencies_of_a_string_with_bending_stiffness(square):
+    count, mass = 8, 1000.0 * RIBBON.area
+    for axis, inertia in PLANES:
+        rigidity = YOUNG * inertia
+        force = square * rigidity * count**2 / LENGTH**2
+        beams, _, _, _, K = stretched(count, force)
+        masses = element_masses(beams.elements, np.full(count, LENGTH / count), RIBBON, 1000.0, 0.0)
+        M = np.zeros((2 * count + 2, 2 * count + 2))
+        for e, own in enumerate(masses.matrices):
+            M[2 * e : 2 * e + 4, 2 * e : 2 * e + 4] += own[np.ix_([0, 1, 4, 5], [0, 1, 4, 5])]
+        # A turn about z moves the end of the tangent up, one about y moves it down.
+        turn = np.tile([1.0, 1.0 if axis == 1 else -1.0], count + 1)
+        free = np.delete(np.arange(2 * count + 2), [0, 2 * count])
+        squares = eigh(
+            lateral(K, count, axis)[np.ix_(free, free)],
+            (turn[:, None] * M * turn)[np.ix_(free, free)], eigvals_only=True,
+        )  # fmt: skip
+        wave = np.arange(1, 4) * np.pi / LENGTH
+        exact = np.sqrt((force * wave**2 + rigidity * wave**4) / mass)
+        assert np.sqrt(squares[:3]) == pytest.approx(exact, rel=2e-3)
+
+
+def test_a_load_to_the_side_is_amplified_by_compression_and_euler_s_load_is_met():
+    """Of cantilevers with the elements given: P by π² EI/4L², tip by 3 (tan u - u)/u³, u² = PL²/EI."""
+    for count, error in ((1, 8e-3), (2, 6e-4), (4, 5e-5)):
+        for axis, inertia in PLANES:
+            rigidity = YOUNG * inertia
+            euler = 0.25 * np.pi**2 * rigidity / LENGTH**2
+            for share in (0.2, 0.5, 0.8):
+                K = lateral(stretched(count, -share * euler)[-1], count, axis)[2:, 2:]
+                load = np.zeros(2 * count)
+                load[-2] = 3.0 * rigidity / LENGTH**3
+                u = 0.5 * np.pi * np.sqrt(share)
+                # The error of Euler's load comes back by the distance from it.
+                assert np.linalg.solve(K, load)[-2] == pytest.approx(
+                    3.0 * (np.tan(u) - u) / u**3, rel=error * share / (1.0 - share) + 1e-6
+                )
+            below, above = (
+                np.linalg.eigvalsh(lateral(stretched(count, -share * euler)[-1], count, axis)[2:, 2:])
+                for share in (1.0 - 1e-6, 1.0 + error)
+            )
+            assert below[0] > 0.0 > above[0] and above[1] > 0.0
+
+
+def test_one_element_that_may_only_sway_bows_at_its_own_buckling_load():
+    """π² EI/L² of a column clamped at both ends that may sway; the bow of the S gives 10."""
+    rigidity = YOUNG * RIBBON.inertia_z
+    for load, is_stable in ((9.8, True), (10.1, False)):
+        K = stretched(1, -load * rigidity / LENGTH**2)[-1]
+        assert (K[7, 7] > 0.0) == is_stable
+
+
+def test_forces_of_slender_elements_far_from_straight_are_slopes_too(drawn_rng):
+    """Stretched and compressed by more than their bending resists, nodes turned and shifted."""
+    for strain in (-0.02, 0.0, 0.05):
+        section = rectangle(0.002, 0.005, 0.3)
+        beams, frames, x, _, _ = stretched(2, strain * YOUNG * section.area, section)
+        matrix = bound(beams, 6)
+        x = moved(frames, x, drawn_rng.normal(size=(6, 3)) * np.tile([[0.02], [0.3]], (3, 1)))
+        beams.begin_step(x, np.empty((0, 3)), 0.01)
+        forces, K = tangent(beams, matrix, x)
+        size, slopes = np.abs(K).max(), np.zeros((18, 18))
+        for i, unit in enumerate(np.eye(18)):
+            plus, minus = (moved(frames, x, unit.reshape(6, 3), h) for h in (1e-6, -1e-6))
+            slope = (beams.energy(plus) - beams.energy(minus)) / 2e-6
+            assert -forces.ravel()[i] == pytest.approx(slope, abs=1e-7 * size)
+            ends = np.zeros((2, 6, 3))
+            beams.add_forces(plus, ends[0])
+            beams.add_forces(minus, ends[1])
+            slopes[:, i] = -(ends[0] - ends[1]).ravel() / 2e-6
+        assert np.allclose(K, 0.5 * (slopes + slopes.T), atol=1e-7 * size)
+
+
+def test_the_energy_grows_until_the_ends_of_an_element_point_back_along_its_chord():
+    """Else an element of a taut beam could rest reversed."""
+    beams, frames, x, _, _ = stretched(1, 1e3 * YOUNG * RIBBON.inertia_z / LENGTH**2)
+    for axis in np.eye(3)[1:]:
+        energies = []
+        for angle in np.linspace(0.0, 0.999 * np.pi, 60):
+            frames.place(x, 0, np.zeros(3), rotation_from_vector(angle * axis))
+            frames.place(x, 1, np.array([LENGTH, 0, 0]), rotation_from_vector(angle * axis))
+            energies.append(beams.energy(x))
+        assert (np.diff(energies) > 0.0).all()
 
 
 def test_an_element_bent_by_half_a_turn_counts_as_folded_and_a_move_stops_before():

@@ -262,6 +262,71 @@ def test_at_a_tension_above_the_limit_a_dynamic_toggle_passes_through(simulate):
         assert (nodes_of(moving)[8, 2] < 0.0) == below
 
 
+# --- tension --------------------------------------------------------------------------------------
+
+
+def line(points, elements, radius=5e-4, young=2.0e9, **entries) -> dict:
+    """A line of nylon, or of something softer."""
+    return rod("line", elements, points, density=1100.0, **entries) | {
+        "section": {"circle": {"radius": radius}},
+        "material": {"young_modulus": young, "poisson_ratio": 0.4, "density": 1100.0},
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(("size", "elements"), [(0.01, 3), (1.0, 1), (1.0, 10), (50.0, 20)])
+def test_a_line_stretches_by_its_load_over_its_axial_stiffness(simulate, size, elements):
+    """Nylon of 1 mm by 200 mm under 5 N; and likewise of 2 mm, of 10 m. Pushed aside before."""
+    force, end = 5.0 * size**2, (0.0, 0.0, -0.2 * size)
+    simulation = simulate(
+        gravity=[0, 0, -10.0], rigid_bodies=[weight(force, end)],
+        beams=[line(((0, 0, 0), end), elements, 5e-4 * size,
+                    joined=[{"at": "end", "to": "weight", "by": "ball"}])],
+        cables=[{"name": "push", "body": "weight", "pull_point": [5.0 * size, 0, 0],
+                 "points": [list(end)]}],
+        solver={"newton_iterations": 40},
+    )  # fmt: skip
+    for tension in (0.3 * force, 0.0):
+        result = repeat_step(simulation, CommandEfforts(np.array([tension]), 1.0), 2)
+        assert result.status is Status.OK
+    strain = (5.0 / (np.pi * 5e-4**2) + 0.5 * 10.0 * 1100.0 * 0.2 * size) / 2.0e9
+    stretch = np.linalg.norm(tip_of(simulation)) / (0.2 * size) - 1.0
+    assert stretch == pytest.approx(strain, rel=1e-2)
+
+
+def test_a_line_that_is_clamped_across_its_pull_is_as_long_as_one_that_hangs(simulate):
+    simulation = simulate(
+        gravity=[0, 0, -10.0], integration="dynamic", rigid_bodies=[weight(5.0, (0.2, 0, 0))],
+        beams=[line(((0, 0, 0), (0.2, 0, 0)), 10, joined=[{"at": "end", "to": "weight"}],
+                    damping={"mass": 10.0, "stiffness": 0.0})],
+        solver={"newton_iterations": 40},
+    )  # fmt: skip
+    result = repeat_step(simulation, Hold(0.05), 60)
+    assert result.status is Status.OK
+    # The elastica leads √(2EI/N) aside and is (2 - √2) √(EI/N) shorter: a third of an element.
+    layer = np.sqrt(2.0e9 * np.pi * 5e-4**4 / 4.0 / 5.0)
+    expected = [np.sqrt(2.0) * layer, 0.0, -0.2 * (1.0 + 5.0 / (2.0e9 * np.pi * 5e-4**2))
+                + (2.0 - np.sqrt(2.0)) * layer]  # fmt: skip
+    np.testing.assert_allclose(tip_of(simulation), expected, atol=2e-3)
+
+
+@pytest.mark.parametrize("elements", [10, 20])
+def test_a_rope_between_two_walls_hangs_in_a_catenary(simulate, elements):
+    across = np.linspace(-0.2, 0.2, elements + 1)
+    points = np.column_stack([across, 0.0 * across, 4.0 * across**2])
+    rope = line(points.tolist(), elements, 1e-4, 1e8, fixed=[], curve="smooth", joined=[
+        {"at": at, "to": "world", "by": "ball"} for at in ("start", "end")
+    ])  # fmt: skip
+    simulation = simulate(gravity=[0, 0, -10.0], beams=[rope], solver={"newton_iterations": 40})
+    result = repeat_step(simulation, Hold(1.0), 10)
+    assert result.status is Status.OK
+    length = simulation.model.beams[0].lengths.sum()
+    a = brentq(lambda a: 2.0 * a * np.sinh(0.2 / a) - length, 0.02, 10.0)
+    places = nodes_of(simulation)
+    curve = a * (np.cosh(places[:, 0] / a) - np.cosh(0.2 / a)) + places[0, 2]
+    # What is left is its stretch.
+    assert np.abs(places[:, 2] - curve).max() < 5e-4 * length
+
+
 # --- vibration ------------------------------------------------------------------------------------
 
 
