@@ -12,12 +12,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from itertools import pairwise
 
 import numpy as np
 
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.entry import values_below
 from softrobot_twin.simulation.building.actuators import Actuators
+from softrobot_twin.simulation.building.beam_bodies import build_section
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.command import LONG, CommandSetpoints
 from softrobot_twin.simulation.step.merit import OVERSHOOT
@@ -78,6 +80,7 @@ def scene_warnings(scene: Scene, size: float) -> Iterator[str]:
     yield from _angles_in_degrees(scene)
     yield from _long_lengths(scene, size)
     yield from _loose_joints(scene)
+    yield from _coarse_ropes(scene)
 
 
 def _idle_damping(scene: Scene) -> Iterator[str]:
@@ -125,6 +128,29 @@ def _long_lengths(scene: Scene, size: float) -> Iterator[str]:
         if length > most:
             yield (f"{key} = {length:g} m is very large: the largest body is {size:.4g} m large; "
                    "is it in metres?")  # fmt: skip
+
+
+def _coarse_ropes(scene: Scene) -> Iterator[str]:
+    """Beams whose elements are longer than the radius of a round thing that they may be drawn around."""
+    beams = {beam.name: beam for beam in scene.beams}
+    radii = {}
+    for one in (*scene.obstacles, *scene.rigid_bodies):
+        shape = getattr(one, "cylinder", None) or getattr(one, "capsule", None)
+        if shape is not None:
+            radii[one.name] = shape.radius
+    pairs = () if scene.contact is None else scene.contact.between
+    for index, touching in enumerate(pairs):
+        for name, other in (touching.pair, touching.pair[::-1]):
+            if name not in beams or other not in radii:
+                continue
+            beam, radius = beams[name], radii[other]
+            length = sum(math.dist(a, b) for a, b in pairwise(beam.points))
+            is_bendable = 2.0 * build_section(beam.section, beam.material.poisson_ratio).radius < radius
+            if is_bendable and length > beam.elements * radius and length > math.pi * radius:
+                yield (f"contact.between[{index}]: the elements of {name} are {length / beam.elements:.3g} m "
+                       f"long, {other} has a radius of {radius:.3g} m: drawn around it, {name} follows it "
+                       "coarsely, and friction holds too little; for that take at least "
+                       f"{math.ceil(3.0 * length / radius - 1.0e-6)} elements, three to a radius")  # fmt: skip
 
 
 def _loose_joints(scene: Scene) -> Iterator[str]:
