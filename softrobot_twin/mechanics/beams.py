@@ -10,9 +10,9 @@ times the length, of the helix that leads from A to B. So they are the same for 
 moved as a rigid body, and they do not depend on the path to a pose. Between the ends the axis leaves
 the helix: a lateral force bends it to an S that leaves the ends by the angle φ of t to their mean, and whose length is
 
-    ℓ = |t| + (|t| - t₁)/5.
+    ℓ = t₁ + w (|t| - t₁),    w = 6 r²/5,
 
-With c = t₁/|t| = cos φ, v = (1 + c)/2 and
+with r the share of bending, not shear, in t₂ or t₃. With c = t₁/|t| = cos φ, v = (1 + c)/2 and
 
     s = (ℓ, h t₂, h t₃),    h = 1/√v - (1 - v)/2,
 
@@ -36,8 +36,8 @@ the mean of the rotations of its ends. Error against the elastica and the 45° b
 An axial force N acts on the length of the axis. So N adds 6 N/5 L to the lateral stiffness of an
 element, and together with the helix it does what it does on Hermite's cubic: for an angle of one the S
 stores half of N L/5, the bow half of N L/12. A beam-column has N/(L (1 - tanh(k/2)/(k/2))) with
-k² = N L²/EI, and 12 EI/L³ + 6 N/5 L differs from it by k⁴/8400 of 12 EI/L³. Because ℓ is never less than
-the chord, a thread without bending stiffness stretches by N/EA at every tension, however its nodes
+k² = N L²/EI, and 12 EI/L³ + 6 N/5 L differs from it by k⁴/8400 of 12 EI/L³. Where ℓ is not less than
+the chord, r > 0.92, a thread without bending stiffness stretches by N/EA at every tension, however its nodes
 are turned. With t₁ in place of ℓ, elements would fold sideways where N > 12 EI/L². In compression
 an element bows by itself at N = -10 EI/L²; U has no pole there, and a bowed element has its energy.
 
@@ -121,8 +121,6 @@ from softrobot_twin.mechanics.stencil import add_stencil_matrix, of_frames
 # An element whose ends are turned by more than this against each other counts as folded, and no
 # step makes one [rad]: at π the logarithm has a jump.
 GREATEST_TURN = 0.9 * np.pi
-# Share of the S in the length of the axis: 1/5 of half the squared angle between helix and ends.
-_BOW = 0.2
 # A length of zero [m], and v of an element whose ends point back along its chord.
 _SHORTEST, _REVERSED = 1.0e-30, 1.0e-6
 # Squared angle [rad²] up to which the series is used: its terms left out are below round-off.
@@ -179,6 +177,20 @@ def element_stiffness(lengths, section, young_modulus: float, poisson_ratio: flo
         1.0 / (L / (G * s.shear_area_z) + L**3 / (12.0 * E * s.inertia_y)),
         G * s.torsion / L, E * s.inertia_y / L, E * s.inertia_z / L,
     ])  # fmt: skip
+
+
+def axis_weights(rest, stiffness) -> np.ndarray:
+    """w of each element, 6 r²/5: r of the plane in which it is the more slender.
+
+    Args:
+        rest: t₀ [m] and ψ₀ [rad], shape (element_count, 6).
+        stiffness: Diagonals of K_t [N/m] and K_r [N m], shape (element_count, 6).
+
+    Returns:
+        Shape (element_count,).
+    """
+    shares = stiffness[:, 1:3] * rest[:, :1] ** 2 / (12.0 * stiffness[:, [5, 4]])
+    return 1.2 * np.minimum(shares.max(axis=1, initial=0.0), 1.0) ** 2
 
 
 @njit(**KERNEL, forceinline=True)
@@ -256,7 +268,7 @@ def _chord_in_helix(psi, y, c):
 
 
 @njit(**INLINED)
-def _strain(t):
+def _strain(t, w):
     """s, |t|, the unit vector along t, h, ∂c/∂t and 1/√v; see the top."""
     length = np.sqrt(dot(t, t))
     share = 1.0 / max(length, _SHORTEST)
@@ -265,7 +277,7 @@ def _strain(t):
     root = 1.0 / np.sqrt(v)
     h = root + 0.5 * v - 0.5
     turn = (share - share * u[0] * u[0], -share * u[0] * u[1], -share * u[0] * u[2])
-    strain = (length + _BOW * (length - t[0]), h * t[1], h * t[2])
+    strain = (t[0] + w * (length - t[0]), h * t[1], h * t[2])
     return strain, length, u, h, turn, root
 
 
@@ -287,10 +299,10 @@ def write_deformations(x, origins, points, axes, out):
 
 
 @njit(**KERNEL)
-def _measure_axes(deformations):
+def _measure_axes(deformations, w):
     """Put s in the place of t, of t and ψ of every element."""
     for e in range(len(deformations)):
-        strain, _, _, _, _, _ = _strain(_row_of(deformations[e]))
+        strain, _, _, _, _, _ = _strain(_row_of(deformations[e]), w[e])
         for i in range(3):
             deformations[e, i] = strain[i]
 
@@ -316,21 +328,21 @@ def _slope_of_lean(root):
 
 
 @njit(**INLINED)
-def _slope_of_length(u):
+def _slope_of_length(u, w):
     """∂ℓ/∂t."""
-    return (u[0] + _BOW * (u[0] - 1.0), (1.0 + _BOW) * u[1], (1.0 + _BOW) * u[2])
+    return (1.0 + w * (u[0] - 1.0), w * u[1], w * u[2])
 
 
 @njit(**INLINED)
-def _force_on_helix(t, stress, u, h, turn, root):
+def _force_on_helix(t, stress, u, w, h, turn, root):
     """n = ∂U/∂t."""
     by_turn = (stress[1] * t[1] + stress[2] * t[2]) * _slope_of_lean(root)
-    n = add_scaled(scaled(_slope_of_length(u), stress[0]), turn, by_turn)
+    n = add_scaled(scaled(_slope_of_length(u, w), stress[0]), turn, by_turn)
     return add(n, (0.0, h * stress[1], h * stress[2]))
 
 
 @njit(**INLINED)
-def _helix_stiffness(t, stress, length, u, h, turn, root, k, e):
+def _helix_stiffness(t, stress, length, u, w, h, turn, root, k, e):
     """∂²U/∂t²: that of constant stress, and Σ k ∂s ∂sᵀ.
 
     With u along t, ∂²|t| = (1 - u uᵀ)/|t| and ∂²c = -(∂c uᵀ + u ∂cᵀ + c ∂²|t|)/|t|.
@@ -338,9 +350,9 @@ def _helix_stiffness(t, stress, length, u, h, turn, root, k, e):
     share = 1.0 / max(length, _SHORTEST)
     across, h_1 = stress[1] * t[1] + stress[2] * t[2], _slope_of_lean(root)
     by_turn = share * across * h_1
-    taut = share * ((1.0 + _BOW) * stress[0] - by_turn * u[0])
+    taut = share * (w * stress[0] - by_turn * u[0])
     own = add_outer(scaled_matrix(IDENTITY, taut), scaled(u, -taut), u)
-    along = _slope_of_length(u)
+    along = _slope_of_length(u, w)
     own = add_outer(own, scaled(along, k[e, 0]), along)
     mixed = add_scaled((0.0, h_1 * stress[1], h_1 * stress[2]), u, -by_turn)
     mixed = add_scaled(mixed, turn, 0.09375 * across * root**5)
@@ -379,7 +391,7 @@ def _add_end_forces(x, origins, unknowns, points, chord, f, moment, forces):
 
 
 @njit(**KERNEL)
-def _add_beam_forces(x, origins, unknowns, points, axes, k, pulls, forces):
+def _add_beam_forces(x, origins, unknowns, points, axes, w, k, pulls, forces):
     """Add the forces and torques of every element on the frames of its ends; see `add_forces`."""
     folded = 0
     for e in range(len(origins)):
@@ -387,9 +399,9 @@ def _add_beam_forces(x, origins, unknowns, points, axes, k, pulls, forces):
         c, c_1, _ = curvature_factors(dot(psi, psi))
         y = transform(transposed(R), chord)
         t = _chord_in_helix(psi, y, c)
-        strain, length, u, h, turn, root = _strain(t)
+        strain, length, u, h, turn, root = _strain(t, w[e])
         stress, m = _stresses(psi, strain, k, pulls, e)
-        n = _force_on_helix(t, stress, u, h, turn, root)
+        n = _force_on_helix(t, stress, u, w[e], h, turn, root)
         f, moment = _loads_of_ends(R, psi, y, n, m, c, c_1)
         _add_end_forces(x, origins[e], unknowns[e], points[e], chord, f, moment, forces)
         if dot(psi, psi) > GREATEST_TURN * GREATEST_TURN:
@@ -527,7 +539,7 @@ def _end_move(before, after, origin, point):
 
 
 @njit(**KERNEL)
-def _predict_deformations(before, after, origins, points, axes, out):
+def _predict_deformations(before, after, origins, points, axes, w, out):
     """s + ds and ψ + dψ of every element, linearized at a state, for the moves to another one."""
     for e in range(len(origins)):
         R, chord, psi = _relative_pose(before, origins[e], points[e], axes[e])
@@ -539,10 +551,10 @@ def _predict_deformations(before, after, origins, points, axes, out):
         to_helix = skew_polynomial(psi, -0.5, c)
         d_psi = transform(to_helix, transform(transposed(R), subtract(turn_b, turn_a)))
         t = transform(to_helix, y)
-        strain, length, u, h, turn, root = _strain(t)
+        strain, length, u, h, turn, root = _strain(t, w[e])
         dt = transform(to_helix, transform(transposed(R), moved))
         dt = add(dt, transform(_slope_of_chord(psi, y, c, c_1), d_psi))
-        out[e, 0], along = strain[0] + dot(_slope_of_length(u), dt), _slope_of_lean(root) * dot(turn, dt)
+        out[e, 0], along = strain[0] + dot(_slope_of_length(u, w[e]), dt), _slope_of_lean(root) * dot(turn, dt)
         for i in range(3):
             out[e, 3 + i] = psi[i] + d_psi[i]
             if i > 0:
@@ -551,7 +563,7 @@ def _predict_deformations(before, after, origins, points, axes, out):
 
 @njit(**KERNEL)
 def _add_beam_stiffness(
-    x, origins, unknowns, points, axes, has_lever, k, pulls, predicted, projected, order, offsets,
+    x, origins, unknowns, points, axes, has_lever, w, k, pulls, predicted, projected, order, offsets,
     strides, forces, storage,
 ):  # fmt: skip
     """Add the forces and the stiffness of every element.
@@ -564,18 +576,18 @@ def _add_beam_stiffness(
         c, c_1, c_2 = curvature_factors(dot(psi, psi))
         y = transform(transposed(R), chord)
         t = _chord_in_helix(psi, y, c)
-        strain, length, u, h, turn, root = _strain(t)
+        strain, length, u, h, turn, root = _strain(t, w[e])
         stress, m = _stresses(psi, strain, k, pulls, e)
-        n = _force_on_helix(t, stress, u, h, turn, root)
+        n = _force_on_helix(t, stress, u, w[e], h, turn, root)
         f, moment = _loads_of_ends(R, psi, y, n, m, c, c_1)
         _add_end_forces(x, origins[e], unknowns[e], points[e], chord, f, moment, forces)
         if len(predicted) > 0:
             stress, m = _stresses(
                 _row_of(predicted[e, 3:]), _row_of(predicted[e]), k, pulls, e
             )
-            n = _force_on_helix(t, stress, u, h, turn, root)
+            n = _force_on_helix(t, stress, u, w[e], h, turn, root)
             f, moment = _loads_of_ends(R, psi, y, n, m, c, c_1)
-        K_t = _helix_stiffness(t, stress, length, u, h, turn, root, k, e)
+        K_t = _helix_stiffness(t, stress, length, u, w[e], h, turn, root, k, e)
         K_yy, K_yt, K_tt = _chord_stiffness(psi, y, n, m, K_t, k[e], c, c_1, c_2)
         _write_end_stiffness(
             chord, f, moment, _turned_block(R, K_yy), _turned_block(R, K_yt),
@@ -638,8 +650,8 @@ class Beams(ForceTerm):
         self._is_damped = bool(e.damping.any())
         self._stencils = of_frames(e.unknowns)
         self._has_lever = np.abs(e.end_points).max(axis=2) > 0.0
-        self._rest = np.array(e.rest, float)
-        _measure_axes(self._rest)
+        self._w, self._rest = axis_weights(e.rest, e.stiffness), np.array(e.rest, float)
+        _measure_axes(self._rest, self._w)
         # With damping, K grows by β K/h in a step, and what is subtracted from K ε changes.
         self._k, self._pulls = e.stiffness.copy(), e.stiffness * self._rest
         self._start = np.empty((self.element_count, 6))
@@ -657,7 +669,7 @@ class Beams(ForceTerm):
             return
         e = self.elements
         write_deformations(positions, e.origins, e.end_points, e.end_axes, self._start)
-        _measure_axes(self._start)
+        _measure_axes(self._start, self._w)
         rate = (e.damping / time_step)[:, None]
         np.multiply(e.stiffness, 1.0 + rate, out=self._k)
         np.multiply(e.stiffness, self._rest + rate * self._start, out=self._pulls)
@@ -683,7 +695,7 @@ class Beams(ForceTerm):
     def energy(self, positions: np.ndarray) -> float:
         """Stored elastic energy [J]."""
         strains = self.deformations(positions)
-        _measure_axes(strains)
+        _measure_axes(strains, self._w)
         return 0.5 * float(np.sum(self.elements.stiffness * (strains - self._rest) ** 2))
 
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
@@ -698,7 +710,7 @@ class Beams(ForceTerm):
         """
         e = self.elements
         return _add_beam_forces(
-            writable(positions), e.origins, e.unknowns, e.end_points, e.end_axes, self._k,
+            writable(positions), e.origins, e.unknowns, e.end_points, e.end_axes, self._w, self._k,
             self._pulls, forces,
         )  # fmt: skip
 
@@ -714,10 +726,10 @@ class Beams(ForceTerm):
         if are_same(self._linearized_before, self._linearized_before):
             predicted = self._predicted
             _predict_deformations(
-                self._linearized_before, x, e.origins, e.end_points, e.end_axes, predicted
+                self._linearized_before, x, e.origins, e.end_points, e.end_axes, self._w, predicted
             )
         _add_beam_stiffness(
-            x, e.origins, e.unknowns, e.end_points, e.end_axes, self._has_lever, self._k,
+            x, e.origins, e.unknowns, e.end_points, e.end_axes, self._has_lever, self._w, self._k,
             self._pulls, predicted, projected, bound.order, bound.offsets, bound.strides, forces,
             storage,
         )  # fmt: skip
