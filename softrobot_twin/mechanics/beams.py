@@ -10,7 +10,7 @@ times the length, of the helix that leads from A to B. So they are the same for 
 moved as a rigid body, and they do not depend on the path to a pose. Between the ends the axis leaves
 the helix: a lateral force bends it to an S that leaves the ends by the angle φ of t to their mean, and whose length is
 
-    ℓ = t₁ + w (|t| - t₁),    w = 6 r²/5,
+    ℓ = t₁ + w (|t| - t₁),    w = 6/5 min(1, r/0.85),
 
 with r the share of bending, not shear, in t₂ or t₃. With c = t₁/|t| = cos φ, v = (1 + c)/2 and
 
@@ -37,7 +37,7 @@ An axial force N acts on the length of the axis. So N adds 6 N/5 L to the latera
 element, and together with the helix it does what it does on Hermite's cubic: for an angle of one the S
 stores half of N L/5, the bow half of N L/12. A beam-column has N/(L (1 - tanh(k/2)/(k/2))) with
 k² = N L²/EI, and 12 EI/L³ + 6 N/5 L differs from it by k⁴/8400 of 12 EI/L³. Where ℓ is not less than
-the chord, r > 0.92, a thread without bending stiffness stretches by N/EA at every tension, however its nodes
+the chord, r > 0.71, a thread without bending stiffness stretches by N/EA at every tension, however its nodes
 are turned. With t₁ in place of ℓ, elements would fold sideways where N > 12 EI/L². In compression
 an element bows by itself at N = -10 EI/L²; U has no pole there, and a bowed element has its energy.
 
@@ -121,6 +121,8 @@ from softrobot_twin.mechanics.stencil import add_stencil_matrix, of_frames
 # An element whose ends are turned by more than this against each other counts as folded, and no
 # step makes one [rad]: at π the logarithm has a jump.
 GREATEST_TURN = 0.9 * np.pi
+# Share of bending from which on an element counts as slender; below, shear takes part in an S.
+_SLENDER = 0.85
 # A length of zero [m], and v of an element whose ends point back along its chord.
 _SHORTEST, _REVERSED = 1.0e-30, 1.0e-6
 # Squared angle [rad²] up to which the series is used: its terms left out are below round-off.
@@ -180,7 +182,7 @@ def element_stiffness(lengths, section, young_modulus: float, poisson_ratio: flo
 
 
 def axis_weights(rest, stiffness) -> np.ndarray:
-    """w of each element, 6 r²/5: r of the plane in which it is the more slender.
+    """w of each element; r of the plane in which it is the more slender.
 
     Args:
         rest: t₀ [m] and ψ₀ [rad], shape (element_count, 6).
@@ -190,7 +192,7 @@ def axis_weights(rest, stiffness) -> np.ndarray:
         Shape (element_count,).
     """
     shares = stiffness[:, 1:3] * rest[:, :1] ** 2 / (12.0 * stiffness[:, [5, 4]])
-    return 1.2 * np.minimum(shares.max(axis=1, initial=0.0), 1.0) ** 2
+    return 1.2 * np.minimum(shares.max(axis=1, initial=0.0) / _SLENDER, 1.0)
 
 
 @njit(**KERNEL, forceinline=True)
