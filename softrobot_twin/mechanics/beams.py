@@ -10,7 +10,7 @@ times the length, of the helix that leads from A to B. So they are the same for 
 moved as a rigid body, and they do not depend on the path to a pose. Between the ends the axis leaves
 the helix: a lateral force bends it to an S that leaves the ends by the angle φ of t to their mean, and whose length is
 
-    ℓ = t₁ + w (|t| - t₁),    w = 6/5 min(1, r/0.85),
+    ℓ = t₁ + w (|t| - t₁),    w = 6/5 min(1, r/0.9),
 
 with r the share of bending, not shear, in t₂ or t₃. With c = t₁/|t| = cos φ, v = (1 + c)/2 and
 
@@ -37,7 +37,7 @@ An axial force N acts on the length of the axis. So N adds 6 N/5 L to the latera
 element, and together with the helix it does what it does on Hermite's cubic: for an angle of one the S
 stores half of N L/5, the bow half of N L/12. A beam-column has N/(L (1 - tanh(k/2)/(k/2))) with
 k² = N L²/EI, and 12 EI/L³ + 6 N/5 L differs from it by k⁴/8400 of 12 EI/L³. Where ℓ is not less than
-the chord, r > 0.71, a thread without bending stiffness stretches by N/EA at every tension, however its nodes
+the chord, r > 3/4, a thread without bending stiffness stretches by N/EA at every tension, however its nodes
 are turned. With t₁ in place of ℓ, elements would fold sideways where N > 12 EI/L². In compression
 an element bows by itself at N = -10 EI/L²; U has no pole there, and a bowed element has its energy.
 
@@ -122,7 +122,7 @@ from softrobot_twin.mechanics.stencil import add_stencil_matrix, of_frames
 # step makes one [rad]: at π the logarithm has a jump.
 GREATEST_TURN = 0.9 * np.pi
 # Share of bending from which on an element counts as slender; below, shear takes part in an S.
-_SLENDER = 0.85
+_SLENDER = 0.9
 # A length of zero [m], and v of an element whose ends point back along its chord.
 _SHORTEST, _REVERSED = 1.0e-30, 1.0e-6
 # Squared angle [rad²] up to which the series is used: its terms left out are below round-off.
