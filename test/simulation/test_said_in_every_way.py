@@ -1,0 +1,19 @@
+"""A robot answers the same however its scene says it, or a status or a warning tells why not."""
+
+import secrets
+from random import Random
+
+import pytest
+
+from test.robots_said_in_every_way import KINDS, disagreements
+
+# Each case is drawn anew. Three of each kind are for `make test`, all for `make test-all`.
+CASES = [pytest.param(count, marks=[pytest.mark.slow] * (count >= 3)) for count in range(43)]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("count", CASES)
+def test_a_robot_answers_the_same_however_it_is_said(kind, count, tmp_path):
+    seed = secrets.randbits(32)
+    robot = KINDS[kind](Random(seed), tmp_path)
+    assert not disagreements(robot), f"seed {seed}"
