@@ -362,7 +362,7 @@ class ForceObserver:
         self._mean += (seen / np.maximum(self._counts, 1.0))[:, None] * (beside - self._mean)
         has_moved = self._find(borne + self._mean.ravel(), *R)
         y = borne + beside.ravel()
-        after, spread, weights = _estimate(
+        after, spread, weights = estimate(
             self._loads, self._covariance, y, self.by_loads, sum(R), seen.astype(float))
         most = GREATEST * self._entry.greatest_force * self._arms
         after = np.clip(after, -most, most)
@@ -398,13 +398,13 @@ class ForceObserver:
         own = (self._entry.marker_noise or noise) ** 2 + self._entry.systematic_error**2
         R, G = own + (DOUBT * far[len(far) // 2]) ** 2, self.by_loads
         by_noise = 3.0 * seen.sum() * own / R
-        free, _, _ = _estimate(np.zeros(len(loads)), self._prior, y, G, R, seen)
+        free, _, _ = estimate(np.zeros(len(loads)), self._prior, y, G, R, seen)
         left, none = _squares(y - G @ free, R, seen), _squares(y, R, seen)
         explained, left = none - left, max(left - by_noise, 0.0)
         A = self._by_actuators
         A = A / np.maximum(np.abs(A).max(axis=0, initial=0.0), np.finfo(float).tiny)
         wide = self._size**2 * np.eye(A.shape[1])
-        moves, _, _ = _estimate(np.zeros(A.shape[1]), wide, y, A, R, seen)
+        moves, _, _ = estimate(np.zeros(A.shape[1]), wide, y, A, R, seen)
         elsewhere = max(_squares(y - A @ moves, R, seen) - by_noise, 0.0)
         belief, most = 0.0, GREATEST_MISFIT * self._size
         by_marker_noise = greatest_square(len(loads)) * (self._entry.marker_noise or noise) ** 2 / R
@@ -427,12 +427,12 @@ class ForceObserver:
     def _notice(self, y: np.ndarray, R: float, seen: np.ndarray) -> bool:
         """Begins anew with each force that changed at once; whether one did."""
         count = len(self._loads)
-        free, spread, _ = _estimate(np.zeros(count), self._prior, y, self.by_loads, R, seen)
+        free, spread, _ = estimate(np.zeros(count), self._prior, y, self.by_loads, R, seen)
         has_changed = False
         for own in self._own:
             off = free[own] - self._loads[own]
             both = (self._covariance + spread)[own, own]
-            if _square(off, both) > greatest_square(len(off)):
+            if square_by_deviations(off, both) > greatest_square(len(off)):
                 self._covariance[own, :] = self._covariance[:, own] = 0.0
                 self._covariance[own, own] = self._prior[own, own]
                 has_changed = True
@@ -451,7 +451,7 @@ class ForceObserver:
         is_detected = np.zeros(len(self._places), bool)
         for place, own in enumerate(self._own):
             loads = self._loads[own]
-            is_detected[place] = _square(loads, by_noise[own, own]) > greatest_square(len(loads))
+            is_detected[place] = square_by_deviations(loads, by_noise[own, own]) > greatest_square(len(loads))
             if self._places[place].is_found and not is_detected[place]:
                 self._loads[own] = allowed[own] = 0.0
             is_detected[place] &= self.belief > 0.0
@@ -526,7 +526,7 @@ class ForceObserver:
 
 
 @njit(**KERNEL)
-def _estimate(before, covariance, y, G, R, seen):
+def estimate(before, covariance, y, G, R, seen):
     """Forces after a measurement.
 
     Args:
@@ -569,7 +569,7 @@ def _estimate(before, covariance, y, G, R, seen):
     return before + change, after, weights
 
 
-def _square(values: np.ndarray, covariance: np.ndarray) -> float:
+def square_by_deviations(values: np.ndarray, covariance: np.ndarray) -> float:
     """Square of values by their deviations; none along what no measurement tells."""
     return float(values @ np.linalg.pinv(covariance, hermitian=True) @ values)
 

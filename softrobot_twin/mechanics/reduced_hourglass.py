@@ -74,7 +74,8 @@ def find_strains(is_linear, states, y):
     """y of all cells.
 
     Args:
-        is_linear, states, y: As above; y is written.
+        is_linear, states: As above.
+        y: Takes y [m], shape (batch_count, 12 × BATCH).
     """
     C, factors = scratch(9), scratch(3)
     for k in range(len(states)):

@@ -181,7 +181,7 @@ class Readouts:
         Shape (effector_count,); zero for effectors without orientation.
         """
         lengths = np.zeros(len(self.scene.effectors))
-        for orientation in self.model.effectors.orientations:
+        for orientation in self.model.effectors.orientations if any(self.oriented_effectors) else ():
             lengths[orientation.effector] = orientation.length
         return lengths
 

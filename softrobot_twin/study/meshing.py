@@ -382,7 +382,7 @@ def _print(path: Path, trial: Trial, element: str) -> None:
     step = trial.step
     if math.isfinite(step.median):
         shown.add_row("expected step", f"{_time(step.median)} with {element} elements on this "
-                      f"machine, {MARGIN / step.median:.3g} Hz")  # fmt: skip
+                      f"machine, {float(f"{MARGIN / step.median:.3g}"):g} Hz")  # fmt: skip
     if step.left_out:
         shown.add_row("" if math.isfinite(step.median) else "expected step", step.left_out)
     if step.slowdown > BUSY:

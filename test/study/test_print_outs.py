@@ -25,7 +25,7 @@ NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 MASKS = (
     (" +", " "), (r"\s*\n\s*", "\n"),
     (r"[-\d.]+ (ms|µs|%|s in all)(?!\w)", r"# \1"), (r"(of the training) \d+ s$", r"\1 #"),
-    (r"(on this machine,) \d+", r"\1 #"),
+    (r"(on this machine,) [\d.e+]+", r"\1 #"),
     (r"about [\d.]+ \w+ on this machine", "about # on this machine"),
     (r"^.* …$|^.*: \d+ of \d+.*$|^.*slowed this one down.*$", ""), (r"_[0-9a-f]{16}\.", "_#."),
     (r"^softrobot_twin \d[\d.]*$", "softrobot_twin #"), (r"(\+0\.00 mm) at [\d.]+ s", r"\1"),

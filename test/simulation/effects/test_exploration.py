@@ -17,8 +17,8 @@ MOST = 2000
 
 @pytest.fixture
 def limited():
-    """A bar whose two limited cables rest far from a place and a stiffness, which they could bring nearer."""
-    robot = compare_inverse.random_robot(np.random.default_rng([33, 33]))
+    """A beam whose five limited cables rest far from a place and an orientation, which they could bring nearer."""
+    robot = compare_inverse.random_robot(np.random.default_rng([33, 34]))
 
     def make(**solver):
         solver = dict(exploration=True) | solver
@@ -47,7 +47,6 @@ def test_a_robot_goes_to_a_nearer_pose_and_rests_there(limited):
     before = until(twin, asked, lambda report: report.is_exploring)
     after = until(twin, asked, lambda report: report.is_resting)
     assert missed(limited.robot, after) < 0.5 * missed(limited.robot, before)
-    assert after.status.value in ("unreachable", "saturated")
     for _ in range(5):
         assert twin.step(asked).outcome.setpoints is after.outcome.setpoints
 
@@ -79,7 +78,7 @@ def test_another_command_ends_an_exploration_and_begins_from_the_robots_state(li
     repeat_step(twin, asked, 7)
     fresh, _ = limited()
     fresh.state = twin.state
-    home = st.setpoints({f"{name}_shortening_m": 0.0 for name in ("c0", "c1")})
+    home = st.setpoints({f"{name}_shortening_m": 0.0 for name in ("c0", "c1", "c2", "c3", "c4")})
     for _ in range(3):
         one, other = twin.step(home), fresh.step(home)
         np.testing.assert_array_equal(one.outcome.state.positions, other.outcome.state.positions)
@@ -121,9 +120,10 @@ def test_trials_stay_within_limits_and_leave_commanded_actuators_alone(limited):
     moves = goals(twin)
     assert len(moves) > RANDOM_MOVES
     assert (moves >= limits.drive_min - 1e-12).all() and (moves <= limits.drive_max + 1e-12).all()
-    commanded = np.array([np.nan, twin.simulation.state.setpoints[1]])
+    commanded = np.full(len(limits.drive_min), np.nan)
+    commanded[1] = twin.simulation.state.setpoints[1]
     moves = goals(twin, commanded)
-    assert len(moves) and (moves[:, 1] == 0.0).all() and (moves[:, 0] != 0.0).all()
+    assert len(moves) and (moves[:, 1] == 0.0).all() and (moves != 0.0).any(axis=1).all()
 
 
 def test_a_trial_is_found_only_where_it_rests_nearer(limited):
