@@ -225,7 +225,7 @@ def follow(robot: Robot) -> tuple[st.Robot, Finding]:
     # All effectors may be as far off as counts as reached, and distances are weighted.
     greatest = np.linalg.norm([weights.max() for weights in robot.weights.values()])
     return twin, Finding(
-        result.status.value, result.limits, ours, ours, late_move, frozenset(words.union(late)),
+        result.status.value, result.active_limits, ours, ours, late_move, frozenset(words.union(late)),
         max(greatest, 1.0) * twin.simulation.scene.solver.reach_tolerance,
     )  # fmt: skip
 
