@@ -570,7 +570,12 @@ def estimate(before, covariance, y, G, R, seen):
 
 
 def square_by_deviations(values: np.ndarray, covariance: np.ndarray) -> float:
-    """Square of values by their deviations; none along what no measurement tells."""
+    """Square of values by their deviations; none along what no measurement tells.
+
+    Args:
+        values: The values, shape (n,).
+        covariance: Of the values, shape (n, n).
+    """
     return float(values @ np.linalg.pinv(covariance, hermitian=True) @ values)
 
 
