@@ -402,8 +402,7 @@ def add_force_changes(
         changes: Takes the sum [N], shape (free_node_count, 3); added to.
     """
     C, factors, dC, dF = scratch(9), scratch(3), scratch(9), scratch(9)
-    U, dh, dy, dg, dP, sums = (
-        scratch(24), scratch(12), scratch(12), scratch(12), scratch(21), scratch(24))  # fmt: skip
+    U, dh, dy, dg, dP = scratch(24), scratch(12), scratch(12), scratch(12), scratch(21)
     for k in range(len(moduli)):
         gather(direction, cells[k], U)
         deform(U, gradients[k], dF)
