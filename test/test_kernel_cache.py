@@ -104,6 +104,7 @@ def entries(package: Path) -> set[Path]:
     return set((package.parents[1] / "softrobot_twin/kernels").glob("*.nbc"))
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("file, old, new, result", [
     ("size", "2.0", "5.0", (25.0, 1)),
     ("inner", "SIZE * x", "SIZE * x + 1.0", (17.0, 1)),
@@ -126,6 +127,7 @@ def test_a_change_compiles_the_kernels_that_import_it_and_no_others(
     assert run(small_package) == result
 
 
+@pytest.mark.exhaustive
 def test_another_checkout_of_the_same_sources_compiles_nothing(small_package):
     run(small_package)
     other = small_package.parents[1] / "two" / "softrobot_twin"
@@ -133,6 +135,7 @@ def test_another_checkout_of_the_same_sources_compiles_nothing(small_package):
     assert run(other) == (16.0, 0)
 
 
+@pytest.mark.exhaustive
 def test_processes_that_compile_at_once_agree_and_keep_one_entry_each(small_package):
     processes = [
         subprocess.Popen([sys.executable, "-c", RUN, "wait"], env=environment(small_package),
@@ -151,6 +154,7 @@ def test_processes_that_compile_at_once_agree_and_keep_one_entry_each(small_pack
     assert run(small_package) == (16.0, 0)
 
 
+@pytest.mark.exhaustive
 def test_a_source_that_changes_in_a_run_is_not_that_of_its_kernels(small_package):
     process = subprocess.Popen([sys.executable, "-c", RUN, "wait"], cwd=small_package.parent,
                                env=environment(small_package), stdin=subprocess.PIPE,
@@ -170,6 +174,7 @@ def test_a_damaged_entry_is_compiled_anew(small_package):
     assert run(small_package) == (16.0, 0)
 
 
+@pytest.mark.exhaustive
 def test_entries_that_nobody_used_for_a_week_are_deleted(small_package):
     run(small_package)
     (outer,) = (entry for entry in entries(small_package) if entry.name.startswith("outer."))
@@ -187,6 +192,7 @@ def test_entries_that_nobody_used_for_a_week_are_deleted(small_package):
     assert time.time() - outer.stat().st_mtime < 3600
 
 
+@pytest.mark.exhaustive
 def test_the_environment_names_the_folder_and_one_that_cannot_be_written_is_replaced(
         small_package, tmp_path, monkeypatch):  # fmt: skip
     print_folder = "from softrobot_twin.kernel_cache import kernel_folder; print(kernel_folder())"

@@ -11,6 +11,8 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import NamedTuple
 
+import pytest
+
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "softrobot_twin"
 MODULES = sorted(PACKAGE.rglob("*.py"))
@@ -276,6 +278,7 @@ def loaded_modules() -> tuple[set[str], set[str]]:
     return set(without_ros.split()), set(without_view.split())
 
 
+@pytest.mark.libraries
 def test_only_an_open_view_loads_rerun_and_only_a_picture_matplotlib():
     _, loaded = loaded_modules()
     assert {"softrobot_twin.simulation", "softrobot_twin.study", "softrobot_twin.ros"} <= loaded

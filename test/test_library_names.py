@@ -16,6 +16,8 @@ import pytest
 
 import softrobot_twin
 
+pytestmark = pytest.mark.libraries
+
 PACKAGE = Path(softrobot_twin.__file__).parent
 # Of newer or older versions, and each used only where it is there and can do what is asked of it.
 BY_VERSION = {

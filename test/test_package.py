@@ -99,6 +99,7 @@ def test_every_folder_with_modules_is_installed():
     assert [str(folder) for folder in folders if not (folder / "__init__.py").is_file()] == []
 
 
+@pytest.mark.libraries
 def test_every_library_that_is_imported_is_declared(metadata, manifest):
     declared = {entry.text for entry in manifest.findall("exec_depend")} | set(
         requirements(metadata))
@@ -128,7 +129,7 @@ def test_each_lower_bound_is_the_version_tested(metadata):
     assert {"numpy", "scipy", "rerun-sdk"} <= set(pinned) <= set(requirements(metadata))
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 @pytest.mark.timeout(900)
 def test_colcon_builds_a_twin_that_starts_from_its_share_folder(tmp_path, ros_domain_id):
     source, install = tmp_path / "source", tmp_path / "install"

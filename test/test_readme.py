@@ -37,7 +37,6 @@ def test_every_file_and_picture_that_it_links_exists():
     assert paths and [path for path in paths if not (ROOT / path).is_file()] == []
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("code", PYTHON)
 def test_its_python_runs_and_brings_the_tip_to_the_target(clone, code, capsys):
     assert len(code.splitlines()) <= 15
@@ -50,7 +49,7 @@ def test_its_python_runs_and_brings_the_tip_to_the_target(clone, code, capsys):
     assert (clone / "finger.png").stat().st_size > 10_000
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_its_commands_run_one_after_the_other(clone, capsys):
     commands = [shlex.split(line) for line in SHELL if line.startswith("softrobot_twin ")]
     assert {command[1] for command in commands} == {"explain", "simulate", "plot"}

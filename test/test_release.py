@@ -39,7 +39,7 @@ def archives(tmp_path_factory):
     return folder / "dist"
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_the_source_archive_has_every_file_of_the_repository(archives):
     asked = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True)
     if asked.returncode:
@@ -51,7 +51,7 @@ def test_the_source_archive_has_every_file_of_the_repository(archives):
     assert missing == set()
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 @pytest.mark.timeout(900)
 def test_the_readmes_python_runs_in_any_folder_where_only_the_wheel_is_installed(archives, tmp_path):
     (wheel,) = archives.glob("*.whl")

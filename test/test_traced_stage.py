@@ -62,6 +62,7 @@ def states_of(path, seed):
     return found
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("path", sorted(SCENES.glob("*.yaml")), ids=lambda path: path.stem)
 def test_the_driver_gives_the_same_bits_as_python(path, monkeypatch):
     seed = np.random.SeedSequence().entropy
@@ -98,6 +99,7 @@ def test_targets_that_move_do_not_send_stages_back_to_python(name, time_step, mo
     assert len(traces) <= 10
 
 
+@pytest.mark.libraries
 def test_the_second_of_two_equal_traces_is_run_by_the_driver(monkeypatch):
     driven, runs = count_driven(monkeypatch), [0]
     vectors, sums = np.ones((5, 3)), np.zeros((5, 3))
@@ -113,6 +115,7 @@ def test_the_second_of_two_equal_traces_is_run_by_the_driver(monkeypatch):
     assert (runs[0], driven[0]) == (2, 3)
 
 
+@pytest.mark.libraries
 def test_a_kernel_that_returns_something_else_sends_the_stage_back_to_python(monkeypatch):
     driven, vectors, sums = count_driven(monkeypatch), np.ones((5, 3)), np.zeros((5, 3))
 
@@ -227,6 +230,7 @@ def test_a_number_that_stays_the_same_is_expected_and_another_one_is_found_in_py
     assert not stages.run(0)
 
 
+@pytest.mark.libraries
 def test_a_kernel_whose_arguments_numba_converts_stays_in_python(monkeypatch):
     driven, numbers = count_driven(monkeypatch), np.zeros(3)
 

@@ -54,6 +54,7 @@ def test_every_example_of_the_help_is_understood_and_its_inputs_exist(example):
     assert program("softrobot_twin").parse_args(arguments).command == arguments[0]
 
 
+@pytest.mark.libraries
 @pytest.mark.parametrize("typed_so_far, expected", [
     ("softrobot_twin sim", "simulate"),
     ("softrobot_twin simulate --tar", "--targets"),

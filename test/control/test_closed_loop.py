@@ -63,7 +63,6 @@ def test_a_constant_model_error_is_removed(drive, robot):
     assert driver.outcomes[-1].tracking_errors[0] < 0.5e-3
 
 
-@pytest.mark.slow
 def test_the_closed_loop_cuts_the_mean_error_to_a_fifth(drive, robot):
     path = Circle((0.0, 0.0, 0.136), 0.02, 7.5).position
 
@@ -245,7 +244,7 @@ def rms_on_circle(places, delay=1):
         for late in range(delay + 3))
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_the_misfit_of_the_executed_command_keeps_a_wrong_model_on_its_circle(other_meshes):
     """E is 15 % off, cables 1 mm, the mesh is another one; commands act 25 ms late, frames come 25 ms
     late with 0.2 mm of noise."""
@@ -264,6 +263,7 @@ def test_the_misfit_of_the_executed_command_keeps_a_wrong_model_on_its_circle(ot
     assert misfit.max() < integrated < opened
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("delay", [1, 5, 11])
 def test_a_late_robot_does_not_overshoot_and_its_cables_rest(other_meshes, delay):
     """The loop is closed where the robot stands by the model alone; frames come a tick later."""
@@ -285,6 +285,7 @@ def rms_now(places, path, first=60):
     return np.sqrt(((places[first:] - targets) ** 2).sum(axis=1).mean())
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("delay", [1, 4])
 def test_a_robot_that_acts_late_is_where_its_moving_target_is(other_meshes, delay):
     late, _ = late_run(*other_meshes, ROUND, 160, delay=delay, lead_limit=0.0)
@@ -300,6 +301,7 @@ def test_a_robot_that_acts_late_is_where_its_moving_target_is(other_meshes, dela
     assert not driver.loop.lead.ways.any()
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("ramp", [0.0, 0.5])
 def test_a_target_that_stops_is_overshot_by_its_way_of_the_delay_at_most(other_meshes, ramp):
     """At once: what was sent before is executed yet. Where it slows down, the robot does too."""

@@ -56,6 +56,7 @@ def elsewhere(simulation, seed):
     return simulation.rest_setpoints - share * simulation.limits.displacement_max
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("policy", WhenLost)
 def test_a_device_that_returns_at_another_position_is_resynchronised(

@@ -262,7 +262,7 @@ def test_prediction_is_switched_off_and_on_while_the_twin_runs(twin, softer, pat
         assert set(drive.whys[-19:]) == {why}
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_the_fast_trunk_of_the_demo_is_led_by_tensions_that_its_device_holds():
     given = yaml.safe_load((ROOT / "config/fast_trunk.yaml").read_text())["/**"]["ros__parameters"]
     twin, body = (Simulation.from_scene_file(ROOT / "config" / given[name])

@@ -62,7 +62,7 @@ def errors_of_a_run(twin, robot, closed_loop, seconds=11.0, after=5.0):
     return np.array(found).T
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_the_closed_loop_leads_the_robot_while_its_hand_opens_and_closes(twin_and_robot):
     opened, model, lengths = errors_of_a_run(*twin_and_robot, closed_loop=False)
     closed, _, _ = errors_of_a_run(*twin_and_robot, closed_loop=True)

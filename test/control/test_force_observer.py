@@ -165,6 +165,7 @@ def pushes(observed, pushed, rng, count, is_marred=True):
     return np.median(errors), np.mean(inside), np.median(spreads)
 
 
+@pytest.mark.exhaustive
 def test_a_push_at_a_known_place_is_found_with_an_outlier_and_two_lost_markers(observed, pushed, rng):
     error, _, spread = pushes(observed, pushed, rng, 12)
     assert error < 0.1
@@ -209,7 +210,7 @@ def test_on_another_robot_forces_are_found_after_a_calibration(small_scene_mappi
     assert spread < 0.5
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("frames", "count"), [(12, 61), (1, 61)])
 def test_a_push_at_an_unknown_place_is_found(searching, small_scene_mapping, rng, frames, count):
     """One that grows, and one that is there at once."""
@@ -370,7 +371,7 @@ def test_a_wrench_on_a_rigid_body_is_found(rng, wrench):
     assert np.sqrt(np.mean((off / deviations) ** 2)) < 2.0
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_what_an_observer_costs_is_told_beside_a_step(small_scene_mapping, rng):
     """Eight markers, one known place, a target on a circle; processor time, in the same run."""
     mapping = coarse("diamond", "diamond_1600")
@@ -398,7 +399,7 @@ def test_what_an_observer_costs_is_told_beside_a_step(small_scene_mapping, rng):
 # --- in the loop -----------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("delay", [2, 5])
 @pytest.mark.parametrize("closed", [False, True])
 def test_a_load_at_the_tip_is_compensated_in_its_delay_and_four_ticks(closed, delay, rng):

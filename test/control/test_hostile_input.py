@@ -327,7 +327,6 @@ def test_no_order_of_inputs_leads_to_an_unsafe_command(scenes, name):
     play(scenes, name, 0, 250)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["diamond", "small", "air"])
 def test_long_runs_of_random_inputs_lead_to_no_unsafe_command(scenes, name):
     play(scenes, name, int(np.random.SeedSequence().entropy % 2**32), 400)

@@ -71,7 +71,7 @@ def moving(finger):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_a_device_in_contact_does_not_drift_in_ten_thousand_steps(moving):
     """Lap after lap it is pulled against the wall, slides, and is let go; then it rests."""
     device = SimulatedDevice(moving, DeviceFlaws(servo_rate=1.0))
@@ -144,7 +144,7 @@ def test_a_device_in_contact_does_not_drift_in_ten_thousand_steps(moving):
     np.testing.assert_array_equal(same.state.velocities, again.state.velocities)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_a_twin_that_drives_a_device_in_contact_does_not_drift(finger, moving):
     device = SimulatedDevice(moving, DeviceFlaws(0.02, 0.1, 1e-4, seed=1))
     loop = TwinLoop(finger(), LoopSettings(rate=RATE), mode=Mode.DIRECT, use_device=True)

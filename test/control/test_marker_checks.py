@@ -249,7 +249,7 @@ def test_an_effector_whose_markers_are_all_implausible_is_lost(drive):
     assert driver.outcomes[-1].activity is Activity.FOLLOWING
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_no_marker_of_a_softer_robot_is_rejected_and_the_closed_loop_is_as_exact(
     drive, device_simulation
 ):

@@ -61,6 +61,7 @@ def offer_until(watch, simulation, condition, forces_given=False):
         time.sleep(0.02)
 
 
+@pytest.mark.exhaustive
 def test_the_process_estimates_the_error_that_the_simulation_does_then_tells_what_failed(
     diamond, watch_of
 ):
@@ -132,6 +133,7 @@ def resident(process) -> int:
     return int(status.split("VmRSS:")[1].split()[0]) // 1024
 
 
+@pytest.mark.exhaustive
 def test_a_state_is_asked_about_once_and_then_the_process_gives_its_memory_back(
     diamond, watch_of, monkeypatch
 ):

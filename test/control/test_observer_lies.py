@@ -168,7 +168,7 @@ def seed():
 
 
 @pytest.mark.parametrize("lie", [
-    pytest.param(lie, marks=[pytest.mark.slow] if index > 0 else []) for index, lie in enumerate(LIES)])
+    pytest.param(lie, marks=[pytest.mark.exhaustive] if index > 0 else []) for index, lie in enumerate(LIES)])
 def test_a_lie_leads_a_robot_no_further_with_an_observer(simulation, observing, real, seed, lie):
     without, back, _ = lied_to(simulation, real, LIES[lie], seed)
     errors, after, move = lied_to(observing, real, LIES[lie], seed)
@@ -202,7 +202,7 @@ def followed(twin, real, seed):
 
 
 @pytest.mark.parametrize("run", [
-    pytest.param(run, marks=[pytest.mark.slow] if run else []) for run in range(20)])
+    pytest.param(run, marks=[pytest.mark.exhaustive] if run else []) for run in range(20)])
 def test_honest_markers_are_followed_no_worse_with_an_observer(simulation, observing, real, seed, run):
     without, _ = followed(simulation, real, seed)
     errors, move = followed(observing, real, seed)

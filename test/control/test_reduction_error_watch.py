@@ -40,6 +40,7 @@ def offer_until(watch, simulation, condition):
         time.sleep(0.02)
 
 
+@pytest.mark.exhaustive
 def test_the_process_tells_the_error_that_the_full_model_has_then_what_failed(bent, watch):
     assert watch.newest == {} and not watch.is_ready
     offer_until(watch, bent, lambda: watch.answers == 1)

@@ -68,6 +68,7 @@ def site(tmp_path_factory):
     return {path: Page(path.read_text()) for path in folder.rglob("*.html")}
 
 
+@pytest.mark.exhaustive
 def test_every_page_of_docs_is_in_the_site(site):
     names = {path.name for path in site}
     assert {page.replace(".md", ".html") for page in PAGES} <= names

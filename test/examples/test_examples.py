@@ -67,6 +67,7 @@ def test_the_push_on_the_diamond_is_found(run):
     assert np.abs(seen["forces"][:5]).max() < 0.05
 
 
+@pytest.mark.exhaustive
 def test_the_trunk_follows_its_path_while_the_cylinders_carry_it(run, tmp_path):
     seen = run("trunk_in_contact")
     assert seen["errors"].max() < 0.1  # mm
@@ -75,6 +76,7 @@ def test_the_trunk_follows_its_path_while_the_cylinders_carry_it(run, tmp_path):
         "trunk_in_contact.png", "trunk_in_contact_end.png"}
 
 
+@pytest.mark.exhaustive
 def test_the_gripper_lifts_the_ball_with_its_palm(run, tmp_path):
     heights = run("pneumatic_gripper")["heights"]  # mm
     assert abs(heights[:100]).max() < 1.0, "it stands on the floor until it is lifted"
@@ -90,6 +92,7 @@ def test_fingers_lead_a_cube_along_a_circle(run, tmp_path):
     assert {path.name for path in tmp_path.glob("*.png")} == {"in_hand.png", "in_hand_end.png"}
 
 
+@pytest.mark.exhaustive
 def test_calibration_finds_the_modulus_of_the_real_finger(run, tmp_path):
     seen = run("calibration")
     assert seen["fit"].success and seen["fit"].x == pytest.approx(437e3, rel=0.01)
@@ -100,6 +103,7 @@ def test_calibration_finds_the_modulus_of_the_real_finger(run, tmp_path):
     assert (tmp_path / "calibration.png").is_file()
 
 
+@pytest.mark.exhaustive
 def test_a_camera_cuts_the_error_of_the_finger_to_less_than_a_half(run, tmp_path):
     seen = run("closed_loop")
     open_error = seen["errors"][seen["is_open"]].mean()
@@ -117,6 +121,7 @@ def test_a_trunk_is_led_faster_by_prediction(run, tmp_path):
     assert (tmp_path / "fast_trunk.png").is_file()
 
 
+@pytest.mark.exhaustive
 def test_a_policy_learns_within_a_few_generations(run, tmp_path):
     pytest.importorskip("gymnasium")
     seen = run("learning", "4")
@@ -128,6 +133,7 @@ def test_a_policy_learns_within_a_few_generations(run, tmp_path):
     assert (tmp_path / "learning.png").is_file()
 
 
+@pytest.mark.exhaustive
 def test_a_policy_learned_on_many_reduced_robots_serves_the_full_model_and_the_device(run, tmp_path):
     pytest.importorskip("gymnasium")
     far = run("many_robots", "25")["far"]
@@ -189,7 +195,7 @@ def test_the_notebook_is_kept_without_outputs():
     assert all(cell.outputs == [] and cell.execution_count is None for cell in cells)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_the_notebook_runs_and_shows_three_pictures():
     nbformat = pytest.importorskip("nbformat")
     nbclient = pytest.importorskip("nbclient")

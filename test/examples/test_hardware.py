@@ -457,6 +457,7 @@ def test_the_page_names_every_key_of_the_file_and_every_parameter_of_the_tracker
     assert told <= {*given, *own, *(entry.name for entry in PARAMETERS)}
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("script", ["hardware_node.py", "mocap_node.py"])
 def test_the_nodes_tell_what_they_take(script):
     done = subprocess.run([sys.executable, str(FOLDER / script), "--help"], text=True,

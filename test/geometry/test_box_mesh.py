@@ -10,6 +10,8 @@ from softrobot_twin.geometry.hexahedral_mesh import HexahedralMesh
 from softrobot_twin.geometry.quality import radius_ratios
 from softrobot_twin.geometry.tet_mesh import TetMesh
 
+pytestmark = pytest.mark.libraries
+
 SIZE, CELLS = (0.1, 0.02, 0.03), (6, 2, 4)
 
 

@@ -25,6 +25,8 @@ from softrobot_twin.geometry.shapes import Sphere
 from softrobot_twin.geometry.tet_mesh import TetMesh
 from test.cad_parts import box, finger, joined, need_gmsh, write_step, write_stl
 
+pytestmark = pytest.mark.libraries
+
 MM = 1e-3
 CUBE = box((20, 20, 20))
 

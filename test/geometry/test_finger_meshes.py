@@ -12,6 +12,8 @@ from softrobot_twin.geometry.point_location import locate_points
 from softrobot_twin.geometry.quality import radius_ratios
 from softrobot_twin.scene import load_scene
 
+pytestmark = pytest.mark.libraries
+
 ROOT = Path(__file__).resolve().parents[2]
 
 

@@ -10,6 +10,8 @@ from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.geometry.surface import boundary_triangles
 from test.cad_parts import need_gmsh
 
+pytestmark = pytest.mark.libraries
+
 FORMATS = {
     "msh 2.2 ascii": (".msh", {"file_format": "gmsh22", "binary": False}),
     "msh 2.2 binary": (".msh", {"file_format": "gmsh22", "binary": True}),

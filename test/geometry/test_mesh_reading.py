@@ -10,6 +10,8 @@ from softrobot_twin.geometry.mesh_reading import read_solid_mesh
 from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from test.builder import builder
 
+pytestmark = pytest.mark.libraries
+
 CORNERS, ONE_TET = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float), [[0, 1, 2, 3]]
 FORMATS = {
     "msh 2.2 ascii": (".msh", {"file_format": "gmsh22", "binary": False}),

@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 
 from softrobot_twin.geometry.mesh_repair import (
     coincident_pairs,
@@ -9,6 +10,8 @@ from softrobot_twin.geometry.mesh_repair import (
     orient_tets,
 )
 from softrobot_twin.geometry.tet_mesh import tet_volumes
+
+pytestmark = pytest.mark.libraries
 
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0]], float)
 

@@ -124,6 +124,7 @@ def test_the_package_reads_the_same_body_and_has_nothing_else_to_note(name, made
     assert all("triangle" in note for note in reading.notes)
 
 
+@pytest.mark.exhaustive
 def test_the_script_makes_the_committed_mesh(name, robot, made, mesh_script, tmp_path, capsys):
     size = name.rpartition("_")[2]
     script = mesh_script(SCRIPTS[robot])

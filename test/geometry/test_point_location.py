@@ -7,6 +7,8 @@ from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.point_location import closest_on_triangles, locate_points
 from softrobot_twin.geometry.tet_mesh import TetMesh
 
+pytestmark = pytest.mark.libraries
+
 
 def held_points(mesh, location):
     return np.einsum(

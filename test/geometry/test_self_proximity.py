@@ -65,6 +65,7 @@ def test_a_bent_strip_has_no_contact_with_its_neighbours(strip):
     assert len(near(detector, rolled_up(points, 0.06), MARGIN).gaps) == 0
 
 
+@pytest.mark.libraries
 def test_the_ends_of_a_c_shape_meet_face_to_face(strip):
     points, triangles = strip
     detector = SelfDetector(triangles, points, 5e-3)

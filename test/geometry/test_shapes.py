@@ -157,6 +157,7 @@ def test_surface_of_a_plane_is_a_square_about_its_point_facing_its_normal():
     np.testing.assert_allclose(normals.sum(axis=0), plane.normal)
 
 
+@pytest.mark.exhaustive
 def test_mass_properties_are_the_limit_of_those_of_its_surface(solid):
     exact = solid.mass_properties()
     errors = []

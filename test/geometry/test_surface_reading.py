@@ -13,6 +13,8 @@ from softrobot_twin.geometry.mass_properties import surface_mass_properties
 from softrobot_twin.geometry.shapes import Box, Capsule
 from softrobot_twin.geometry.surface_reading import read_solid_surface
 
+pytestmark = pytest.mark.libraries
+
 SIZE = np.array([0.04, 0.03, 0.02])
 
 

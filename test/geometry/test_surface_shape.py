@@ -123,6 +123,7 @@ def lowest_on_triangles(shape, points, triangles, origin, turn):
     return lowest
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("seed", range(12))
 def test_no_point_of_a_triangle_is_nearer_than_its_contact_point(shape, seed):
     points, triangles, origin, turn, found = touching(shape, seed, 5e-4)
@@ -135,6 +136,7 @@ def test_no_point_of_a_triangle_is_nearer_than_its_contact_point(shape, seed):
 
 
 # In the last two, a corner of the box is behind two triangles of an edge and faces the farther one.
+@pytest.mark.sampled
 @pytest.mark.parametrize("seed", [*range(6), 1015, 1075])
 def test_in_overlap_a_contact_point_is_at_least_as_deep_as_any_point(shape, seed):
     points, triangles, origin, turn, found = touching(shape, seed, -2e-4)

@@ -116,6 +116,7 @@ def test_det_F_is_nowhere_below_the_least_value_and_values_are_near_it(drawn_rng
     assert np.median(gaps) < 0.05
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("least, acts", [(0.101, False), (0.099, True), (0.001, True), (-0.001, False)])
 @pytest.mark.parametrize("kind", ["tetrahedron", "cube"])
 def test_the_barrier_acts_where_a_value_is_small_and_none_is_not_positive(
@@ -155,6 +156,7 @@ def test_all_laws_but_that_of_small_displacements_have_the_barrier(law, tetrahed
     assert (term.nearly_flat_count > 0) == term.stays_upright == (law != "linear")
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("kind", ["tetrahedron", "cube"])
 def test_a_move_is_allowed_as_far_as_all_values_keep_a_share_of_themselves(
     kind, request, drawn_rng

@@ -5,6 +5,8 @@ import pytest
 
 from softrobot_twin.mechanics.inertia import ConsistentInertia, MassDamping, lumped_masses
 
+pytestmark = pytest.mark.libraries
+
 DENSITY, STEP, ALPHA = 1070.0, 0.004, 3.0
 
 

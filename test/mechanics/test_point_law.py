@@ -141,6 +141,7 @@ def deformed(mesh, amount=0.003, seed=0):
     return (mesh.node_positions * [1.1, 0.95, 1.05]) @ turn.T + shaken
 
 
+@pytest.mark.sampled
 def test_forces_and_stiffness_are_the_slopes_of_the_energy(body):
     mesh, bound = body
     x = deformed(mesh)

@@ -79,7 +79,7 @@ def test_rings_do_not_cross_from_one_material_to_another(block):
     assert set(rings_of(mesh, left).cells.ravel()) == set(mesh.cells[left].ravel())
 
 
-@pytest.mark.parametrize("count", [10, pytest.param(100, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [10, pytest.param(100, marks=pytest.mark.exhaustive)])
 def test_random_meshes_have_six_zero_energies_and_no_others(bind, drawn_rng, count):
     for _ in range(count):
         mesh = random_mesh(drawn_rng)

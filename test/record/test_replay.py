@@ -43,6 +43,7 @@ def replayed(path, *arguments, **options):
     return run, Replay(run, *arguments, **options).all_ticks()
 
 
+@pytest.mark.libraries
 def test_a_replay_gives_all_bits_of_the_run_again(recorded):
     run, found = replayed(recorded.path)
     assert run.is_complete and not run.lost

@@ -17,6 +17,8 @@ from softrobot_twin.record.replay import Replay
 from softrobot_twin.record.run_file import RunFile
 from softrobot_twin.record.run_values import numbers, plain, state_digest
 
+pytestmark = pytest.mark.libraries
+
 
 def through_json(value):
     return json.loads(json.dumps(plain(value), allow_nan=False))

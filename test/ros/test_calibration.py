@@ -66,7 +66,7 @@ def assert_found(file):
     assert offsets == pytest.approx([TRUE_ZERO, 0.0, 0.0, 0.0], abs=2e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 @pytest.mark.timeout(400)
 def test_an_ordinary_run_gives_the_numbers_of_the_device_live_and_from_its_record(
     world, robot, diagnostics, own_scene_file, tmp_path, capsys

@@ -78,6 +78,7 @@ def simulated_time(world):
     return SimulatedTime(world)
 
 
+@pytest.mark.exhaustive
 def test_ticks_are_counted_on_simulated_time(world, make_twin, simulated_time):
     twin = make_twin(use_sim_time=True, rate=50.0)
     simulated_time.reaches(1)

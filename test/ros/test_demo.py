@@ -244,6 +244,7 @@ time.sleep(60)
 """
 
 
+@pytest.mark.exhaustive
 def test_the_start_is_waited_for_as_long_as_a_node_tells_of_its_progress(
     module, tmp_path, monkeypatch
 ):
@@ -406,7 +407,6 @@ def report_of(folder):
     return json.loads((folder / "report.json").read_text())
 
 
-@pytest.mark.slow
 def test_ctrl_c_ends_all_three_processes_and_writes_the_report(demo, tmp_path):
     process = demo("--seconds", "60")
     process.until_led()
@@ -423,7 +423,7 @@ def test_ctrl_c_ends_all_three_processes_and_writes_the_report(demo, tmp_path):
     assert report["open_loop"]["seconds"] < 30.0
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_a_node_that_dies_ends_the_demo_with_its_last_output(demo, tmp_path):
     process = demo("--seconds", "60")
     process.until(lambda: len(children_of(tmp_path)) == len(NODES))
@@ -526,8 +526,8 @@ def led(tmp_path_factory, ros_domain):
     return LedDemos(tmp_path_factory.mktemp, ros_domain)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("robot", LED)
+@pytest.mark.parametrize("robot", [
+    pytest.param(robot, marks=[pytest.mark.exhaustive] * (robot != "diamond")) for robot in LED])
 def test_the_demo_leads_the_robot(led, robot):
     demo = led(robot)
     folder = demo.folder / "demo"
@@ -565,7 +565,7 @@ def test_the_demo_leads_the_robot(led, robot):
         pytest.skip(f"the machine was too busy to judge the errors: {load}")
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_a_short_demo_halves_the_error_and_writes_all_documented_files(led):
     demo = led("diamond")
     folder = demo.folder / "demo"
@@ -597,7 +597,7 @@ def test_a_short_demo_halves_the_error_and_writes_all_documented_files(led):
         assert phase in demo.errors
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_the_hand_of_the_flexo_moves_while_its_tip_is_led(led):
     # Only that both are commanded: on a busy machine the twin's ticks may be late.
     folder = led("flexo").folder / "demo"

@@ -430,7 +430,7 @@ def run_hostile(world, parameters, case, seed, count, every):
     return witness
 
 
-@pytest.mark.slow
+@pytest.mark.sampled
 @pytest.mark.parametrize("case", CASES, ids=lambda case: "-".join(map(str, case)))
 def test_no_message_ends_a_twin_or_causes_an_unsafe_command(world, parameters, case):
     witness = run_hostile(world, parameters, case, draw_seed(), COUNT, EVERY)
@@ -439,12 +439,13 @@ def test_no_message_ends_a_twin_or_causes_an_unsafe_command(world, parameters, c
     assert witness.ticks_until_a_command(most=1000) < 1000
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("case", CASES, ids=lambda case: "-".join(map(str, case)))
 def test_ticks_between_random_messages_are_as_safe(world, parameters, case):
     run_hostile(world, parameters, case, seed=1, count=300, every=5)
 
 
-@pytest.mark.slow
+@pytest.mark.sampled
 @pytest.mark.parametrize("robot", ["diamond", "trunk", "grasper", "octoleg", "air"])
 def test_no_message_ends_a_device(world, parameters, robot):
     seed = draw_seed()

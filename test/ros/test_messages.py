@@ -17,6 +17,8 @@ from softrobot_twin.ros.messages import (
     stamp_of,
 )
 
+pytestmark = pytest.mark.libraries
+
 IDS = np.array([4, 2**32 - 1, 0], dtype=np.uint32)
 PLACES = np.array([[0.1, -0.2, 0.3], [np.nan] * 3, [1.0, 2.0, 3.0]])
 HEADER = Header(frame_id="base_link")

@@ -9,6 +9,8 @@ import yaml
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.parameters import ALL_TABLES, RUNTIME, TWIN, Entry, declare, loop_settings
 
+pytestmark = pytest.mark.libraries
+
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "diamond.yaml"
 DRIVEN_DIRECTLY = {"fast_pneunet", "finray", "grasper", "octoleg", "pneunet"}
 KNOWN = {entry.name: entry for table in ALL_TABLES for entry in table}

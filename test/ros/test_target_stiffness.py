@@ -10,6 +10,8 @@ from std_msgs.msg import Header
 from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.ros.messages import vector_message
 
+pytestmark = pytest.mark.libraries
+
 FREE = math.nan
 
 

@@ -20,6 +20,8 @@ from softrobot_twin.ros.topics import (
     quality_in_words,
 )
 
+pytestmark = pytest.mark.libraries
+
 ROOT_TOPICS = ("/rosout", "/parameter_events", "/clock")
 
 

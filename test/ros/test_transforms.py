@@ -16,6 +16,8 @@ from softrobot_twin.ros.audience import Audience
 from softrobot_twin.ros.topics import TRANSFORMS
 from softrobot_twin.ros.transforms import TransformOutput, child_frames, make_transforms
 
+pytestmark = pytest.mark.libraries
+
 POSE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 HEADER = Header(stamp=Time(sec=7, nanosec=8), frame_id="base_link")
 

@@ -52,6 +52,7 @@ def lead(world, twin, tick, targets, position):
     tick()
 
 
+@pytest.mark.exhaustive
 def test_the_tip_follows_the_demo_s_path_between_the_cylinders(world, make_trunk, diagnostics):
     # Without a deadline a step depends on no clock, and the path is always the same.
     twin = make_trunk(deadline=0.0)

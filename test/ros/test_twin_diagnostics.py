@@ -228,6 +228,7 @@ def test_a_parameter_is_described_with_unit_and_range(world, make_twin):
     assert scene.read_only
 
 
+@pytest.mark.exhaustive
 def test_the_error_of_the_mesh_is_reported_once_it_is_estimated(
         world, make_twin, diagnostics, monkeypatch):
     from softrobot_twin.control import idle_process
@@ -252,6 +253,7 @@ def test_without_the_estimate_the_status_reports_it(world, make_twin, diagnostic
     assert diagnostics("solver").values["mesh_error"] == "not requested"
 
 
+@pytest.mark.exhaustive
 def test_the_errors_of_a_reduced_body_are_reported(
         world, make_twin, diagnostics, monkeypatch, half_trained):
     from softrobot_twin.control import idle_process

@@ -15,6 +15,8 @@ from softrobot_twin.ros.visualization import OBSTACLES_EVERY, RobotMarkers
 from softrobot_twin.simulation.colours import tension_colours
 from softrobot_twin.view import Entity
 
+pytestmark = pytest.mark.libraries
+
 TOPIC = "/twin/visualization"
 
 

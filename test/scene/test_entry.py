@@ -13,6 +13,8 @@ from softrobot_twin.errors import SceneError
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.loading import read_yaml, written_out
 
+pytestmark = pytest.mark.libraries
+
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "scenes"
 DIAMOND = written_out(read_yaml((CONFIG / "diamond.yaml").read_text()))
 GRASPER = written_out(read_yaml((CONFIG / "grasper.yaml").read_text()))

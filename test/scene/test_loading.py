@@ -13,6 +13,8 @@ from softrobot_twin.errors import SceneError
 from softrobot_twin.scene import load_scene, scene_from_mapping
 from softrobot_twin.scene.loading import read_yaml, written_out
 
+pytestmark = pytest.mark.libraries
+
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 GOOD = written_out(yaml.safe_load((CONFIG / "scenes" / "diamond.yaml").read_text()))
 
@@ -142,6 +144,7 @@ def test_errors_beyond_the_tenth_are_counted(tmp_path):
     assert text.count("\n") == 10 and text.endswith("and 290 more errors")
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("content, words", [
     ("a: " + "x" * 5_000_000, "has 5 MB; a scene has at most 4 MB"),
     ("".join(f"key_{number}: 1\n" for number in range(60_000)), "more than 50000 entries"),

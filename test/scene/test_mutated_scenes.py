@@ -16,6 +16,8 @@ from softrobot_twin.scene import load_scene, scene_from_mapping
 from softrobot_twin.scene.loading import read_yaml
 from softrobot_twin.simulation import Hold, Simulation
 
+pytestmark = pytest.mark.sampled
+
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 SCENES = sorted((CONFIG / "scenes").glob("*.yaml"))
 # The same robots on meshes that build fast.

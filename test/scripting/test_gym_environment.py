@@ -12,6 +12,8 @@ import pytest
 import softrobot_twin as st
 from softrobot_twin.errors import CommandError
 
+pytestmark = pytest.mark.libraries
+
 gymnasium = pytest.importorskip("gymnasium")
 
 from softrobot_twin.scripting import gym_environment  # noqa: E402

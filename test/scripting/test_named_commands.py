@@ -12,6 +12,8 @@ from softrobot_twin.simulation import (
     Touched,
 )
 
+pytestmark = pytest.mark.libraries
+
 STEP = 0.02
 
 

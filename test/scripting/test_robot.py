@@ -20,6 +20,8 @@ from softrobot_twin.simulation.apparent_compliance import apparent_compliance
 from softrobot_twin.study.direct_run import DEFAULT_RATE
 from softrobot_twin.view import ViewError
 
+pytestmark = pytest.mark.libraries
+
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -91,6 +93,7 @@ def test_a_copy_goes_on_in_the_same_way_and_by_itself(held, copied):
     assert held.time == 0.04
 
 
+@pytest.mark.exhaustive
 def test_a_copy_in_contact_goes_on_from_the_efforts_of_the_original():
     """From no efforts at all, this robot on a slide between cylinders took others: 3 mm away."""
     robot = st.load(ROOT / "config/scenes/trunk_cylinders_reduced.yaml")
@@ -190,6 +193,7 @@ def test_an_unknown_effector_is_refused_with_the_nearest(finger):
             ask("tpi")
 
 
+@pytest.mark.exhaustive
 def test_a_picture_is_written_or_returned(finger, tmp_path):
     pytest.importorskip("matplotlib")
     finger.step(st.targets(tip=[0.1, 0.01, 0.012]))

@@ -11,6 +11,8 @@ import softrobot_twin as st
 from softrobot_twin.study.direct_run import simulate_alone, simulate_commands
 from softrobot_twin.study.offline_run import simulate
 
+pytestmark = pytest.mark.libraries
+
 COMMANDS = ("time_s,upper_shortening_m,lower_shortening_m\n"
             "0,0,0\n0.05,0.002,0\n0.1,0.002,0.001\n")
 TARGETS = "time_s,tip_x_m,tip_y_m,tip_z_m\n" + "".join(

@@ -33,14 +33,14 @@ def test_the_package_says_that_it_is_typed():
     assert (ROOT / "softrobot_twin" / "py.typed").is_file()
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_mypy_finds_nothing():
     pytest.importorskip("mypy")
     done = mypy()
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_a_users_script_is_checked_by_the_types_of_the_package(tmp_path):
     pytest.importorskip("mypy")
     (tmp_path / "right.py").write_text(SCRIPT)

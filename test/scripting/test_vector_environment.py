@@ -17,6 +17,8 @@ from softrobot_twin.errors import CommandError, SceneError
 from softrobot_twin.scene import load_scene
 from softrobot_twin.study.sample_workers import WorkerError
 
+pytestmark = pytest.mark.libraries
+
 gymnasium = pytest.importorskip("gymnasium")
 
 from softrobot_twin.scripting.gym_environment import ReachingEnvironment  # noqa: E402
@@ -118,7 +120,7 @@ def is_running(pid):
         return False
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_a_killed_program_leaves_no_worker(tmp_path):
     script = tmp_path / "learn.py"
     script.write_text(
@@ -140,7 +142,7 @@ def test_a_killed_program_leaves_no_worker(tmp_path):
     assert not any(map(is_running, pids))
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_a_cluster_gives_what_this_process_gives_and_names_a_lost_worker(built):
     distributed = pytest.importorskip("distributed")
     found = play(st.vector_env(built, COUNT, 1, **OPTIONS), 3)

@@ -30,7 +30,7 @@ def follow(held, way, steps):
     return results, np.array([result.effector_errors[0] for result in results])
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("way", [(2, 0, 0), (-2, 0, 0), (0, 2, 0), (0, -2, 0), (0, 0, 0.5), (0, 0, -0.5)])
 def test_a_ball_is_held_for_ten_seconds_where_the_fingers_reach(held_ball, way):
     results, left = follow(held_ball, 1e-3 * np.array(way), 550)
@@ -67,7 +67,7 @@ def test_a_restored_state_takes_the_step_at_a_least_margin_that_it_would_have_ta
     assert np.abs(again.setpoints - straight.setpoints).max() < 0.05 * moved
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_the_palm_carries_the_ball_along_a_path_while_targets_lead_it_in_the_fingers(held_ball):
     """The palm goes 60 mm up and 30 mm aside at 50 mm/s, and the ball 1 mm to each side in the hand."""
     simulation, state = held_ball

@@ -42,7 +42,7 @@ def ball_pressure(stretch):
     return 2.0 / outer + 0.5 / outer**4 - 2.0 / stretch - 0.5 / stretch**4
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_volume_control_passes_the_limit_point(balloon):
     simulation = balloon(control="volume")
     whole, found = rest_volume(simulation), []
@@ -59,7 +59,6 @@ def test_volume_control_passes_the_limit_point(balloon):
     assert np.all(np.diff(found[most:]) < 0.0)
 
 
-@pytest.mark.slow
 def test_pressure_control_stops_at_the_limit_point_and_says_so(balloon):
     simulation = balloon()
     whole = rest_volume(simulation)

@@ -8,6 +8,8 @@ import pytest
 from softrobot_twin.simulation import Hold, Status
 from test.scene_changes import repeat_step
 
+pytestmark = pytest.mark.libraries
+
 YOUNG, RADIUS, DENSITY = 1.0e7, 0.002, 1000.0
 INERTIA, AREA = np.pi * RADIUS**4 / 4.0, np.pi * RADIUS**2
 
@@ -206,6 +208,7 @@ def test_a_steady_spin_stretches_a_rod_by_its_centrifugal_force(simulate, scheme
     assert deformations[:, 0].sum() - length == pytest.approx(expected, rel=0.02)
 
 
+@pytest.mark.exhaustive
 def test_the_scheme_of_second_order_is_one_for_a_tumbling_beam(simulate):
     spin = np.array([3.0, -2.0, 4.0])
     bar = rod(points=((0, 0, 0), (0.2, 0, 0)), section={"rectangle": {"thickness": 0.01, "width": 0.02}},

@@ -22,6 +22,8 @@ from softrobot_twin.simulation import (
 from softrobot_twin.simulation.building.beam_bodies import build_section
 from test.scene_changes import repeat_step
 
+pytestmark = pytest.mark.libraries
+
 YOUNG, RADIUS = 1.0e6, 0.002
 INERTIA, AREA = np.pi * RADIUS**4 / 4.0, np.pi * RADIUS**2
 RIGIDITY = YOUNG * INERTIA
@@ -367,6 +369,7 @@ def test_natural_frequencies_of_a_cantilever_are_those_of_euler_and_bernoulli(si
         assert np.allclose(found, expected[:count], rtol=np.repeat(errors, 2))
 
 
+@pytest.mark.exhaustive
 def test_the_sway_of_a_portal_has_the_frequency_of_its_dynamic_stiffness(simulate):
     # Two columns and a beam of one length and section, the feet clamped.
     legs = ((0, 0, 0), (0, 0, 1.0), (1.0, 0, 1.0), (1.0, 0, 0))
@@ -420,7 +423,7 @@ def test_a_rod_twisted_by_two_turns_holds_a_torque_in_proportion(simulate):
     assert energy == pytest.approx(0.5 * shear * 3e-12 / 0.2 * angle**2, rel=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_twenty_thousand_turns_of_a_bent_rod_leave_no_drift(simulate):
     # Stretched and bent between its ends, it has one equilibrium; its end turns to and fro by 0.2.
     simulation = turned_rod(simulate)

@@ -44,7 +44,7 @@ def cable(name: str, side: float) -> dict:
 
 
 @pytest.mark.parametrize("friction, cells", [
-    (0.2, 50), pytest.param(0.5, 40, marks=pytest.mark.slow),
+    (0.2, 50), pytest.param(0.5, 40, marks=pytest.mark.exhaustive),
 ])  # fmt: skip
 def test_tension_grows_along_the_wrap_by_the_capstan_equation(scene_of, strip, friction, cells):
     simulation = scene_of(

@@ -94,14 +94,14 @@ def follow(trunk, circle, time_step) -> None:
     assert np.mean(errors) <= MEAN and max(errors) <= LARGEST
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", CIRCLES)
 def test_a_circle_in_contact_is_met_wherever_exactly_the_obstacle_is(coarse_trunk, drawn_rng, name):
     for _ in range(RUNS):
         follow(coarse_trunk(leaning(name, drawn_rng)), CIRCLES[name], STEP)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("time_step", [0.01, 0.02])
 @pytest.mark.parametrize("name", CIRCLES_IN_MOTION)
 def test_in_motion_a_trunk_that_leans_below_its_tip_meets_a_circle(

@@ -91,6 +91,7 @@ def check_other_equilibrium(simulation, result, energies, least):
     assert energies(simulation)[0] > least + 0.01
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
 @pytest.mark.parametrize("kind", ["point", "line", "level plane", "oblique plane", "mirrored"])
@@ -108,6 +109,7 @@ def test_a_collapsed_body_recovers_or_is_reported_as_inverted(tower, kind, eleme
         np.testing.assert_allclose(result.state.positions, rest, atol=1e-5)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
 @pytest.mark.parametrize("kind", ["point", "line", "oblique plane", "mirrored"])

@@ -88,6 +88,7 @@ def area(mesh, z):
     return total
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("element", ["linear", "quadratic"])
 def test_shortening_of_the_trunk_lies_between_that_of_its_full_section_and_its_core(trunk, element):
     """With the disks' full part in bearing the load it is stiffer, without any it is softer."""
@@ -114,6 +115,7 @@ def test_shortening_of_the_trunk_lies_between_that_of_its_full_section_and_its_c
     np.testing.assert_allclose(shortened, shortened[0], rtol=0.02)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(
     ("element", "tension"), [("linear", 8.0), ("linear", 30.0), ("quadratic", 30.0)]
 )

@@ -46,6 +46,7 @@ def test_a_beam_that_would_cycle_on_a_rod_comes_to_rest(beside_a_rod, wound):
     assert wind_to_rest(beside_a_rod, np.array(wound)) < AT_REST
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("seed", [1, 2, 11])
 def test_a_beam_beside_a_rod_comes_to_rest_with_ten_drawn_shortenings(beside_a_rod, seed):
     random = np.random.default_rng(seed)

@@ -95,7 +95,7 @@ def test_a_cap_finer_than_the_mesh_carries_the_weight_on_the_floor(tmp_path, cub
     np.testing.assert_allclose(places[:, 2], -SIDE / 2, atol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_a_fine_cap_on_a_coarse_block_indents_as_hertz_predicts(tmp_path, cube):
     """The mesh's own sole is flat: that the force grows as δ^1.5 comes from the cap."""
     radius = 0.5

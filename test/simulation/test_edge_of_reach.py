@@ -68,7 +68,7 @@ STEPS_TO_REST = {"back": 700, "sideways": 700, "aslant": 700}
 BACK, BACK_ON_A_SLIDE, LENGTHS_HOME = 300, 4000, 120
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("slides, has_cylinders, way", TRUNKS)
 def test_the_trunk_comes_to_rest_at_targets_ten_times_too_far(trunk, slides, has_cylinders, way):
     simulation = trunk(has_cylinders, slides)
@@ -79,7 +79,7 @@ def test_the_trunk_comes_to_rest_at_targets_ten_times_too_far(trunk, slides, has
     assert result.effector_errors[0] < np.linalg.norm(WAYS[way])
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("way, has_cylinders, slides", [
     pytest.param(
         way, has_cylinders, slides,
@@ -103,6 +103,7 @@ def test_the_trunk_returns_from_targets_ten_times_too_far(trunk, slides, has_cyl
     np.testing.assert_allclose(simulation.state.positions, rest.positions, atol=1e-6)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("way", [[1, 0, 0], [0.7, -0.7, 0], [0, 0, -1], [0, 0, 1]])
 def test_the_diamond_comes_to_rest_at_targets_ten_times_too_far_and_returns(diamond, way):
     simulation = diamond()
@@ -114,6 +115,7 @@ def test_the_diamond_comes_to_rest_at_targets_ten_times_too_far_and_returns(diam
     assert back.status is Status.OK
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("way", [[-0.9, -0.9, -0.9], [0, -0.9, -0.9], [0.9, 0, 0], [0.9, 0.9, 0]])
 @pytest.mark.parametrize("directions", [["x"], ["z"], ["x", "y", "z"]], ids="".join)
 def test_a_beam_of_eight_cables_beside_a_rod_comes_to_rest_at_targets_too_far(
@@ -193,7 +195,7 @@ def asked_for(robot, name, seed, number) -> tuple[Simulation, np.ndarray, np.nda
     return simulation, home, home + distance * way
 
 
-@pytest.mark.slow
+@pytest.mark.sampled
 @in_random_directions(
     "eight cables and rod", "eight cables and rod, further", "Trunk", "Trunk with slide",
     "Trunk between cylinders", "Trunk between cylinders with slide", "Diamond",
@@ -211,7 +213,7 @@ def test_at_targets_ten_times_too_far_lengths_rest_and_home_is_reached(robot, na
     assert back.effector_errors[0] <= 1e-4
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_a_trunk_that_folded_on_its_way_home_lets_go_and_comes_home(robot):
     """Compressed by its slide between the cylinders, it folds 5 mm from home."""
     simulation, home, target = asked_for(robot, "Trunk between cylinders with slide", 7, 0)
@@ -305,7 +307,7 @@ def comes_to_rest(robot, name, seed, number):
     return simulation, target, float(result.effector_errors[0]), own
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 @in_random_directions(*LONGEST, drawn=WITHOUT_LOCAL_MINIMA)
 def test_no_lengths_near_those_at_rest_lead_nearer(robot, name, seed, number):
     """A search begins where the twin rests, with changes of a twentieth of the range."""
@@ -318,7 +320,7 @@ def test_no_lengths_near_those_at_rest_lead_nearer(robot, name, seed, number):
 
 
 # Four searches take ten times as long as the one above: in one direction.
-@pytest.mark.slow
+@pytest.mark.exhaustive
 @in_random_directions(*LONGEST, drawn=WITHOUT_LOCAL_MINIMA[:1])
 def test_no_lengths_at_all_lead_nearer_than_those_at_rest(robot, name, seed, number):
     """Independent searches begin at rest, at random lengths, and at those where the twin rests."""
@@ -333,7 +335,7 @@ def test_no_lengths_at_all_lead_nearer_than_those_at_rest(robot, name, seed, num
     assert distance <= min(found) + 1e-3
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 @in_random_directions("beam", "beam and rod", "Diamond", "Trunk between cylinders")
 def test_noise_of_far_targets_saturates_nothing(robot, name, seed, number):
     """The noise is 1 % of the body's size."""

@@ -12,6 +12,8 @@ from softrobot_twin.solvers import FACTORIZATIONS
 from softrobot_twin.solvers.factorization import Condensed
 from test.scene_changes import repeat_step
 
+pytestmark = pytest.mark.libraries
+
 
 class DenseCholesky:
     """See `Factorization`; A is stored whole, column by column."""

@@ -62,14 +62,14 @@ def test_it_curls_in_its_plane_and_its_paper_keeps_its_length(finger):
     assert lengths[1] == pytest.approx(lengths[0], rel=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_walls_that_touch_push_each_other_apart():
     touching, alone = (np.abs(curled([20.0e3], **other)[0][0])
                        for other in ({}, {"contact": None}))  # fmt: skip
     assert touching > 1.05 * alone
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_dragon_skin_bends_further_than_elastosil():
     angles = [np.abs(curled([15.0e3], changes)[0][0])
               for changes in ({}, {"body.material": {"preset": "dragon_skin_30"}})]  # fmt: skip
@@ -83,7 +83,7 @@ def test_the_chambers_hold_the_volume_of_their_dimensions():
     assert 1e9 * volumes == pytest.approx([chambers + channel])
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_walls_of_three_times_as_many_nodes_that_touch_at_all_of_them_bend_it_as_far(tmp_path):
     """At 3, 10 and 20 kPa, where the walls are apart, touch, and press."""
     size, pressures = 3696, [3.0e3, 10.0e3, 20.0e3]

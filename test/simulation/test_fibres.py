@@ -77,6 +77,7 @@ def thread_stretches(scene):
     return term.lengths(scene.state.positions) / term.rest_lengths - 1.0
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("angle", "stretch"), [(35.0, 1.06), (54.7, 1.1), (60.0, 1.1)])
 def test_a_braided_tube_contracts_as_inextensible_threads_make_it(stretched, angle, stretch):
     """cos²α λ_z² + sin²α λ_θ² = 1; the bare tube, ν = 0, does not contract at all."""
@@ -92,6 +93,7 @@ def test_a_braided_tube_contracts_as_inextensible_threads_make_it(stretched, ang
     assert 1.0 - around == pytest.approx(1.0 - expected, rel=0.04)
 
 
+@pytest.mark.exhaustive
 def test_hoops_stop_radial_growth_and_are_slack_where_the_tube_contracts(stretched):
     tight = helix(87.5, handedness="right", count=1, segments_per_turn=12)
     bare, _ = middle_stretches(stretched(0.95, [], poisson_ratio=0.45))

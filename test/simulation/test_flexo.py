@@ -86,7 +86,7 @@ def test_the_tip_follows_a_circle_at_100_hz(flexo, radius):
     assert max(errors) < 2e-4
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_the_softer_device_is_some_millimetres_off_and_converges(flexo):
     device = Simulation.from_scene_file(SCENES / "flexo_device.yaml")
     target = bend(flexo, 0.06, 0.5)

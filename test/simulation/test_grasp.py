@@ -11,7 +11,7 @@ SCENE_FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "graspe
 STEP, WOUND, LIFT = 0.008, 0.016, 0.050
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_a_grasped_cube_does_not_creep_for_ten_seconds():
     simulation = Simulation.from_scene_file(SCENE_FILE)
     cube = next(part for part in simulation.model.rigid if part.name == "cube")

@@ -59,7 +59,7 @@ def hertz(depth) -> float:
     return half_space * (1.0 + slope + slope**2)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_linear_elements_converge_to_hertz_as_the_mesh_is_refined(pressed):
     ratios = np.array([pressed(cells, 0.001) / hertz(0.001) for cells in (8, 12, 16, 20)])
     assert np.all(np.diff(ratios) < 0.0)
@@ -68,6 +68,6 @@ def test_linear_elements_converge_to_hertz_as_the_mesh_is_refined(pressed):
     assert ratios[2] - 1.0 < 0.42 * (ratios[0] - 1.0)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_quadratic_elements_agree_with_hertz(pressed):
     assert pressed(12, 0.001, "quadratic") == pytest.approx(hertz(0.001), rel=0.035)

@@ -21,6 +21,8 @@ from softrobot_twin.simulation import (
 from test.builder import builder
 from test.scene_changes import repeat_step
 
+pytestmark = pytest.mark.libraries
+
 E, DENSITY = 35e6, 1220.0
 THICKNESS, WIDTH, LENGTH = 0.005, 0.01, 0.2
 BENDING = E * WIDTH * THICKNESS**3 / 12.0
@@ -335,7 +337,7 @@ def test_a_pose_does_not_depend_on_the_path_to_it(scene, drawn_rng):
         np.testing.assert_allclose(nodes(wandering, beam), nodes(straight, beam), atol=1e-7)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_a_hinge_does_not_drift_over_many_steps(scene):
     simulation = scene(
         strip(elements=1, joined=[hinge("start", axis=[1, 2, 3])]), hinge_motors=[motor()],
@@ -350,7 +352,7 @@ def test_a_hinge_does_not_drift_over_many_steps(scene):
     np.testing.assert_allclose(nodes(simulation)[-1], expected, atol=2.5e-10)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_a_beam_that_spins_on_a_hinge_keeps_its_axis_and_its_length_over_many_turns(scene):
     simulation = scene(
         strip(elements=1, points=[[0, 0, 0], [LENGTH, 0, 0]], thickness_direction=[0, 0, 1],

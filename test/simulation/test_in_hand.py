@@ -51,7 +51,7 @@ def test_a_cube_goes_two_millimetres_in_the_fingers_and_stays_for_ten_seconds(
     assert told <= {Status.OK, Status.LINEARIZED, Status.RATE_LIMITED}
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_the_palm_carries_the_cube_along_a_path_while_targets_lead_it_in_the_fingers(held_cube):
     """The palm goes 60 mm up and 30 mm aside at 50 mm/s, and the cube 1 mm to each side in the hand."""
     simulation, state = held_cube
@@ -87,7 +87,7 @@ def carried(mass):
     return np.linalg.norm(simulation.effector_positions()[0] - start - WAY)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_random_masses_up_to_four_fifths_of_what_the_grip_bears_are_carried(drawn_rng):
     """The grip bears the greatest mass, on a grid of 10 %, that arrives with the palm."""
     most = 0.030
@@ -100,7 +100,7 @@ def test_random_masses_up_to_four_fifths_of_what_the_grip_bears_are_carried(draw
         assert lag < 1e-3
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_far_targets_of_a_heavy_cube_are_missed_at_the_least_margin_and_the_cube_stays(drawn_rng):
     """At nine tenths of what the grip bears, whose fingers have 16 % of their friction left or less.
 

@@ -49,7 +49,7 @@ def test_a_sphere_grows_as_by_lame(inflated_shell, icosphere):
     assert errors[1] < 0.04 and errors[1] < 0.6 * errors[0], errors
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_a_long_cylinder_grows_as_by_lame(inflated_shell):
     sectors, half, pressure = 12, 8, 100.0
     angle = np.linspace(0.0, 2.0 * np.pi, sectors, endpoint=False)
@@ -113,7 +113,7 @@ def dome(simulate, hollow):
     return make
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_a_volume_passes_the_limit_points_of_a_dome(dome):
     simulation, pressures, iterations = dome(control="volume"), [0.0], []
     shares = np.linspace(0.0, 1.0, 33)[1:]
@@ -135,7 +135,7 @@ def test_a_volume_passes_the_limit_points_of_a_dome(dome):
         assert result.efforts[0] == pytest.approx(pressure, abs=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_a_pressure_beyond_the_limit_point_of_a_dome_lets_it_snap_to_another_balance(dome):
     simulation = dome()
     before = simulation.step(CommandSetpoints([-90.0], 0.02))

@@ -38,6 +38,7 @@ def follow(simulation, target, steps, time_step=0.02):
     return result
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("way", [[0.9, 0.0, -0.4], [0.0, 0.5, 0.8], [-0.6, 0.6, 0.0]])
 def test_a_target_ten_times_out_of_reach_is_held_without_drift_beside_a_rod(beam, rod, way):
     """Row 16."""
@@ -142,7 +143,7 @@ def test_large_equal_tension_of_all_long_cables_gives_finite_answers(trunk):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("with_rod", [False, True])
 def test_the_trunk_held_at_its_reach_for_a_thousand_steps_does_not_drift(trunk, with_rod):
     """Row 16, up and outwards; with the rod the trunk comes to rest on it."""

@@ -21,6 +21,7 @@ def gap(simulation, x, z, radius) -> float:
     return float(np.linalg.norm(points[:, [0, 2]] - [x, z], axis=1).min() - radius)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("way", [[0.02, 0.0, -0.01], [-0.02, 0.0, -0.01], [0.0, 0.008, -0.012]])
 def test_a_beam_between_two_rods_crosses_neither(beam, rod, way):
     """Row 26: 1 mm is free on one side, 0.5 mm on the other."""

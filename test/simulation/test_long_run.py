@@ -37,7 +37,7 @@ def stub(simulate, body_of, block):
     )  # fmt: skip
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_a_hundred_thousand_steps_drift_neither_in_state_nor_in_memory(stub):
     simulation = stub
     angle = np.linspace(0.0, 2.0 * np.pi, LAP, endpoint=False)

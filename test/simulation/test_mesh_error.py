@@ -102,7 +102,7 @@ def diamond_on(diamond, /, number):
     return scene_from_mapping(mapping, diamond().scene.path)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_on_the_meshes_of_the_diamond_the_estimate_is_within_a_factor_of_the_truth(diamond_on):
     family = {str(number): diamond_on(number) for number in (150, 200, 400)}
     rows = compared(family, diamond_on(1600))
@@ -110,8 +110,9 @@ def test_on_the_meshes_of_the_diamond_the_estimate_is_within_a_factor_of_the_tru
     assert max(row.factor for row in rows) < FACTOR
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("poisson_ratio", [
-    pytest.param(0.3, marks=pytest.mark.slow), 0.45, pytest.param(0.49, marks=pytest.mark.slow)])
+    pytest.param(0.3, marks=pytest.mark.exhaustive), 0.45, pytest.param(0.49, marks=pytest.mark.exhaustive)])
 def test_on_bars_the_estimate_is_within_a_factor_of_the_truth(bar, poisson_ratio):
     family = {
         "x".join(map(str, cells)): bar(cells, poisson_ratio)
@@ -122,7 +123,7 @@ def test_on_bars_the_estimate_is_within_a_factor_of_the_truth(bar, poisson_ratio
     assert max(row.factor for row in rows) < FACTOR
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_the_live_estimate_of_a_hanging_bar_is_right_for_both_elements(bar):
     """The truth is what quadratic elements give on a mesh of a third the size."""
 
@@ -303,6 +304,7 @@ def inflated_column(simulate, hollow, /, fineness: int, control: str = "volume")
     )  # fmt: skip
 
 
+@pytest.mark.exhaustive
 def test_the_error_at_given_pressures_and_volumes_is_near_that_against_a_finer_mesh(
     inflated_column,
 ):

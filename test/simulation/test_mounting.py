@@ -260,6 +260,7 @@ def test_the_points_at_which_its_makers_measured_it_are_reached():
         assert np.linalg.norm(simulation.effector_positions() - point) < 1.0e-5
 
 
+@pytest.mark.exhaustive
 def test_two_hundred_reachable_poses_are_reached():
     seed = np.random.SeedSequence().entropy % 2**32
     print("seed", seed)

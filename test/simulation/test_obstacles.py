@@ -61,6 +61,7 @@ def settles(simulation):
     assert np.abs(result.state.velocities).max() < 0.01
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_soft_block_lies_on_an_obstacle(scene_of, write_block, kind):
     settles(resting_on(scene_of, write_block, KINDS[kind]))

@@ -196,7 +196,7 @@ def test_a_quaternion_that_is_no_rotation_is_refused_and_moves_nothing(posed, wr
     assert simulation.state.step_count == 0
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_a_vertebra_of_the_fetch_is_tilted_and_held_in_place():
     scene = load_scene(FETCH)
     cavities = tuple(
@@ -210,7 +210,8 @@ def test_a_vertebra_of_the_fetch_is_tilted_and_held_in_place():
     assert result.effector_errors[0] < 2e-4
 
 
-@pytest.mark.slow
+@pytest.mark.libraries
+@pytest.mark.exhaustive
 def test_the_tip_of_a_trunk_points_aside_within_a_hundredth_of_a_degree(coarse_trunk):
     entry = {"pointing": [0.0, 0.0, 1.0], "points": TIP_PATCH}
     simulation = coarse_trunk(lambda mapping: mapping["effectors"][0].update(orientation=entry))

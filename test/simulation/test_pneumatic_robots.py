@@ -71,6 +71,7 @@ def test_an_accordion_grows_by_more_than_its_own_volume_and_stays_straight(chang
     assert (np.diff(tips[:, 2]) < 0.0).all() and 14e-3 < tips[0, 2] - tips[-1, 2] < 18e-3
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("change", [None, quadratic], ids=["smoothed_964", "quadratic_400"])
 def test_a_grown_accordion_returns_after_a_push_to_the_side(change):
     springy = robot("springy", change)
@@ -159,7 +160,7 @@ def test_the_layer_keeps_the_inner_side_of_a_finger_from_stretching():
     assert 0.0 < with_layer < 0.6 * without_layer
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_tips_follow_targets_on_their_curves():
     """At 50 Hz, the rate of the shipped twin; rows of the file are 0.05 s apart."""
     hand = robot("pneunet_inverse")
@@ -175,7 +176,7 @@ def test_tips_follow_targets_on_their_curves():
     assert np.mean(errors) < 1e-5 and max(errors) < 1e-4
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_the_gripper_lifts_its_ball_and_holds_it():
     hand = robot("pneunet")
     table = read_commands(CONFIG / "commands" / "pneunet_lift.csv", hand)
@@ -232,7 +233,7 @@ def test_hoops_more_than_double_the_bending_and_keep_the_wall_from_bulging():
     assert 2.2 < tips[0] / tips[1] < 2.6 and growths[0] < 0.7 * growths[1]
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_the_tip_of_the_segment_follows_a_circle_by_four_pressures():
     segment = robot("segment")
     centre, radius, errors = np.array([0.0, 0.0, -0.108]), 0.006, []

@@ -64,6 +64,7 @@ def checked(simulation, command, steps):
     return result
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("integration", ["quasi_static", "dynamic"])
 @pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
 @pytest.mark.parametrize("what", COMMANDS)

@@ -47,6 +47,7 @@ def test_the_expected_sag_is_that_of_the_simulation(cantilever, element, young_m
     assert expected == pytest.approx(settled_sag(simulation), rel=0.1 if small else 1e-3)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("size, cells", [((0.2, 0.01, 0.01), (40, 2, 2)),
                                          ((0.1, 0.1, 0.004), (20, 20, 1))])  # fmt: skip
 def test_thin_rubber_has_the_sag_of_the_simulation(simulate, size, cells):

@@ -195,6 +195,7 @@ def originals():
     return {}
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("robot", ["diamond", "beam", "facets", "trunk"])
 @pytest.mark.parametrize("scale, is_moved", [(0.01, False), (100.0, False), (1.0, True),
                                              (0.01, True), (100.0, True)])  # fmt: skip

@@ -89,6 +89,7 @@ CASES = [
 ]  # fmt: skip
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(("name", "key"), CASES)
 def test_derivatives_are_those_of_states_that_are_solved_again(name, key):
     is_single = name == "finger" and ".points" in key

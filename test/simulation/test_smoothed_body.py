@@ -97,7 +97,7 @@ def test_a_note_tells_that_smoothed_elements_lock_without_patches(beam):
     assert not any("lock" in one for one in beam(poisson=0.49).notes)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_nothing_grows_in_a_hundred_thousand_steps(simulate, body_of, block):
     """A free block that was thrown and squeezed: neither energy nor momentum grows."""
     body = body_of(block((0.02, 0.02, 0.02), (1, 1, 1), 0.0), "cube", 1e5, 0.45, element="smoothed")

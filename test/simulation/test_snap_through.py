@@ -55,6 +55,7 @@ def test_a_spring_truss_snaps_through_at_its_limit_load(tent, integration, share
         assert top[2] < -RISE
 
 
+@pytest.mark.exhaustive
 def test_an_undamped_spring_truss_snaps_through_below_its_limit_load(tent):
     """It overshoots the limit point: the critical load applied at once is lower than the static
     one.

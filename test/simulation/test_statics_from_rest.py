@@ -87,6 +87,7 @@ def test_a_bar_that_was_straight_comes_to_balance_where_it_sags_most(
     assert balanced(bar(element, law, softest, cable_count), Hold(0.05), 25)[:, 2].min() < -0.15
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("cable_count", [0, 4])
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("element", ELEMENTS)

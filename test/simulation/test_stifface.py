@@ -170,7 +170,7 @@ def test_the_corner_and_the_foot_can_be_touched(mapping):
     assert not result.touches.displacements[1].any()
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_a_press_on_the_device_finds_the_stiffness_of_the_twin(pad):
     device = Simulation.from_scene_file(SCENES / "stifface_device.yaml")
     for wanted in (180.0, 300.0, 480.0):

@@ -14,6 +14,8 @@ from softrobot_twin.simulation import Hold
 from test.builder import builder
 from test.scene_changes import repeat_step
 
+pytestmark = pytest.mark.sampled
+
 G, STEP, SIZE, SLOPE = 9.81, 0.004, 0.04, np.arctan(0.55)
 KINDS = ["coarse", "fine", "irregular", "sliver"]
 # Each kind of body at one scale at least, each scale with more than one.

@@ -93,6 +93,7 @@ def test_tubes_in_the_disks_stiffen_and_whole_tubes_would_hold_the_trunk_straigh
     assert sag(trunk(change=whole)) < 0.2 * lined
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("target", [
     (40, 0, 180), (-40, 20, 175), (0, 80, 150), (40, 80, 140), (40, -20, 170), (-40, 60, 160),
 ], ids=str)  # fmt: skip
@@ -118,6 +119,7 @@ def test_the_platform_moves_the_trunk_without_deformation(trunk):
                                atol=1e-7)
 
 
+@pytest.mark.exhaustive
 def test_without_contact_the_body_crosses_both_cylinders(trunk, path):
     errors, depths, _ = follow(trunk(), path)
     assert errors.max() < 1e-4
@@ -132,6 +134,7 @@ def test_with_contact_the_tip_moves_between_the_cylinders_and_beyond(trunk, path
     assert Status.INVERTED not in statuses
 
 
+@pytest.mark.exhaustive
 def test_a_trunk_pulled_against_a_cylinder_presses_on_it(trunk):
     simulation = trunk("trunk_cylinders", newton_iterations=3)
     names = simulation.actuator_names

@@ -64,6 +64,7 @@ def test_no_body_passes_through_a_sheet_of_a_millimetre(scene_of, write_block, s
     assert touched
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("kind", ["upright", "turned"])
 @pytest.mark.parametrize("step", [0.001, 0.005, 0.02])
 @pytest.mark.parametrize("speed", [1.0, 3.0, 10.0])

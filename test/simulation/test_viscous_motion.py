@@ -45,6 +45,7 @@ def tip_after(simulation, step):
     return result.effector_positions[0, 0]
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("integration", "error_at_10_ms"), [("dynamic", 0.035), ("first_order", 0.018)]
 )

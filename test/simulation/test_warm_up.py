@@ -10,6 +10,8 @@ from softrobot_twin.compilation import CompilationProgress
 from softrobot_twin.kernel_cache import closure_hash
 from softrobot_twin.simulation.warm_up import tell_of_compilation
 
+pytestmark = pytest.mark.libraries
+
 
 @pytest.mark.parametrize("kernel_count, is_told", [(0, True), (10, True), (60, False)])
 def test_a_first_compilation_is_told_once(tmp_path, monkeypatch, caplog, kernel_count, is_told):

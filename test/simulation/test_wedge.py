@@ -6,6 +6,8 @@ import pytest
 from softrobot_twin.simulation import Hold, Status
 from test.builder import builder
 
+pytestmark = pytest.mark.sampled
+
 STEP, ENDS = 0.01, ([0, -0.05, 0], [0, 0.05, 0])
 
 

@@ -9,6 +9,8 @@ from softrobot_twin.solvers.factorization import NodeRows
 from softrobot_twin.solvers.multifrontal import Multifrontal
 from softrobot_twin.solvers.superlu import SuperLU
 
+pytestmark = pytest.mark.libraries
+
 
 def coupled_chain(kind, random, n):
     """A factorization of a positive definite matrix of a chain of n nodes, and the matrix."""

@@ -17,6 +17,8 @@ from softrobot_twin.solvers.inverse_solver import (
 )
 from softrobot_twin.solvers.quadratic_program import DAQPSolver, OSQPSolver, whiten
 
+pytestmark = pytest.mark.libraries
+
 STEPS = 100
 
 

@@ -53,7 +53,7 @@ def test_the_local_minimum_is_nearly_always_the_global_one(robot_in_contact, eli
     assert np.all(lost[:, 1] <= lost[:, 0] + 1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("contacts, problems", [(2, 60), (4, 60), (6, 60), (8, 30), (10, 20)])
 def test_at_least_eight_of_ten_local_minima_are_global(
     robot_in_contact, eliminated, contacts, problems

@@ -6,6 +6,8 @@ import pytest
 from softrobot_twin.solvers.inverse_problem import Bounds, InverseSystem, build_inverse_problem
 from softrobot_twin.solvers.quadratic_program import DAQPSolver, OSQPSolver, whiten
 
+pytestmark = pytest.mark.libraries
+
 
 def random_robot(seed, n=4, rows=3):
     """Compliances with the wide spread of curvature that real robots have."""

@@ -6,6 +6,8 @@ import pytest
 from softrobot_twin.solvers.factorization import NodeRows
 from softrobot_twin.solvers.superlu import SuperLU
 
+pytestmark = pytest.mark.libraries
+
 
 def assembled(count, seed, shift=1.0):
     """A random sparse positive definite block matrix, put together through the slots."""

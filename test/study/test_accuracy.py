@@ -141,6 +141,7 @@ def test_a_mesh_without_family_is_refined_with_the_same_fixed_region(lonely, tmp
     np.testing.assert_array_equal(is_fixed, positions[:, 2] > -1e-9)
 
 
+@pytest.mark.exhaustive
 def test_errors_fall_with_refinement_and_quadratic_meshes_are_better(study):
     def errors(element, name):
         return [getattr(row, name) for row in study.rows
@@ -150,11 +151,13 @@ def test_errors_fall_with_refinement_and_quadratic_meshes_are_better(study):
         assert errors("quadratic", name)[0] < errors("linear", name)[0]
 
 
+@pytest.mark.exhaustive
 def test_prescribed_displacements_have_smaller_errors_than_forces_on_the_coarsest_mesh(study):
     assert study.rows[0].mesh == "column_10"
     assert study.rows[0].error_lengths < study.rows[0].error_tensions
 
 
+@pytest.mark.exhaustive
 def test_every_reference_states_its_uncertainty(study):
     for reference in study.references.values():
         assert 0.0 < reference.uncertainty < 0.2
@@ -162,7 +165,7 @@ def test_every_reference_states_its_uncertainty(study):
         assert len(reference.meshes) == (2 if reference.limit.order is None else 3)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_on_the_diamond_displacements_have_smaller_errors_than_forces(tmp_path):
     scene = load_scene(default_scene_path())
     held = with_hold_radius(scene)
@@ -181,7 +184,7 @@ def test_rows_are_read_as_they_were_written(study, tmp_path):
         assert np.isnan(read.error_added)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_the_command_writes_a_table_and_a_picture(family, trained, tmp_path, call, monkeypatch):
     # Times do not matter here, and another test trains in processes.
     monkeypatch.setattr(accuracy_study, "Limits", partial(Limits, timed_steps=8))
@@ -233,6 +236,7 @@ def test_choose_by_forces_says_so(family, study, tmp_path, capsys):
     assert "Chosen by the error for given cable tensions" in told
 
 
+@pytest.mark.exhaustive
 def test_choose_studies_a_refined_mesh_and_keeps_its_files(lonely, tmp_path, monkeypatch):
     monkeypatch.setattr(choice, "QUICK", Limits(1_000, 2_000, 8))
     rows, written = tmp_path / "rows.csv", tmp_path / "chosen.yaml"
@@ -438,6 +442,7 @@ def test_choose_takes_the_error_of_a_reduced_model_from_the_file_of_errors(
     assert "Expected error of the effector for given cable lengths: 1.23 %" in capsys.readouterr().out
 
 
+@pytest.mark.exhaustive
 def test_choose_tells_what_a_training_costs_and_buys_and_trains_where_it_is_asked_to(
         family, study, tmp_path, capsys, monkeypatch, no_trial):
     monkeypatch.setattr(choice, "make_trial", no_trial)

@@ -44,6 +44,7 @@ def measured(column):
     return measure(given_cases([column])[0], 5)
 
 
+@pytest.mark.libraries
 def test_bench_writes_a_row_for_each_stage_and_a_picture(column, tmp_path, call):
     done = call("bench", column, "--steps", 5, "--output", tmp_path / "made")
     assert done.code == 0, done.errors
@@ -173,6 +174,7 @@ def test_the_picture_shows_sofa_as_measured_and_at_its_best():
     assert sorted(SOFA_RATIOS.values()) == [0.78, 1.37]
 
 
+@pytest.mark.exhaustive
 def test_a_reduced_model_is_compared_with_its_full_one(tmp_path, call):
     reduced = default_scene_path().parent / "diamond_reduced.yaml"
     done = call("bench", reduced, "--steps", 3, "--output", tmp_path)
@@ -191,6 +193,7 @@ def test_a_reduced_model_is_compared_with_its_full_one(tmp_path, call):
     assert ours["superlu_ms"] == "" and float(theirs["superlu_ms"]) > 0.0
 
 
+@pytest.mark.exhaustive
 def test_a_reduced_model_alone_is_timed(call, tmp_path):
     package = default_scene_path().parents[2]
     scene = (package / "config" / "scenes" / "diamond_reduced.yaml").read_text()

@@ -19,6 +19,7 @@ def test_the_reference_holds_every_robot_that_can_be_benched():
     } <= set(REFERENCE)  # fmt: skip
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("robot", ["diamond", "diamond_reduced", "fetch_reduced", "finger", "grasper"])
 def test_a_step_makes_no_more_calls_than_in_the_reference(robot):
     case = next(

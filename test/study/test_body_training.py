@@ -46,6 +46,7 @@ def equal(first, second):
     return True
 
 
+@pytest.mark.libraries
 def test_the_file_says_how_it_was_made(trained):
     found = read_body_reduction(trained)
     assert found.mode_count == 18 and found.spare_count == 6
@@ -72,6 +73,7 @@ def test_a_scene_with_the_file_moves_as_the_full_one(trained, column):
                                atol=0.03 * full.state.efforts.max())  # fmt: skip
 
 
+@pytest.mark.exhaustive
 def test_two_processes_train_the_same(trained, column, call, tmp_path):
     done = call("reduce", column, "--output", tmp_path / "r.npz", "--workers", 2, *SMALL)
     assert done.code == 0, done.errors
@@ -188,6 +190,7 @@ def test_lost_chains_are_told_and_the_rest_is_used(column, call, tmp_path, monke
     assert read_body_reduction(tmp_path / "r.npz").training["states"] == 30
 
 
+@pytest.mark.exhaustive
 def test_a_stopped_run_goes_on_where_it_was(column, stop, call, tmp_path):
     output, part = tmp_path / "r.npz", tmp_path / "r.npz.part"
     arguments = ["reduce", column, "--output", output, "--workers", 1, "--snapshots", 60,
@@ -201,7 +204,7 @@ def test_a_stopped_run_goes_on_where_it_was(column, stop, call, tmp_path):
     assert read_body_reduction(output).training["states"] == 60
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_a_cluster_trains_the_same(trained, column, call, tmp_path):
     distributed = pytest.importorskip("distributed")
     # Its workers are threads, reached over TCP; a test of `workspace` has them in processes.

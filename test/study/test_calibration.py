@@ -348,7 +348,7 @@ def test_too_few_poses_and_numbers_without_a_value_are_refused(bar, random):
         unknowns_of(bar, ["effectors.*.points"])
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_a_wrong_model_says_what_it_cannot_know_and_halves_its_error_at_new_poses(random):
     """The robot is 20 % softer, its cables are tied 1 mm beside, and its mesh is another one."""
     meshes = SCENES.parents[1] / "meshes"

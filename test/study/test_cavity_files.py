@@ -170,6 +170,7 @@ def test_a_column_that_does_not_fit_a_cavity_is_refused(
     assert caught.value.column == column and "table.csv" in str(caught.value)
 
 
+@pytest.mark.exhaustive
 def test_a_run_of_commands_writes_pressures_and_a_picture(springy, tmp_path, call):
     table = tmp_path / "commands.csv"
     table.write_text("time_s,line_shortening_m,air_pressure_Pa\n0,0,0\n1,0,400\n")
@@ -210,6 +211,7 @@ def test_explain_lists_cavities_with_volumes_walls_and_limits(simulation_of):
     assert sealed.result == "term sealed_gas"
 
 
+@pytest.mark.exhaustive
 def test_a_picture_shows_walls_of_all_cavities_inside_clear_bodies(simulation_of, tmp_path):
     image = pytest.importorskip("matplotlib.image")
     simulation = simulation_of(add_cushion)

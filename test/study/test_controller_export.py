@@ -23,6 +23,8 @@ from softrobot_twin.simulation.building.reduced_body import (
 from softrobot_twin.simulation.building.scene_layout import lay_out
 from softrobot_twin.study.controller_export import controller_arrays, export_controller
 
+pytestmark = pytest.mark.libraries
+
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "reduced_controller.md"
 EXACT = {"newton_iterations": 30, "residual_tolerance": 1e-10}

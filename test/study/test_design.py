@@ -122,7 +122,7 @@ def test_a_function_without_its_derivatives_is_refused(finger):
         finger.optimise(lambda found: (0.0, found.effectors), HEIGHTS, (-1e-3, 1e-3), commands())
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_the_code_of_the_page_runs_and_its_workspace_grows(tmp_path, monkeypatch, drawn_rng):
     monkeypatch.chdir(tmp_path)
     for folder in ("config", "meshes"):
@@ -142,6 +142,7 @@ def test_the_code_of_the_page_runs_and_its_workspace_grows(tmp_path, monkeypatch
         assert slopes[index] == pytest.approx((ends[0] - ends[1]) / 2e-6, rel=1e-3, abs=1e-9)
 
 
+@pytest.mark.exhaustive
 def test_trials_with_an_actuator_at_its_limit_are_refused_and_told():
     tight = st.load(FINGER, {"cables.flexor.tension": [0.0, 6.0]})
     first = tight.design_model({"modulus": VARIABLES["modulus"]}, commands()[1:2])
@@ -170,6 +171,7 @@ def test_a_command_beyond_the_limit_of_an_actuator_is_refused(finger):
         finger.design_model(HEIGHTS, [far]).solve([0.0, 0.0])
 
 
+@pytest.mark.exhaustive
 def test_a_search_that_stops_at_a_kink_says_so_and_a_radius_takes_kinks_away(drawn_rng):
     keys, hidden = [f"cables[{index}].points[0][2]" for index in range(4)], drawn_rng.uniform(-2e-3, 2e-3, 4)
     commands = [st.setpoints({f"{cable}_shortening_m": pull for cable, pull in zip(

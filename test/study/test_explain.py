@@ -22,6 +22,7 @@ from softrobot_twin.study.terminal import listing
 SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("scene", sorted(SCENES.glob("*.yaml")), ids=lambda path: path.stem)
 def test_every_scene_of_the_package_is_explained(scene, call):
     done = call("explain", scene, "--no-mesh-error")

@@ -24,6 +24,8 @@ from softrobot_twin.study.first_scene import robot_name
 from test.cad_parts import box, finger, lines_of, need_gmsh, write_stl
 from test.scene_changes import repeat_step
 
+pytestmark = pytest.mark.sampled
+
 MM = 1e-3
 MESHES = Path(__file__).resolve().parents[2] / "meshes"
 

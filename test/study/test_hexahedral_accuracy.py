@@ -19,6 +19,8 @@ from softrobot_twin.study.accuracy_study import (
 )
 from softrobot_twin.study.choice import Measured, choose
 
+pytestmark = pytest.mark.exhaustive
+
 SIZE = (0.02, 0.02, 0.1)
 TETS = {10: (1, 1, 5), 20: (2, 2, 6)}
 HEXAHEDRA = {5: (1, 1, 5), 40: (2, 2, 6)}

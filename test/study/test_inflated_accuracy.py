@@ -112,6 +112,7 @@ def test_every_actuator_oscillates_in_its_own_unit(inflated):
     assert 0.0 < alone.displacements.min() and np.ptp(alone.displacements) > 5.0e-8
 
 
+@pytest.mark.exhaustive
 def test_errors_at_given_volumes_and_pressures_fall_with_the_mesh(study):
     linear = {row.mesh: row for row in study.rows
               if (row.element, row.law) == ("linear", "corotational")}
@@ -122,6 +123,7 @@ def test_errors_at_given_volumes_and_pressures_fall_with_the_mesh(study):
     assert all(reference.displacement > 1e-5 for reference in study.references.values())
 
 
+@pytest.mark.exhaustive
 def test_choose_speaks_of_volumes_and_keeps_what_the_scene_controls(
     inflated, study, tmp_path, capsys
 ):

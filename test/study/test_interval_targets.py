@@ -1,11 +1,13 @@
 """Targets of an interval, followed forwards and backwards, stay inside it and in contact."""
 
 import numpy as np
+import pytest
 
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.study.bench_measurement import interval_targets, robot_cases
 
 
+@pytest.mark.exhaustive
 def test_the_trunk_is_in_contact_during_the_whole_timed_interval():
     case = next(case for case in robot_cases() if case.name == "trunk_700")
     simulation = Simulation(case.scene)

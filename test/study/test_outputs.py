@@ -9,6 +9,8 @@ from softrobot_twin.study import direct_run, offline_run
 from softrobot_twin.study.output_file import OutputError, output_file
 from test.run_files import rows_of
 
+pytestmark = pytest.mark.libraries
+
 TARGETS = "time_s,tip_x_m,tip_y_m,tip_z_m\n0,0.0105,0.01,0.098\n0.02,0.011,0.01,0.0975\n"
 OLD = "what an earlier run wrote\n"
 

@@ -31,6 +31,7 @@ def test_the_distance_of_threads_counts_all_of_both_hands():
         2.0 * np.pi * 0.02 / 4, rel=1e-3)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("pitch, warns", [(0.016, False), (0.030, False), (0.036, True)])
 def test_threads_that_are_further_apart_than_two_walls_are_warned_of(pitch, warns):
     segment = robot("segment", changed({"fibres.0.helix.pitch": pitch}))

@@ -15,6 +15,8 @@ from softrobot_twin.study.terminal import (
     table,
 )
 
+pytestmark = pytest.mark.libraries
+
 
 @pytest.fixture
 def clock(monkeypatch):

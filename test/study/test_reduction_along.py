@@ -89,6 +89,7 @@ def test_states_along_a_path_are_equilibria_in_the_contact_of_the_scene(finder):
     np.testing.assert_allclose(simulation.effector_positions(), states.effectors[-1], atol=1e-6)
 
 
+@pytest.mark.exhaustive
 def test_a_body_trained_along_a_path_keeps_its_gap_and_presses_as_the_full_one(
     beside_a_rod, call, tmp_path
 ):

@@ -94,6 +94,7 @@ def test_bands_tell_when_a_status_and_a_limit_held(tmp_path):
     assert (begin, end) == pytest.approx((TIMES[9], TIMES[20]))
 
 
+@pytest.mark.libraries
 def test_the_legend_of_many_cables_names_the_largest_and_overlaps_nothing(tmp_path):
     figure = drawn(read_series(written(tmp_path / "run.csv", robot(cables=40))))
     renderer = figure.canvas.get_renderer()
@@ -110,6 +111,7 @@ def test_the_legend_of_many_cables_names_the_largest_and_overlaps_nothing(tmp_pa
         assert 0.0 <= box.x0 and box.x1 <= figure.bbox.x1 and 0.0 <= box.y0
 
 
+@pytest.mark.libraries
 def test_tables_of_commands_and_samples_of_a_workspace_are_drawn(tmp_path):
     commands = written(tmp_path / "commands.csv", {
         "time_s": [0, 1, 2], "a_shortening_m": [0, 1e-3, 0], "a_length_m": [1, 2, 3]})
@@ -140,6 +142,7 @@ def test_a_file_of_another_kind_is_refused_by_name(tmp_path, text, words):
     assert not (tmp_path / "run_plot.png").exists()
 
 
+@pytest.mark.exhaustive
 def test_the_command_writes_a_picture_beside_the_run(tmp_path, call):
     written(tmp_path / "run.csv", robot())
     done = call("plot", tmp_path / "run.csv")

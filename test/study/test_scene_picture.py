@@ -49,6 +49,8 @@ def test_a_snapshot_shows_every_body_at_its_position(stamp):
     assert len(shot.forces[0]) == result.report.contact_count > 0
 
 
+@pytest.mark.libraries
+@pytest.mark.exhaustive
 def test_states_side_by_side_make_a_wider_picture(tmp_path, stamp, call):
     image = pytest.importorskip("matplotlib.image")
     widths = []
@@ -142,6 +144,8 @@ def drawn(shots):
 
 
 # Together they have all kinds.
+@pytest.mark.libraries
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", ["stifface", "springy", "strider", "trunk"])
 def test_the_legend_names_all_that_a_scene_has_and_nothing_else(name, drawn):
     (legend,) = drawn(name).legends
@@ -149,6 +153,7 @@ def test_the_legend_names_all_that_a_scene_has_and_nothing_else(name, drawn):
     assert texts == [text for kind, (_, _, text) in LEGEND.items() if kind in KINDS[name]]
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("name", "view"), [
     ("stifface", None), ("stifface", (90.0, 0.0)), ("strider", (0.0, -90.0))])
 def test_no_text_of_a_labelled_picture_is_clipped_or_overlaps_another(name, view, drawn, check_texts):
@@ -182,6 +187,7 @@ def test_labels_are_a_step_apart_and_move_as_little_as_possible():
     np.testing.assert_array_less(0.2 - 1e-12, np.diff(crowded))
 
 
+@pytest.mark.libraries
 def test_springs_are_drawn_between_their_ends(tmp_path):
     from softrobot_twin.scene import scene_from_mapping
     simulation = Simulation(scene_from_mapping({

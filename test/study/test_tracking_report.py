@@ -19,6 +19,8 @@ from softrobot_twin.study.tracking import (
     write_report,
 )
 
+pytestmark = pytest.mark.libraries
+
 TWIN = {"compute_time_ms": {"median": 4.0, "p99": 6.0, "max": 9.0}, "period_ms": 20.0,
         "ticks": 1500, "missed_ticks": 2, "skipped_ticks": 1,
         "mesh": {"nodes": 1600, "tets": 4500, "dof": 4700}}
@@ -112,6 +114,7 @@ def test_saved_samples_read_back_bit_by_bit(tmp_path):
         assert tuple(read["open_loop.setpoint_units"]) == ("m", "Pa")
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("names", [("open_loop",), ("open_loop", "closed_loop")])
 def test_the_picture_of_one_run_or_two_is_drawn(tmp_path, names):
     pytest.importorskip("matplotlib")
@@ -120,6 +123,7 @@ def test_the_picture_of_one_run_or_two_is_drawn(tmp_path, names):
     assert (tmp_path / "tracking.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("actuators", [2, 4, 14])
 def test_no_text_of_the_picture_is_clipped_or_overlaps_another(actuators, check_texts):
     pyplot = pytest.importorskip("matplotlib.pyplot")

@@ -79,6 +79,7 @@ weightless = changed({"gravity": [0.0, 0.0, 0.0]})
 # --- the division ---------------------------------------------------------------------------------
 
 
+@pytest.mark.exhaustive
 def test_the_fetch_is_divided_into_plates_and_accordions(reduced):
     simulation = reduced()
     division = simulation.model.bodies[0].vertebrae.division
@@ -90,12 +91,14 @@ def test_the_fetch_is_divided_into_plates_and_accordions(reduced):
     assert sorted(own) == list(range(len(division.positions)))
 
 
+@pytest.mark.exhaustive
 def test_weight_is_that_of_the_body(reduced):
     simulation = reduced()
     body = simulation.model.bodies[0]
     assert sum(part.mass for part in body.vertebrae.parts) == pytest.approx(body.mass)
 
 
+@pytest.mark.exhaustive
 def test_vertebrae_that_do_not_fit_are_refused(scene):
     def overlap(mapping):
         mapping["body"]["vertebrae"]["rigid"][1] = {
@@ -211,6 +214,7 @@ def test_the_tip_is_where_the_full_model_has_it(workshop):
     assert (found.estimates > 0.2 * found.errors[:, 0]).mean() > 0.6
 
 
+@pytest.mark.exhaustive
 def test_the_measured_error_is_saved(workshop, tmp_path, capsys):
     for name in ("fetch_1500.msh", "fetch.yaml", "fetch_1500_vertebrae.npz"):
         shutil.copy(workshop.parent / name, tmp_path)
@@ -395,6 +399,7 @@ def test_what_is_not_of_the_superelements_may_change(reduced):
     assert reduced(change).step(Hold()).status.is_success
 
 
+@pytest.mark.exhaustive
 def test_the_command_makes_only_what_has_changed(workshop, tmp_path, capsys):
     for name in ("fetch_1500.msh", "fetch.yaml", "fetch_1500_vertebrae.npz"):
         shutil.copy(workshop.parent / name, tmp_path)
@@ -431,6 +436,7 @@ def test_actuators_without_limits_are_refused(workshop, tmp_path, capsys):
 # --- another robot --------------------------------------------------------------------------------
 
 
+@pytest.mark.exhaustive
 def test_cables_run_through_vertebrae(tmp_path):
     """The Trunk by ten thin sections: cables act on frames, and the command tells how well."""
     mapping = written_out(yaml.safe_load((ROOT / "config" / "scenes" / "trunk.yaml").read_text()))

@@ -69,6 +69,7 @@ def test_the_first_sample_is_the_robot_at_rest(sampled, column):
         assert float(row[f"{name}_length_m"]) == length
 
 
+@pytest.mark.libraries
 def test_the_picture_has_its_size(sampled):
     from matplotlib.image import imread
     picture = imread(sampled.with_suffix(".png"))
@@ -77,6 +78,8 @@ def test_the_picture_has_its_size(sampled):
     assert (np.ptp(picture[..., :3], axis=2) > 0.3).sum() > 1000
 
 
+@pytest.mark.libraries
+@pytest.mark.exhaustive
 def test_two_processes_write_the_same_bytes(sampled, column, call, tmp_path):
     done = call("workspace", column, "--output", tmp_path / "w.csv", "--samples", 7, "--seed", 3,
                 "--workers", 2)  # fmt: skip
@@ -114,6 +117,7 @@ def test_cables_of_one_motor_are_sampled_as_one(column, tmp_path):
     assert drives[:, 0].max() <= 0.002 and np.ptp(drives[:, 0]) > 0.001
 
 
+@pytest.mark.exhaustive
 def test_a_stopped_run_goes_on_where_it_was(column, sampled, stop, call, tmp_path):
     output, part = tmp_path / "w.csv", tmp_path / "w.csv.part"
     arguments = ["workspace", column, "--output", output, "--samples", 12, "--seed", 3]
@@ -223,6 +227,7 @@ def squares(tmp_path_factory):
     del sys.modules["squares_for_tests"]
 
 
+@pytest.mark.exhaustive
 def test_a_lost_process_costs_only_its_own_sample(squares, tmp_path):
     samples = [(index, index) for index in range(8)]
     job = Job(squares.Fragile, tmp_path, "")
@@ -310,7 +315,8 @@ def cluster(squares):
     made.close(timeout=60)
 
 
-@pytest.mark.slow
+@pytest.mark.libraries
+@pytest.mark.exhaustive
 def test_a_cluster_computes_the_same_and_a_failure_costs_only_its_sample(
     cluster, column, sampled, squares, call, tmp_path
 ):
@@ -327,7 +333,7 @@ def test_a_cluster_computes_the_same_and_a_failure_costs_only_its_sample(
     assert all(found[index].row == [index**2] for index in found if index != 4)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_a_killed_worker_of_a_cluster_loses_no_sample(cluster, column, tmp_path):
     simulation = Simulation.from_scene_file(column)
     setpoints = sampled_setpoints(simulation, sampled_axes(simulation), 30, 0)
@@ -340,7 +346,7 @@ def test_a_killed_worker_of_a_cluster_loses_no_sample(cluster, column, tmp_path)
     assert all(one.row is not None and one.row[-1] == "ok" for one in found)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_rows_that_wait_on_a_killed_worker_are_computed_once_more(cluster, squares, tmp_path):
     samples = [(index, index) for index in range(5, 25)]
     running = DaskWorkers(cluster.scheduler_address).run(Job(squares.Failing, tmp_path, ""), samples)

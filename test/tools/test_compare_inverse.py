@@ -34,20 +34,23 @@ def snapping_bar():
     return compare_inverse.Robot(scene, place, weights, {}, {}, length, "snapping bar")
 
 
+@pytest.mark.exhaustive
 def test_a_bar_that_snaps_rests_where_its_tip_is_nearest():
     found = compare_inverse.compare(snapping_bar(), np.random.default_rng(1))
     assert found.status == "unreachable" and not found.is_restless
     assert found.best > 10.0 * found.tolerance and not found.is_worse
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("seed", [(52, 8), (61, 9)], ids=["creeps", "repeats a cycle of moves"])
 def test_a_beam_that_kept_out_of_balance_for_ever_comes_to_rest(seed):
     _, found = compare_inverse.follow(compare_inverse.random_robot(np.random.default_rng(seed)))
     assert found.status in compare_inverse.RESTING and not found.is_restless
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("count, most_worse, most_restless", [
-    (4, 3, 1), pytest.param(40, 7, 2, marks=[pytest.mark.slow, pytest.mark.timeout(900)]),
+    (4, 3, 1), pytest.param(40, 7, 2, marks=[pytest.mark.exhaustive, pytest.mark.timeout(900)]),
 ])  # fmt: skip
 def test_random_robots_rest_near_the_best_place_or_tell_it(drawn_rng, count, most_worse, most_restless):
     found = []

@@ -7,6 +7,7 @@ from softrobot_twin.study.bench_measurement import WHOLE_STEP
 from test.run_files import rows_of
 
 
+@pytest.mark.exhaustive
 def test_more_contacts_make_more_rows_on_the_same_matrix(tmp_path):
     few, many = found = measure_contacts(tmp_path, 5, (3, 6))
     assert few.dof_count == many.dof_count

@@ -26,7 +26,7 @@ def test_the_reach_is_drawn_over_the_whole_pad(tmp_path, capsys):
     assert "4.00" in capsys.readouterr().out
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_the_stiffness_of_a_place_beside_the_middle_can_be_tripled(monkeypatch):
     monkeypatch.setattr(draw_stifface, "FACTOR", 1.2)
     simulation = draw_stifface.Simulation.from_scene_file(draw_stifface.SCENES / "stifface.yaml")

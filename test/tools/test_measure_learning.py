@@ -16,7 +16,7 @@ from softrobot_twin.simulation import Simulation  # noqa: E402
 FINGER = Path(__file__).resolve().parents[2] / "config" / "scenes" / "finger.yaml"
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_it_prints_what_a_step_costs_and_what_two_workers_give(capsys):
     measure(FINGER, 2, 3, 1, 0.0)
     told = capsys.readouterr().out

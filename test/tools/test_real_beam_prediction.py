@@ -97,7 +97,7 @@ def test_intervals_of_the_predicted_sags_hold_those_under_loads(calibrated):
         assert np.all(reach < 0.2 * np.abs(measured + off))
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_intervals_of_the_predicted_frequencies_hold_those_measured(calibrated):
     beam, found, _ = calibrated
     for load in LOADS:
@@ -109,7 +109,7 @@ def test_intervals_of_the_predicted_frequencies_hold_those_measured(calibrated):
         assert high / low < 1.2
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_sags_under_loads_are_predicted_within_the_uncertainty_of_the_clamp(study):
     own, *loaded = study.predictions
     own_sag = np.mean(own.measured.sags)
@@ -124,7 +124,7 @@ def test_sags_under_loads_are_predicted_within_the_uncertainty_of_the_clamp(stud
         assert row.sag / own_sag == pytest.approx(theirs, rel=0.03)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_three_frequencies_are_predicted_within_the_uncertainty_of_the_clamp(study):
     own_sag = np.mean(study.predictions[0].measured.swinging_sags)
     for row in study.predictions:
@@ -133,7 +133,7 @@ def test_three_frequencies_are_predicted_within_the_uncertainty_of_the_clamp(stu
         assert row.frequency == pytest.approx(np.mean(row.measured.frequencies), rel=bar)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_the_settled_beam_is_softer_than_the_vibrating_one(study):
     """Silicone creeps: the modulus of its rest makes every frequency too low, by some percent."""
     stiffer = study.swinging_modulus / study.settled_modulus
@@ -143,7 +143,7 @@ def test_the_settled_beam_is_softer_than_the_vibrating_one(study):
         assert row.frequency / row.settled_frequency == pytest.approx(np.sqrt(stiffer), rel=0.01)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_a_coarser_mesh_predicts_the_same(study):
     """The mesh goes into the modulus, by several percent; hardly into what follows from it."""
     coarse = predict_beam(DATA, (2, 2, 6))
@@ -153,7 +153,7 @@ def test_a_coarser_mesh_predicts_the_same(study):
         assert coarse_row.frequency == pytest.approx(row.frequency, rel=0.01)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_one_modulus_of_a_hyperelastic_law_gives_the_three_sags_within_three_percent():
     # Of the form of Dragon Skin 10, its silicone, with the modulus as the one parameter.
     fit = fit_sags(DATA, "dragon_skin_10")

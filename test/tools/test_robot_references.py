@@ -7,6 +7,8 @@ from robot_references import CASES, errors_of, read_references, scene_of
 
 from softrobot_twin.simulation.mesh_error import MeshErrorEstimator
 
+pytestmark = pytest.mark.sampled
+
 
 @pytest.fixture(scope="module")
 def known():

@@ -4,6 +4,8 @@ import pytest
 
 from softrobot_twin.view.recording import CAN_SERVE
 
+pytestmark = pytest.mark.libraries
+
 
 def test_a_layout_is_made_without_a_warning(stage):
     from softrobot_twin.view import picture

@@ -5,6 +5,8 @@ import pytest
 
 from softrobot_twin.view import Drawn, Entity, Plot, ViewError
 
+pytestmark = pytest.mark.libraries
+
 TRIANGLE = np.array([[0, 1, 2]])
 
 

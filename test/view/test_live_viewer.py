@@ -105,7 +105,6 @@ def test_a_viewer_that_connects_late_receives_the_stage_and_past_frames(
         make_frame(10).drawn["/robot/surface/body"].points, abs=1e-8)
 
 
-@pytest.mark.slow
 def test_a_frozen_viewer_of_an_ordinary_robot_has_no_effect(tmp_path, join):
     stage, make = heavy_stage_and_frames(node_count=1000)
     frames = iter(range(10**9))
@@ -124,7 +123,7 @@ def test_a_frozen_viewer_of_an_ordinary_robot_has_no_effect(tmp_path, join):
         assert mirror.failure is None
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_a_frozen_viewer_blocks_large_frames_but_nothing_else(tmp_path, join, read_recording):
     stage, make = heavy_stage_and_frames(node_count=100_000)
     ready = [make(step) for step in range(20)]
@@ -172,7 +171,7 @@ def test_a_frozen_viewer_blocks_large_frames_but_nothing_else(tmp_path, join, re
     assert file.dropped_count < 0.1 * file.logged_count
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_closing_with_a_frozen_viewer_takes_no_longer_than_its_timeout(tmp_path, join):
     stage, make = heavy_stage_and_frames(node_count=100_000)
     ready = [make(step) for step in range(20)]

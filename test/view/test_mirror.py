@@ -9,6 +9,8 @@ import pytest
 from softrobot_twin.view import Drawn, RerunMirror, ViewError
 from softrobot_twin.view.recording import CAN_SERVE
 
+pytestmark = pytest.mark.libraries
+
 serving = pytest.mark.skipif(not CAN_SERVE, reason="this rerun cannot serve safely")
 
 

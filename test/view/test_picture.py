@@ -9,6 +9,8 @@ import pytest
 from softrobot_twin.simulation.colours import pressure_colours, tension_colours
 from softrobot_twin.view import Drawn, Entity
 
+pytestmark = pytest.mark.libraries
+
 
 def test_a_recording_holds_the_robot_its_surroundings_and_its_curves(draw, make_frame):
     entities = draw([make_frame(0)]).entities

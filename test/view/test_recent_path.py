@@ -3,6 +3,8 @@ import pytest
 
 from softrobot_twin.view.picture import RecentPath
 
+pytestmark = pytest.mark.libraries
+
 SECOND = 1_000_000_000
 
 

@@ -11,6 +11,8 @@ from softrobot_twin.simulation import Hold, Simulation
 from softrobot_twin.view import ViewError
 from softrobot_twin.view.simulation_frames import SimulationFrames
 
+pytestmark = pytest.mark.libraries
+
 SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
 
 

@@ -3,6 +3,8 @@ import pytest
 
 from softrobot_twin.view.picture import SurfaceNormals
 
+pytestmark = pytest.mark.libraries
+
 
 def test_normals_of_a_box_point_out_of_its_corners():
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)

@@ -4,6 +4,8 @@ import pytest
 from softrobot_twin.simulation import colours as module
 from softrobot_twin.simulation.colours import tension_colours
 
+pytestmark = pytest.mark.libraries
+
 
 def test_slack_is_grey_and_the_limit_is_red():
     slack, limit = tension_colours(np.array([0.0, 20.0]), (0.0, 20.0)).astype(int)

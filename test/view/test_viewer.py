@@ -4,6 +4,8 @@ import pytest
 
 from softrobot_twin.view.mirror import open_viewer
 
+pytestmark = pytest.mark.libraries
+
 ADDRESS = "rerun+http://127.0.0.1:1/proxy"
 
 

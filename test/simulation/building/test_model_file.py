@@ -63,6 +63,7 @@ def refused(lay, content) -> str:
     return told
 
 
+@pytest.mark.sampled
 def test_a_file_that_was_cut_or_whose_bits_changed_is_refused(model, drawn_rng):
     whole, lay = model
     lay(whole)
@@ -81,6 +82,7 @@ def test_a_file_that_was_cut_or_whose_bits_changed_is_refused(model, drawn_rng):
         refused(lay, bytes(content))
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("wrong", [np.nan, -np.inf])
 def test_each_array_of_numbers_is_refused_with_a_number_that_is_none(model, drawn_rng, wrong):
     whole, lay = model
@@ -95,6 +97,7 @@ def test_each_array_of_numbers_is_refused_with_a_number_that_is_none(model, draw
         assert f" {name} are not between" in told
 
 
+@pytest.mark.sampled
 def test_each_array_is_refused_missing_in_another_shape_or_of_another_kind(model, drawn_rng):
     whole, lay = model
     arrays = arrays_of(whole)
@@ -107,6 +110,7 @@ def test_each_array_is_refused_missing_in_another_shape_or_of_another_kind(model
         assert "are needed" in refused(lay, saved({**arrays, name: other}))
 
 
+@pytest.mark.sampled
 def test_what_does_not_fit_the_body_is_refused(model):
     whole, lay = model
     arrays = arrays_of(whole)

@@ -94,6 +94,7 @@ def assert_same(full, reduced, command, steps=3):
     np.testing.assert_allclose(markers[1], markers[0], atol=1e-9 * full.model.nodes.size)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("body", [
     {},
     {"material": {"law": "neo_hookean", "young_modulus": 180.0e3, "poisson_ratio": 0.4,

@@ -63,6 +63,7 @@ def test_while_it_explores_a_robot_stays_to_the_bit(limited):
     assert count > 5
 
 
+@pytest.mark.exhaustive
 def test_a_robot_that_shall_not_explore_rests_where_it_is(limited):
     twin, asked = limited(exploration=False)
     for _ in range(MOST // 2):

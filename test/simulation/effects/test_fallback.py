@@ -40,6 +40,7 @@ def wind(simulation, shortening, steps):
     return [simulation.step(command) for _ in range(steps)]
 
 
+@pytest.mark.sampled
 def test_the_better_model_is_in_use_while_the_error_is_above_the_wanted_one(falling, half_trained):
     simulation, kind = falling
     simulation.reset()

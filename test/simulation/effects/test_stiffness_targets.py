@@ -14,6 +14,8 @@ from softrobot_twin.simulation.apparent_compliance import apparent_compliance
 from softrobot_twin.simulation.effects.stiffness_targets import StiffnessTargets
 from test.scene_changes import change_scene, changed, repeat_step
 
+pytestmark = pytest.mark.libraries
+
 FILE = Path(__file__).resolve().parents[3] / "config" / "scenes" / "stifface.yaml"
 WHERE, NOWHERE = np.array([[0.0, 0.0, -1.0e-3]]), np.full((1, 3), np.nan)
 
@@ -54,6 +56,7 @@ def stiffness_at_state(simulation):
     return 1.0 / apparent_compliance(simulation).compliance[0, 2, 2]
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("wanted", [190.0, 250.0])
 def test_the_pad_shows_the_wanted_stiffness_and_stays_where_it_is(pad, wanted):
     result = pad.follow(wanted)[-1]
@@ -107,7 +110,7 @@ def test_a_stiffness_out_of_reach_ends_at_the_nearest_and_is_told(pad):
         assert stiffness_at_state(pad) < 1.05 * nearest
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("wanted", [250.0, 300.0, 330.0])
 def test_nothing_goes_to_and_fro_over_500_steps(pad, wanted):
     results = pad.follow(wanted, steps=500)

@@ -17,6 +17,8 @@ from softrobot_twin.simulation.step.augmented_tangent import HeldActuators
 from softrobot_twin.simulation.step.time_budget import StageClock
 from test.scene_changes import changed
 
+pytestmark = pytest.mark.libraries
+
 SCENES = Path(__file__).resolve().parents[3] / "config" / "scenes"
 ALL_AXES = np.arange(3)
 
@@ -136,7 +138,7 @@ def test_the_linearization_begins_at_the_state(pulled):
     np.testing.assert_allclose(here, found.compliance, rtol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_its_derivatives_are_right_where_the_tangent_alone_is_indefinite():
     simulation = shipped("diamond", fine_diamond)
     stiffness = ApparentStiffness(simulation.model)

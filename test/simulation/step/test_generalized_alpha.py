@@ -64,6 +64,7 @@ def swing(times, damping=0.0) -> np.ndarray:
     return -MASS * G / STIFFNESS * (1.0 - np.exp(-ratio * OMEGA * times) * wave)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("damping", [0.0, 0.5])
 @pytest.mark.parametrize("scheme, order", SCHEMES)
 def test_a_mass_on_a_spring_converges_at_the_order_of_its_scheme(hanging, scheme, order, damping):
@@ -259,6 +260,7 @@ def test_a_bar_released_under_its_weight_swings_as_far_with_long_steps_as_with_s
     assert found["euler", 0.01] > exact + 5.0
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("damping", [{}, {"stiffness": 0.002}, {"mass": 4.0}])
 def test_a_beam_converges_at_the_second_order(simulate, damping):
     """An elastic beam released sideways under its weight, with rotary inertia."""
@@ -321,6 +323,7 @@ def test_a_tumbling_body_keeps_its_momenta_and_its_energy(tumbling):
     assert np.abs(energies[400:]).max() < 1.2 * np.abs(energies[:400]).max()
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("scheme, order", SCHEMES)
 def test_rotations_converge_at_the_order_of_the_scheme(scene_of, scheme, order):
     """A box on a spring that is attached at its corner: torque, and coupled axes."""

@@ -35,6 +35,7 @@ def followed(name, seed, by_kernel, monkeypatch):
     return np.array(ways), sum(proved)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("name", ["finger", "flexo", "fetch_reduced", "diamond_reduced", "trunk"])
 def test_by_one_kernel_a_robot_goes_the_same_way_to_the_bit(name, seed, monkeypatch):

@@ -190,6 +190,7 @@ def test_the_factorization_does_not_change_the_assembled_matrix(system):
     np.testing.assert_array_equal(system.solver.storage, before)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("shape", [(8, 8, 60), (15, 15, 15)], ids=["bar", "cube"])
 def test_bodies_of_thousands_of_nodes_are_solved(shape):
     index = np.arange(np.prod(shape)).reshape(shape)

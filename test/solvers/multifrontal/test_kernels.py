@@ -257,7 +257,7 @@ print(VECTOR_WIDTH)
 """
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("processor, features, lanes", [
     ("haswell", "+sse,+sse2,+sse3,+ssse3,+sse4.1,+sse4.2,+avx,+avx2,+fma", 4),
     ("x86-64", "+sse,+sse2", 2),
