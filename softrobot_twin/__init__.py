@@ -4,7 +4,8 @@ The method is that of Coevoet 2017, "Software toolkit for modeling, simulation a
 robots", as all sources in docs/references.md. docs/equations.md lists where each of its equations is
 computed.
 
-Importing the package sets the number of BLAS threads to one, unless the environment sets it.
+Importing the package sets the number of BLAS threads to one, and the instruction set that kernels
+and BLAS use to one that many machines have, unless the environment sets them.
 
     import softrobot_twin as st
     robot = st.load("finger.yaml")
@@ -22,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 from softrobot_twin.blas_threads import use_one_blas_thread
 from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.instruction_set import choose_level
 
 if TYPE_CHECKING:
     from softrobot_twin.scene import Scene
@@ -65,6 +67,7 @@ if "OPENBLAS_NUM_THREADS" not in os.environ:
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
     if "numpy" in sys.modules:
         use_one_blas_thread()
+choose_level(os.environ)
 
 
 def vector_env(

@@ -16,10 +16,17 @@ import time
 from collections.abc import Callable
 
 import numba
+from numba.core import config
 from numba.core import event as events
-from numba.core.registry import CPUDispatcher
+from numba.core.registry import CPUDispatcher, cpu_target
 
 from softrobot_twin.kernel_cache import KernelCache
+
+# Where numba was imported before this package, it has begun to compile for another processor.
+config.reload_config()
+_code = cpu_target.target_context.codegen()
+if _code.magic_tuple()[2] != _code._get_host_cpu_features():
+    cpu_target.target_context.init()
 
 _PACKAGE = __name__.split(".")[0] + "."
 

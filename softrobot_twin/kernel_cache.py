@@ -178,8 +178,9 @@ class KernelCache(_Cache):
             return None
         cells = tuple(cell.cell_contents for cell in function.__closure__ or ())
         depends_on = (
-            numba.__version__, sys.version_info[:2], codegen.magic_tuple(), str(arguments),
-            str(returned), function.__code__.co_firstlineno, function.__code__.co_code,
+            numba.__version__, sys.version_info[:2], codegen.magic_tuple(),
+            numba.config.USING_SVML, str(arguments), str(returned),
+            function.__code__.co_firstlineno, function.__code__.co_code,
             dumps(cells) if cells else None, sorted(map(closure_hash, modules)),
         )  # fmt: skip
         name = f"{function.__module__}.{function.__qualname__}".removeprefix(f"{_PACKAGE}.")

@@ -24,7 +24,10 @@ from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.channels import FIGURES, from_outside
 
 _LIBRARIES = ("softrobot_twin", "numpy", "scipy", "numba", "llvmlite", "osqp", "daqp", "gmsh")
-_VARIABLES = ("NUMBA_CPU_NAME", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_CORETYPE")
+_VARIABLES = (
+    "NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES", "OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES",
+    "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -200,6 +203,8 @@ def machine() -> dict[str, str]:
     found["machine"] = platform.machine()
     found["processor"] = binding.get_host_cpu_name()
     found["system"] = sys.platform
+    if "CS_GNU_LIBC_VERSION" in os.confstr_names:
+        found["libc"] = os.confstr("CS_GNU_LIBC_VERSION") or ""
     for variable in _VARIABLES:
         if variable in os.environ:
             found[variable] = os.environ[variable]

@@ -15,8 +15,8 @@ from contextlib import contextmanager
 
 import numpy as np
 from llvmlite import ir
-from numba.core import cgutils, config
-from numba.core.codegen import get_host_cpu_features
+from numba.core import cgutils
+from numba.core.registry import cpu_target
 
 from softrobot_twin.compilation import INNER, njit
 
@@ -27,9 +27,7 @@ STRIP_BYTES = 8 * STRIP
 
 def doubles_per_vector() -> int:
     """Doubles in one vector register of the machine that numba compiles for."""
-    # Empty features mean a generic processor, not this one.
-    named = config.CPU_FEATURES
-    features = (get_host_cpu_features() if named is None else named).split(",")
+    features = cpu_target.target_context.codegen().magic_tuple()[2].split(",")
     if "+avx512f" in features:
         return 8
     return 4 if "+avx" in features else 2
