@@ -43,6 +43,7 @@ _STEADY = 5
 _TYPICAL, _OF_MANY, _OF_ONE = 0.7, 4.0, 4.0
 """Noise is typically as large as this quantile of comparisons, and at most so many times as large, more
 with few actuators, and with few comparisons: normal noise goes beyond less than once in 10⁵."""
+_TINY = 1.0e-300
 _FADES = 0.9
 """What was learned falls to this share at most where less is learned anew."""
 NOISE_SHARE = 0.25
@@ -200,9 +201,12 @@ class SensorNoise:
         steady = np.sort(sliding_window_view(speeds, _STEADY, axis=0), axis=-1)[..., middle]
         inner = slice(middle, known - middle)
         residuals = np.sort(np.abs(changes[inner] - steady * spans[inner]), axis=0)
-        # Of few actuators one of the last measurements is nearer by chance.
-        times = (_OF_MANY + _OF_ONE / len(places)) * (1.0 + _ENOUGH / known)
-        learned = times * residuals[round(_TYPICAL * (len(residuals) - 1))]
+        typical = residuals[round(_TYPICAL * (len(residuals) - 1))]
+        # Of few actuators one of the last measurements is nearer by chance: of few with noise.
+        shares = typical / self._scale[places]
+        noisy = shares.sum() / max(shares.max(), _TINY)
+        times = (_OF_MANY + _OF_ONE / max(noisy, 1.0)) * (1.0 + _ENOUGH / known)
+        learned = times * typical
         bound = np.maximum(np.maximum(learned, _FADES * self.bound[places]), self._least[places])
         self.bound[places] = np.minimum(bound, self._most[places])
 
