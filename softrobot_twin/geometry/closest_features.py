@@ -106,6 +106,9 @@ FACE, EDGE, CORNER, NONE = 0, 1, 2, 3
 def closest_weights(p, a, b, c):
     """Weights of the corners at the point of triangle abc that is closest to p.
 
+    Areas are those along the normal. As differences of scalar products, which are shorter, they
+    lose the digits of the square of a needle's length over its width, not of that ratio.
+
     Source: Ericson 2005, section 5.1.5.
     """
     ab, ac, ap = subtract(b, a), subtract(c, a), subtract(p, a)
@@ -116,7 +119,8 @@ def closest_weights(p, a, b, c):
     d3, d4 = dot(ab, bp), dot(ac, bp)
     if d3 >= 0.0 and d4 <= d3:
         return (0.0, 1.0, 0.0)
-    vc = d1 * d4 - d3 * d2
+    n = cross(ab, ac)
+    vc = dot(cross(ab, ap), n)
     if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
         t = d1 / (d1 - d3)
         return (1.0 - t, t, 0.0)
@@ -124,15 +128,15 @@ def closest_weights(p, a, b, c):
     d5, d6 = dot(ab, cp), dot(ac, cp)
     if d6 >= 0.0 and d5 <= d6:
         return (0.0, 0.0, 1.0)
-    vb = d5 * d2 - d1 * d6
+    vb = dot(cross(ap, ac), n)
     if vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
         t = d2 / (d2 - d6)
         return (1.0 - t, 0.0, t)
-    va = d3 * d6 - d5 * d4
-    if va <= 0.0 and d4 >= d3 and d5 >= d6:
+    square = dot(n, n)
+    if vb + vc >= square and d4 >= d3 and d5 >= d6:
         t = (d4 - d3) / ((d4 - d3) + (d5 - d6))
         return (0.0, 1.0 - t, t)
-    scale = 1.0 / (va + vb + vc)
+    scale = 1.0 / square
     return (1.0 - (vb + vc) * scale, vb * scale, vc * scale)
 
 

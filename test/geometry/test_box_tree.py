@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from numpy.linalg import norm
 
 from softrobot_twin.geometry.box_tree import box_tree, near_items, nearest_distances
 from softrobot_twin.geometry.hexahedral_mesh import HexahedralMesh
@@ -32,6 +33,19 @@ def test_the_nearest_of_large_and_small_triangles_is_that_of_all(drawn_rng, coun
     found = nearest_distances(box_tree(corners), corners, points)
     nearest = distances_from_all(corners, points).min(axis=1)
     np.testing.assert_allclose(found, nearest, rtol=1e-9, atol=1e-9)
+
+
+def test_a_point_in_a_needle_is_in_it_up_to_round_off_by_length_over_width(drawn_rng):
+    """The weights of a triangle's corners are off by eps times that ratio, not by its square."""
+    for aspect in 10.0 ** drawn_rng.uniform(0, 7, 100):
+        corners = uneven(drawn_rng, 2)[1:]
+        corners[0, 2] = corners[0, 1] + (corners[0, 2] - corners[0, 1]) / aspect
+        u, v = corners[0, 1:] - corners[0, 0]
+        size, doubled_area = norm(u) + norm(v), norm(np.cross(u, v))
+        points = drawn_rng.dirichlet(np.ones(3), 20) @ corners[0]
+        away = nearest_distances(box_tree(corners), corners, points)
+        furthest = norm(corners[0], axis=1).max()
+        assert (away <= 4.0 * np.finfo(float).eps * (furthest + size**3 / doubled_area)).all(), aspect
 
 
 def test_every_item_whose_box_is_within_reach_is_found_once(drawn_rng):
