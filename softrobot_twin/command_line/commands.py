@@ -524,6 +524,7 @@ def workspace(
 def bench(
     scenes: Sequence[GivenFile] = (), *, output: Path | None = None, steps: PositiveCount = 1000,
     commands: GivenFile | None = None, compare: Path | None = None,
+    threads: PositiveCount | None = None,
 ) -> int:  # fmt: skip
     """Time a step, stage by stage, over sizes.
 
@@ -544,12 +545,13 @@ def bench(
         commands (FILE.csv): Time the longest hold of this commands file in place of a circle.
         compare (FILE.csv): bench.csv of an earlier run: steps that are slower by a tenth, in units
             of SuperLU, or make more calls of Python are marked.
+        threads (N): Threads of large systems, at most, in place of `solver.threads` of the scenes.
     """
     from softrobot_twin.study.bench import bench as measure
 
     if not scenes:
         refuse("requires a scene to time", commands=commands)
-    return measure(list(scenes), steps, output, commands, compare)
+    return measure(list(scenes), steps, output, commands, compare, threads)
 
 
 def accuracy(

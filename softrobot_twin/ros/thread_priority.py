@@ -14,6 +14,8 @@ from contextlib import suppress
 from enum import Enum
 from pathlib import Path
 
+from softrobot_twin.worker_threads import helper_ids
+
 _REAL_TIME = 5
 """Priority in SCHED_FIFO's range 1 to 99: above all ordinary threads, below the kernel's."""
 _HELPER = 4
@@ -54,8 +56,8 @@ class ThreadPriority:
 
     The other threads of the process, those of the middleware and of the view, get a priority just
     below, because a tick waits while one of them holds Python's lock or a lock of the middleware,
-    also when another program has taken that thread's core. Threads that start later follow within
-    half a second.
+    also when another program has taken that thread's core. Helpers of a step take its own priority
+    by themselves. Threads that start later follow within half a second.
 
     Args:
         wanted: Requested priority.
@@ -170,7 +172,7 @@ class ThreadPriority:
 
     def _raise_others(self) -> None:
         """Raises the priority of the other threads of the process, where that is allowed."""
-        threads = other_threads()
+        threads = other_threads() - helper_ids()
         for thread in threads - self._others.keys():
             try:
                 nice = os.getpriority(os.PRIO_PROCESS, thread)

@@ -358,6 +358,9 @@ class Solver(Entry):
 
     factorization: Literal[*FACTORIZATIONS] = "multifrontal"  # type: ignore[valid-type]
     """How the stiffness is factorized: multifrontal Cholesky, or SuperLU as a reference."""
+    threads: Annotated[int | None, Field(ge=1, le=64)] = None
+    """Threads on which a large stiffness is factorized, at most; by default as many as the process has
+    cores, at most four. A small one takes one thread. Results are the same to the bit."""
     qp_solver: Literal["osqp", "daqp"] = "osqp"
     """Solver of the inverse problem."""
     energy_weight: Annotated[float, unit("", ge=0.0, le=1.0)] = 1.0e-6
@@ -372,6 +375,11 @@ class Solver(Entry):
     exploration: bool = False
     """Whether a robot that rests away from its targets looks for a nearer pose by simulation, and
     goes there."""
+
+    def check(self) -> None:
+        """Refuse threads for a factorization that has none."""
+        if self.factorization == "superlu" and self.threads not in (None, 1):
+            raise refusal("threads", self.threads, "is for factorization multifrontal: SuperLU works on one thread")
 
 
 class Scene(Entry):

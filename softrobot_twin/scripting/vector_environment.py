@@ -33,6 +33,7 @@ from softrobot_twin.scripting.gym_environment import (  # type: ignore[attr-defi
 from softrobot_twin.scripting.robot import Robot, SceneWarning
 from softrobot_twin.simulation import State
 from softrobot_twin.study.sample_workers import WorkerError, core_count
+from softrobot_twin.worker_threads import use_one_thread
 
 
 class VectorEnvironment(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
@@ -343,6 +344,7 @@ def _serve(pipe: Connection, robots: tuple[Any, ...]) -> None:
     """Answers what comes through a pipe, until it is closed."""
     # Ctrl-C reaches the parent too, which ends this process.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    use_one_thread()
     own = _Robots(*robots)
     with suppress(EOFError, BrokenPipeError, ConnectionResetError):
         while True:

@@ -26,6 +26,8 @@ from softrobot_twin.simulation.scene_warnings import scene_warnings, unit_slips
 from softrobot_twin.solvers import FACTORIZATIONS
 from softrobot_twin.solvers.dense_stiffness import DenseStiffness
 from softrobot_twin.solvers.factorization import Factorization
+from softrobot_twin.solvers.multifrontal import Multifrontal
+from softrobot_twin.worker_threads import default_thread_count
 
 # Most unknowns of a matrix without zeros: beyond, those between several reduced bodies are worth more.
 MOST_DENSE = 400
@@ -166,6 +168,8 @@ def _model_of(
         factorization_type or FACTORIZATIONS[scene.solver.factorization], [*forces, *constraints],
         nodes.free_node_count, is_dense,
     )  # fmt: skip
+    if not is_dense and isinstance(factorization, Multifrontal):
+        factorization.use_threads(scene.solver.threads or default_thread_count())
     # Binding sorts the terms' entries, so their rows are stacked after it.
     rows = RowStack(constraints, nodes.carried)
     dense = [term for term in (*forces, *constraints) if term.dense_rows is not None]

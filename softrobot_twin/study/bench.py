@@ -66,6 +66,7 @@ def _row(
         "tets": size.tet_count, "dof": size.dof_count, "modes": size.mode_count or None,
         "points": size.point_count or None, "rows": size.row_count,
         "contacts": size.contact_count, "factorization": size.factorization,
+        "threads": size.thread_count,
         "steps": size.step_count, "stage": stage, "median_ms": 1e3 * times.median,
         "p99_ms": 1e3 * times.p99, "max_ms": 1e3 * times.maximum,
         "ratio_to_superlu": times.median / size.superlu.median, "growth_exponent": growth,
@@ -115,6 +116,7 @@ def _size_table(sizes: Sequence[SizeMeasurement]) -> Table:
         ("modes, sampled points",
          lambda size: f"{size.mode_count}, {size.point_count}" if size.is_reduced else "-"),
         ("factorization", lambda size: size.factorization),
+        ("threads that factorize", lambda size: str(size.thread_count)),
         ("calls of Python in a step", lambda size: f"{size.calls:.0f}"),
         ("share of kernels in a step", lambda size: f"{100.0 * size.kernel_share:.0f} %"),
         ("tick beside the step, ms", lambda size: _number(1e3 * size.beside, "{:.3f}")),
@@ -419,7 +421,8 @@ def _compare_with_earlier(
 
 
 def bench(scenes: list[Path], steps: int, output: Path | None = None,
-          commands: Path | None = None, compare: Path | None = None) -> int:
+          commands: Path | None = None, compare: Path | None = None,
+          threads: int | None = None) -> int:
     """Times the steps of scenes, or of the standard sizes, and prints the results.
 
     Args:
@@ -428,6 +431,7 @@ def bench(scenes: list[Path], steps: int, output: Path | None = None,
         output: Folder for ``bench.csv`` and ``bench.png``, or None.
         commands: Commands file whose longest constant part is timed, or None for a circle.
         compare: ``bench.csv`` of an earlier run, or None.
+        threads: Most threads of a step, or None for those of the scenes.
 
     Returns:
         Exit code, always 0: a requirement that is not met is reported, and is not a failure of the
@@ -440,10 +444,13 @@ def bench(scenes: list[Path], steps: int, output: Path | None = None,
         make_folder(output)
     earlier = read_earlier(compare) if compare is not None else {}
     cases = given_cases(scenes, commands) if scenes else standard_cases()
+    if threads is not None:
+        cases = [case._replace(scene=case.scene.changed(solver={"threads": threads}))
+                 for case in cases]
     sizes = _measure_all(cases, steps)
     conditions = describe_machine(NUMERICAL_LIBRARIES)
     shown = console()
-    shown.print("One thread, garbage collection off. Effectors move along a circle; robots without\n"
+    shown.print("Garbage collection off. Effectors move along a circle; robots without\n"
                 "effectors move their actuators over their limits; robots with contact repeat\n"
                 "the longest hold of a commands file or a part of a targets file.\n"
                 "Steps are measured in elapsed time, SuperLU and dgemm in processor time, which\n"

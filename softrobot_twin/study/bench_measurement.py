@@ -563,6 +563,7 @@ class SizeMeasurement:
     Attributes:
         case: The measured case.
         factorization: Name of the factorization.
+        thread_count: Threads that factorize.
         node_count: Nodes of the mesh.
         tet_count: Its tetrahedra.
         dof_count: Unknowns.
@@ -592,6 +593,7 @@ class SizeMeasurement:
 
     case: BenchCase
     factorization: str
+    thread_count: int
     node_count: int
     tet_count: int
     dof_count: int
@@ -672,7 +674,7 @@ def measure(case: BenchCase, steps: int) -> SizeMeasurement:
     reports = [step.report for step in record.steps]
     times, faults = np.array(record.superlu).reshape(-1, 2).T
     return SizeMeasurement(
-        case, factorization.name, simulation.node_count, simulation.tet_count,
+        case, factorization.name, getattr(factorization, "thread_count", 1), simulation.node_count, simulation.tet_count,
         simulation.dof_count, sum(one.mode_count for one in reductions),
         sum(len(one.sampled.cells) for one in reductions),
         spread([step.row_count for step in record.steps]).median,

@@ -35,6 +35,7 @@ from softrobot_twin.simulation.mesh_error import MeshError, MeshErrorEstimator, 
 from softrobot_twin.simulation.mounting import MountingError, prestress
 from softrobot_twin.simulation.scene_warnings import expected_sag
 from softrobot_twin.simulation.step.time_integration import DEFAULT_RADIUS
+from softrobot_twin.solvers.dense_stiffness import without_rows
 from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT
 from softrobot_twin.study.length_units import SHOWN
 from softrobot_twin.study.pneumatic_warnings import burst_warnings, fibre_warnings
@@ -549,7 +550,9 @@ def sizes(simulation: Simulation) -> list[tuple[str, str]]:
                       f"{vector(1e3 * low)} to {vector(1e3 * high)} mm"))
     lines += _weights(simulation)
     lines += _thinnest_parts(simulation)
-    lines.append(("unknowns", str(simulation.dof_count)))
+    threads = getattr(without_rows(model.factorization), "thread_count", 1)
+    lines.append(("unknowns", f"{simulation.dof_count}"
+                  + (f", factorized by {threads} threads" if threads > 1 else "")))
     if simulation.node_count:
         cells = {"tets": simulation.tet_count, "hexahedra": simulation.hexahedron_count}
         lines.append(("mesh", ", ".join([f"{simulation.node_count} nodes", *(

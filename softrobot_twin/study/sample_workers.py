@@ -30,6 +30,7 @@ from softrobot_twin.scene.entry import values_below
 from softrobot_twin.simulation.result import Status
 from softrobot_twin.study.figure import MissingExtraError
 from softrobot_twin.study.terminal import FirstSteps, progress
+from softrobot_twin.worker_threads import use_one_thread
 
 LOST = "lost"
 """Status of a sample whose worker was lost or failed."""
@@ -67,7 +68,7 @@ def scene_fingerprint(scene: Scene) -> str:
         scene: The scene.
     """
     entries = "\n".join(f"{key}: {value!r}" for key, _, value in values_below(scene)
-                        if not isinstance(value, Path))  # fmt: skip
+                        if not isinstance(value, Path) and key != "solver.threads")  # fmt: skip
     found = hashlib.sha256(entries.encode())
     for _, name, file in values_below(scene):
         if name == "file" and file is not None:
@@ -217,6 +218,7 @@ def _serve(pipe: Connection, job: Job) -> None:
     """Computes the samples that come through a pipe, until it is closed."""
     # Ctrl-C reaches the parent too, which ends this process.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    use_one_thread()
     try:
         compute = job.make(job.scene, job.content)
         pipe.send(None)

@@ -16,12 +16,19 @@ from softrobot_twin.solvers.factorization import (
 from softrobot_twin.solvers.multifrontal import condensation
 from softrobot_twin.solvers.multifrontal.condensation import ConstraintColumns
 from softrobot_twin.solvers.multifrontal.dense_kernels import WIDE
-from softrobot_twin.solvers.multifrontal.memory_layout import lay_out
+from softrobot_twin.solvers.multifrontal.front_tasks import (
+    TaskList,
+    begin_tasks,
+    factorize_by_tasks,
+    plan_tasks,
+)
+from softrobot_twin.solvers.multifrontal.memory_layout import lay_out, plan_updates, update_sizes
 from softrobot_twin.solvers.multifrontal.numeric_factorization import SUCCESS, factorize
 from softrobot_twin.solvers.multifrontal.ordering import best_elimination
 from softrobot_twin.solvers.multifrontal.symbolic import NONE, node_graph, renumbered
 from softrobot_twin.solvers.multifrontal.vector_code import STRIP
 from softrobot_twin.traced_stage import TracedStages, clear
+from softrobot_twin.worker_threads import STATE_SIZE, Team, team_of
 
 # W is given by its factor where its rank is at most this share of its rows.
 LOW_RANK = 0.5
@@ -78,6 +85,9 @@ class Multifrontal:
         self._panels = aligned(self.layout.panels_size)
         self._updates = aligned(self.layout.updates_size)
         self._triangles = aligned(self.layout.triangles_size)
+        self._tasks: TaskList | None = None
+        self._team: Team | None = None
+        self._state = self._done = np.zeros(0, np.int64)
         self._tallest = STRIP * int(self.layout.fronts["strips"].max(initial=1))
         self._nowhere = np.full(node_count, NONE)
         self._take_no_rows(True)
@@ -116,14 +126,44 @@ class Multifrontal:
         """See `Factorization.clear`."""
         clear(self.storage)
 
+    def use_threads(self, thread_count: int) -> None:
+        """Factorize by several threads where they gain by it; the bits stay the same.
+
+        Args:
+            thread_count: Most threads.
+        """
+        had_tasks = self._tasks is not None
+        self._tasks, self._team = plan_tasks(self.elimination, self.layout, thread_count), None
+        has_tasks = self._tasks is not None
+        if has_tasks != had_tasks:
+            fronts, children = self.layout.fronts, self.layout.children
+            fronts["update"], size = plan_updates(update_sizes(fronts), fronts, children, has_tasks)
+            self.layout = self.layout._replace(updates_size=size)
+            self._updates = aligned(size)
+        if has_tasks:
+            self._team = team_of(self._tasks.thread_count)
+            self._state = np.zeros(STATE_SIZE, np.int64)
+            self._done = np.zeros(len(self._tasks.tasks), np.int64)
+
+    @property
+    def thread_count(self) -> int:
+        """Threads that factorize."""
+        return 1 if self._tasks is None else self._tasks.thread_count
+
     def factor(self) -> bool:
         """See `Factorization.factor`."""
-        layout = self.layout
-        failed_at = factorize(
+        layout, tasks = self.layout, self._tasks
+        arguments = (
             layout.fronts, layout.children, layout.runs, layout.block_places,
             self.storage, self._panels, self._updates, self._triangles,
         )  # fmt: skip
-        return failed_at == SUCCESS
+        if tasks is None:
+            return factorize(*arguments) == SUCCESS
+        begin_tasks(self._state, self._done)
+        return self._team.run(
+            self._state, factorize_by_tasks, tasks.tasks, tasks.waits, self._state, self._done,
+            *arguments,
+        ) == SUCCESS  # fmt: skip
 
     def prepare_rows(self, node_index: np.ndarray, row_count: int = 0) -> None:
         """Reserve memory for rows H, so that `condense` need not.

@@ -10,6 +10,7 @@
 from __future__ import annotations
 
 from bisect import insort
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -102,7 +103,7 @@ def lay_out(elimination: Elimination, indptr: np.ndarray, indices: np.ndarray) -
     bars = -(-fronts["columns"] // WIDE)
     triangles_size = _stack(fronts, "triangles", TRIANGLE * bars)
     children = _children(fronts, elimination.parent)
-    sizes = fronts["update_stride"] * 3 * below
+    sizes = update_sizes(fronts)
     fronts["update"], updates_size = plan_updates(sizes, fronts, children)
     runs = _runs(fronts, elimination)
     keys, places = _blocks(fronts, elimination, indptr, indices)
@@ -110,6 +111,15 @@ def lay_out(elimination: Elimination, indptr: np.ndarray, indices: np.ndarray) -
         fronts, elimination.rows, children, runs, keys, places,
         panels_size, updates_size, triangles_size,
     )  # fmt: skip
+
+
+def update_sizes(fronts: np.ndarray) -> np.ndarray:
+    """Doubles of each front's update, shape (front_count,).
+
+    Args:
+        fronts: One `FRONT` each.
+    """
+    return fronts["update_stride"] * (fronts["rows"] - fronts["columns"])
 
 
 def _stride(strips: np.ndarray) -> np.ndarray:
@@ -195,9 +205,23 @@ def _blocks(
 class FirstFit:
     """First-fit allocation in unlimited memory: the lowest free interval that is long enough."""
 
-    def __init__(self):
-        self.size = 0  # greatest extent ever in use
-        self._free = [(0, 1 << 62)]
+    def __init__(self, free: Sequence[tuple[int, int]] = ((0, 1 << 62),), size: int = 0):
+        """Begin.
+
+        Args:
+            free: Start and length of what is free, ascending.
+            size: Greatest extent in use before.
+        """
+        self.size = size  # greatest extent ever in use
+        self._free = list(free)
+
+    def parts_before(self, end: int) -> list[tuple[int, int]]:
+        """Free intervals before a place, as start and length.
+
+        Args:
+            end: The place.
+        """
+        return [(start, min(length, end - start)) for start, length in self._free if start < end]
 
     def take(self, size: int) -> int:
         """Reserve an interval; returns its start.
@@ -230,7 +254,7 @@ class FirstFit:
 
 
 def plan_updates(
-    sizes: np.ndarray, fronts: np.ndarray, children: np.ndarray
+    sizes: np.ndarray, fronts: np.ndarray, children: np.ndarray, are_apart: bool = False
 ) -> tuple[np.ndarray, int]:
     """Offsets of all updates: allocated when a front writes its update, freed by its parent.
 
@@ -238,17 +262,25 @@ def plan_updates(
         sizes: Doubles of each front's update, shape (front_count,).
         fronts: The fronts' `child_start` and `child_end` in `children`.
         children: Fronts whose updates a front adds.
+        are_apart: Whether subtrees share no memory, so that they can be factorized at once.
 
     Returns:
         Offsets, shape (front_count,), and the size of the memory.
     """
     offsets = np.zeros(len(sizes), dtype=np.int64)
     memory = FirstFit()
+    unused: list[list[tuple[int, int]]] = []  # of each subtree that is complete
     for s in range(len(sizes)):
+        own = children[fronts[s]["child_start"] : fronts[s]["child_end"]]
+        if are_apart:
+            # What the front's own subtrees used, else new memory behind all.
+            free, end = [part for child in own for part in unused[child]], memory.size
+            memory = FirstFit([*sorted(free), (end, 1 << 62)], end)
         # A front writes its own update while its children's are still being added.
         if sizes[s]:
             offsets[s] = memory.take(int(sizes[s]))
-        for child in children[fronts[s]["child_start"] : fronts[s]["child_end"]]:
+        for child in own:
             if sizes[child]:
                 memory.give_back(int(offsets[child]), int(sizes[child]))
+        unused.append(memory.parts_before(memory.size) if are_apart else [])
     return offsets, memory.size

@@ -11,6 +11,12 @@ they leave of the remaining rows and columns, the *update*, is added into the pa
 Rows are aligned to the lower end of the panel's storage, so that columns *end* on a whole strip of
 eight; the strip in which a column begins also holds rows above the diagonal. The numbers computed
 there are never read by anything else.
+
+Arguments of the kernels here:
+    front: Layout of one front.
+    first, start, end: Fronts, or columns of one front.
+    panels_at, updates_at: Addresses of the panels and of the updates.
+    fronts, children, runs, block_places, storage, panels, updates, triangles: See `factorize`.
 """
 
 from __future__ import annotations
@@ -43,21 +49,22 @@ def bar_width(start, end):
 
 
 @njit(**KERNEL)
-def factor_panel(panel, stride, padding, columns, strips, triangles):
-    """Factorize the columns of a panel, each bar by all bars left of it.
+def factor_panel(panel, stride, padding, first, columns, strips, triangles):
+    """Factorize columns of a panel, each bar by all bars left of it.
 
     Args:
         panel: Address of the panel, at its first, padded row.
         stride: Distance of its columns.
         padding: Unused rows at the top.
-        columns: Number of columns.
+        first: First of the columns; those left of it are factorized.
+        columns: End of the columns.
         strips: Height, padding included, in strips of eight rows.
-        triangles: Address of the triangles, one after the other.
+        triangles: Address of the triangles of these columns, one after the other.
 
     Returns:
         False if the matrix is not positive definite.
     """
-    start = 0
+    start = first
     while start < columns:
         width = bar_width(start, columns)
         strip = (padding + start) // STRIP
@@ -81,21 +88,21 @@ def factor_panel(panel, stride, padding, columns, strips, triangles):
 
 
 @njit(**KERNEL)
-def make_update(panel, stride, padding, columns, rows, strips, update, update_stride):
-    """U = - L₂ L₂ᵀ, lower part.
+def make_update(panel, stride, padding, columns, start, rows, strips, update, update_stride):
+    """U = - L₂ L₂ᵀ, lower part, of some columns.
 
     Args:
         panel: Address of the factorized panel, at its first, padded row.
         stride: Distance of its columns.
         padding: Unused rows at the top.
-        columns: Number of columns.
-        rows: Number of rows, the columns' own included.
+        columns: Number of columns of the panel.
+        start: First column of U that is written, as a row of the front.
+        rows: End of the columns of U, likewise.
         strips: Height, padding included, in strips of eight rows.
         update: Address of the update, at the strip in which its first row lies.
         update_stride: Distance of its columns.
     """
     first_strip = (padding + columns) // STRIP
-    start = columns
     while start < rows:
         width = bar_width(start, rows)
         strip = (padding + start) // STRIP
@@ -125,55 +132,81 @@ def factorize(fronts, children, runs, block_places, storage, panels, updates, tr
     Returns:
         -1, or the first front that is not positive definite.
     """
-    panels_at, updates_at = address(panels), address(updates)
-    storage_at, triangles_at = address(storage), address(triangles)
-    for s in range(len(fronts)):
+    return factor_fronts(
+        0, len(fronts), fronts, children, runs, block_places, storage, panels, updates, triangles
+    )
+
+
+@njit(**INNER)
+def factor_fronts(
+    first, end, fronts, children, runs, block_places, storage, panels, updates, triangles
+):
+    """The same of fronts `first` to `end`, whose other children are factorized."""
+    panels_at, updates_at, triangles_at = address(panels), address(updates), address(triangles)
+    for s in range(first, end):
         front = fronts[s]
         panel = panels_at + 8 * front.panel
-        _fill_panel(front, panel, panels_at, storage_at, block_places)
-        entry = panel + 8 * front.padding
-        for k in range(front.child_start, front.child_end):
-            child = fronts[children[k]]
-            _add_update(
-                updates_at, child, runs, child.run_start, child.run_split, entry, front.stride
-            )
+        fill_columns(front, 0, front.columns, panels_at, storage, block_places)
+        add_to_panel(front, 0, front.columns, fronts, children, runs, panels_at, updates_at)
         if not factor_panel(
-            panel, front.stride, front.padding, front.columns, front.strips,
+            panel, front.stride, front.padding, 0, front.columns, front.strips,
             triangles_at + 8 * front.triangles,
         ):  # fmt: skip
             return s
-        if front.rows == front.columns:
-            continue
-        update = updates_at + 8 * front.update
-        make_update(
-            panel, front.stride, front.padding, front.columns, front.rows, front.strips,
-            update, front.update_stride,
-        )  # fmt: skip
-        # Where entry (0, 0) of the front would be if the update held all of it.
-        entry = update + 8 * (front.update_padding - front.columns * (1 + front.update_stride))
-        for k in range(front.child_start, front.child_end):
-            child = fronts[children[k]]
-            _add_update(
-                updates_at, child, runs, child.run_split, child.run_end, entry,
-                front.update_stride,
-            )  # fmt: skip
+        if front.rows > front.columns:
+            make_update_columns(
+                front, front.columns, front.rows, fronts, children, runs, panels_at, updates_at
+            )
     return SUCCESS
 
 
 @njit(**INNER)
-def _fill_panel(front, panel, panels_at, storage_at, block_places):
-    """Clear the panel's lower part, and copy the matrix's blocks into it."""
-    for column in range(front.columns):
-        strip = (front.padding + column) // STRIP
-        clear_strips(panel + 8 * column * front.stride + STRIP_BYTES * strip, front.strips - strip)
-    for p in range(front.block_start, front.block_end):
-        place_block(
-            panels_at + 8 * block_places[p], front.stride, storage_at + _BLOCK_BYTES * p
-        )
+def make_update_columns(front, start, end, fronts, children, runs, panels_at, updates_at):
+    """Columns of a front's update, those of its children's updates included."""
+    update = updates_at + 8 * front.update
+    make_update(
+        panels_at + 8 * front.panel, front.stride, front.padding, front.columns, start, end,
+        front.strips, update, front.update_stride,
+    )  # fmt: skip
+    # Where entry (0, 0) of the front would be if the update held all of it.
+    entry = update + 8 * (front.update_padding - front.columns * (1 + front.update_stride))
+    for k in range(front.child_start, front.child_end):
+        child = fronts[children[k]]
+        _add_update(
+            updates_at, child, runs, child.run_split, child.run_end, start, end, entry,
+            front.update_stride,
+        )  # fmt: skip
 
 
 @njit(**INNER)
-def _add_update(updates_at, child, runs, first_run, end_run, entry, stride):
+def fill_columns(front, start, end, panels_at, storage, block_places):
+    """Clear the lower part of columns of the panel, and copy the matrix's blocks into them."""
+    panel, storage_at = panels_at + 8 * front.panel, address(storage)
+    for column in range(start, end):
+        strip = (front.padding + column) // STRIP
+        clear_strips(panel + 8 * column * front.stride + STRIP_BYTES * strip, front.strips - strip)
+    first, last = front.panel + start * front.stride, front.panel + end * front.stride
+    for p in range(front.block_start, front.block_end):
+        if first <= block_places[p] < last:
+            place_block(
+                panels_at + 8 * block_places[p], front.stride, storage_at + _BLOCK_BYTES * p
+            )
+
+
+@njit(**INNER)
+def add_to_panel(front, start, end, fronts, children, runs, panels_at, updates_at):
+    """Add the updates of a front's children to columns of its panel."""
+    entry = panels_at + 8 * (front.panel + front.padding)
+    for k in range(front.child_start, front.child_end):
+        child = fronts[children[k]]
+        _add_update(
+            updates_at, child, runs, child.run_start, child.run_split, start, end, entry,
+            front.stride,
+        )  # fmt: skip
+
+
+@njit(**INNER)
+def _add_update(updates_at, child, runs, first_run, end_run, start, end, entry, stride):
     """Add those columns of a child's update that certain runs hold (extend-add).
 
     Args:
@@ -182,6 +215,8 @@ def _add_update(updates_at, child, runs, first_run, end_run, entry, stride):
         runs: Where updates go.
         first_run: First of the runs.
         end_run: End of the runs; the rows continue to the child's last run.
+        start: First column of the parent's front that is added to.
+        end: End of these columns.
         entry: Address of entry (0, 0) of the parent's front.
         stride: Distance of the columns there.
     """
@@ -189,7 +224,7 @@ def _add_update(updates_at, child, runs, first_run, end_run, entry, stride):
     source_step, step = 8 * (1 + child.update_stride), 8 * (1 + stride)
     for k in range(first_run, end_run):
         run = runs[k]
-        for column in range(0, run.count, 3):
+        for column in range(max(0, start - run.target), min(run.count, end - run.target), 3):
             source_column, column_there = run.source + column, run.target + column
             source = source_entry + source_step * source_column
             target = entry + step * column_there

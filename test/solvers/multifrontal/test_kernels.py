@@ -201,7 +201,7 @@ def test_a_front_is_factorized_and_leaves_its_schur_complement(nodes):
     panel = np.asfortranarray(np.full((height, own), 7.0))
     panel[padding:] = np.tril(A)[:, :own]
     triangles = np.zeros(TRIANGLE * (own // WIDE + 1))
-    assert factor_panel(address(panel), height, padding, own, strips, address(triangles))
+    assert factor_panel(address(panel), height, padding, 0, own, strips, address(triangles))
     L = np.tril(panel[padding:])
     np.testing.assert_allclose(L @ L[:own].T, np.tril(A)[:, :own] + np.triu(A[:, :own], 1),
                                atol=1e-10)  # fmt: skip
@@ -210,7 +210,7 @@ def test_a_front_is_factorized_and_leaves_its_schur_complement(nodes):
     first = (padding + own) // 8
     update = np.zeros((height - 8 * first, rows - own), order="F")
     make_update(
-        address(panel), height, padding, own, rows, strips, address(update), height - 8 * first
+        address(panel), height, padding, own, own, rows, strips, address(update), height - 8 * first
     )
     result = np.tril(update[(padding + own) % 8 :])
     np.testing.assert_allclose(result, np.tril(-L[own:] @ L[own:].T), atol=1e-10)

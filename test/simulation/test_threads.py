@@ -1,0 +1,46 @@
+"""Threads of a step: the same bits for any number, and none where they would gain nothing."""
+
+import threading
+
+import numpy as np
+import pytest
+
+from softrobot_twin.errors import SceneError
+from softrobot_twin.simulation import CommandSetpoints
+from softrobot_twin.solvers.multifrontal import front_tasks
+
+
+def _helpers():
+    return {thread for thread in threading.enumerate() if thread.name == "step helper"}
+
+
+def _run(simulation):
+    setpoints = simulation.state.setpoints
+    for number in range(6):
+        simulation.step(CommandSetpoints(setpoints + 0.001 * number, 0.02))
+    return simulation.state
+
+
+def test_a_run_has_the_same_bits_for_any_number_of_threads(diamond, monkeypatch):
+    for name, value in (("LEAST_COST", 0.0), ("LEAST_GAIN", -10.0), ("GRAIN", 1e4), ("WAKE", 0.0)):
+        monkeypatch.setattr(front_tasks, name, value)
+    one = _run(diamond({"solver.threads": 1}))
+    for count in (2, 3, 4):
+        simulation = diamond({"solver.threads": count})
+        assert simulation.model.factorization.thread_count > 1
+        state = _run(simulation)
+        np.testing.assert_array_equal(state.positions, one.positions)
+        np.testing.assert_array_equal(state.efforts, one.efforts)
+
+
+def test_a_small_robot_starts_no_thread(diamond):
+    before = _helpers()
+    simulation = diamond({"solver.threads": 4})
+    _run(simulation)
+    assert simulation.model.factorization.thread_count == 1
+    assert _helpers() <= before
+
+
+def test_threads_for_superlu_are_refused(diamond):
+    with pytest.raises(SceneError, match=r"solver\.threads.*SuperLU works on one thread"):
+        diamond({"solver.threads": 2, "solver.factorization": "superlu"})
