@@ -41,9 +41,10 @@ class Level(NamedTuple):
     blas_core: str
 
 
+# The loops of OpenBLAS 0.3.34 for Haswell and Zen crash in products and solves of some 64 unknowns on.
 _X86_64 = (
     Level("x86-64-v3", frozenset("avx avx2 bmi1 bmi2 f16c fma abm movbe".split()),
-          "+avx,+avx2,+bmi,+bmi2,+f16c,+fma,+lzcnt,+movbe", "Haswell"),
+          "+avx,+avx2,+bmi,+bmi2,+f16c,+fma,+lzcnt,+movbe", "Sandybridge"),
     Level("x86-64-v2", frozenset("cx16 lahf_lm popcnt sse4_1 sse4_2 ssse3".split()),
           "+cx16,+popcnt,+sahf,+sse4.2", "Nehalem"),
     Level("x86-64", frozenset(), "+sse2", "Prescott"),
