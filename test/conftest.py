@@ -4,8 +4,10 @@ import itertools
 import os
 import runpy
 import sys
+import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -21,6 +23,8 @@ os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 # A wrong shape is an error, not a warning.
 os.environ["RERUN_STRICT"] = "1"
+
+from numba.core.dispatcher import Dispatcher  # noqa: E402
 
 
 # Marks of a test (pytest.ini says what each is for): `exhaustive` is left to `make test-all`. Those
@@ -67,6 +71,85 @@ def pytest_collection_modifyitems(items):
 
 if "PYTEST_XDIST_WORKER" in os.environ:
     compile_each_kernel_once()
+
+
+# Processor time [s] that a case of `make test` may take, with its own fixtures and processes.
+BUDGET = 1.0
+# A case fails beyond this many budgets, so that neither noise nor a busy machine fails it.
+SLACK = 4.0
+# Processor time [s] of `calibration_loop` on the machine (AMD Zen 4) on which budgets are kept.
+CALIBRATION = 0.036
+_BEGAN = pytest.StashKey[float]()
+_uncounted, _pauses = 0.0, 0
+
+
+def counted_time() -> float:
+    """Processor time of this process and its ended children [s], but for what is not counted."""
+    return sum(os.times()[:4]) - _uncounted
+
+
+@contextmanager
+def not_counted() -> Iterator[None]:
+    """Leaves out of the time of a case what is done only because the case is the first."""
+    global _uncounted, _pauses
+    began, _pauses = sum(os.times()[:4]), _pauses + 1
+    try:
+        yield
+    finally:
+        _pauses -= 1
+        if not _pauses:
+            _uncounted += sum(os.times()[:4]) - began
+
+
+def calibration_loop() -> float:
+    """Processor time [s] of a fixed amount of work."""
+    began = time.process_time()
+    sum(number * number % 7 for number in range(500_000))
+    return time.process_time() - began
+
+
+# Kernels are compiled or read from the disk once, by whichever case needs them first.
+Dispatcher.compile = not_counted()(Dispatcher.compile)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_fixture_setup(fixturedef):
+    if fixturedef.scope == "function":
+        return (yield)
+    with not_counted():
+        return (yield)
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_setup(item):
+    item.stash[_BEGAN] = counted_time()
+    return (yield)
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_call(item):
+    result = yield
+    took = counted_time() - item.stash[_BEGAN]
+    item.user_properties.append(("processor_time", took))
+    if item.get_closest_marker("exhaustive") is None and took > SLACK * BUDGET:
+        slowness = max(1.0, calibration_loop() / CALIBRATION)
+        assert took < SLACK * BUDGET * slowness, (
+            f"{item.nodeid} took {took:.1f} s of processor time; a case of `make test` may take "
+            f"{BUDGET:g} s. Make it shorter, share what it builds in a fixture of its module, or "
+            "mark it `exhaustive` and leave a shorter case of the same claim.")
+    return result
+
+
+def pytest_terminal_summary(terminalreporter):
+    """Prints what the cases took in all, and those above the budget."""
+    took = sorted(((dict(report.user_properties)["processor_time"], report.nodeid)
+                   for report in terminalreporter.stats.get("passed", ())
+                   if report.when == "call"), reverse=True)  # fmt: skip
+    terminalreporter.write_line(
+        f"Processor time of {len(took)} cases: {sum(each for each, _ in took):.0f} s.")
+    for each, case in took:
+        if each > BUDGET:
+            terminalreporter.write_line(f"  {each:.1f} s {case}")
 
 
 def domains_in_turn() -> Callable[[], int]:

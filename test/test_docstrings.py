@@ -6,12 +6,11 @@ are told test_compilation.py checks.
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 PACKAGE = Path(__file__).resolve().parents[1] / "softrobot_twin"
-TREES = {path.relative_to(PACKAGE): ast.parse(path.read_text())
-         for path in sorted(PACKAGE.rglob("*.py"))}
 SEE = re.compile(r"\b[Ss]ee `([\w.]+)`|\b[Aa]s (?:of|in|with|for) `([\w.]+)`")
 ENTRY = re.compile(r"^ {4}(\w+(?:, \w+)*): ", re.MULTILINE)
 ELSEWHERE = re.compile(r"are as in `(\w+)`")
@@ -64,15 +63,34 @@ def functions(path: Path, body: list, owner: ast.ClassDef | None = None) -> list
     return found
 
 
-ALL = [each for path, tree in TREES.items() for each in functions(path, tree.body)]
-EXPLAINED = {name for each in ALL if "Args:" in each.text for name in (each.name, each.node.name)}
-BASES = {node.name: [ast.unparse(base).partition("[")[0].split(".")[-1] for base in node.bases]
-         for tree in TREES.values() for node in ast.walk(tree) if isinstance(node, ast.ClassDef)}
+@cache
+def trees() -> dict[Path, ast.Module]:
+    return {path.relative_to(PACKAGE): ast.parse(path.read_text())
+            for path in sorted(PACKAGE.rglob("*.py"))}  # fmt: skip
+
+
+@cache
+def all_functions() -> list[Function]:
+    return [each for path, tree in trees().items() for each in functions(path, tree.body)]
+
+
+@cache
+def explained() -> set[str]:
+    """Names of functions that tell what they take."""
+    return {name for each in all_functions() if "Args:" in each.text
+            for name in (each.name, each.node.name)}  # fmt: skip
+
+
+@cache
+def bases() -> dict[str, list[str]]:
+    return {node.name: [ast.unparse(base).partition("[")[0].split(".")[-1] for base in node.bases]
+            for tree in trees().values() for node in ast.walk(tree)
+            if isinstance(node, ast.ClassDef)}  # fmt: skip
 
 
 def ancestors(name: str) -> set[str]:
     """All classes of the package that a class inherits from."""
-    above = set(BASES.get(name, ()))
+    above = set(bases().get(name, ()))
     return above.union(*map(ancestors, above))
 
 
@@ -81,37 +99,37 @@ def is_explained(function: Function) -> bool:
     if not function.takes or "Args:" in function.text or "njit" in function.decorators:
         return True
     named = {first or second for first, second in SEE.findall(function.text)}
-    if named & EXPLAINED:
+    if named & explained():
         return True
     # A class that it names or inherits from has the same method, or does what another one does.
     if function.owner:
         named |= ancestors(function.owner.name)
         named |= set(AS_THERE.findall(ast.get_docstring(function.owner) or ""))
-    return any(f"{each}.{function.node.name}" in EXPLAINED for each in named)
+    return any(f"{each}.{function.node.name}" in explained() for each in named)
 
 
 def test_every_public_function_has_a_docstring():
     # What a protocol repeats of another class is told there.
-    bare = [f"{each.path}:{each.name}" for each in ALL if not each.text
+    bare = [f"{each.path}:{each.name}" for each in all_functions() if not each.text
             and not (each.owner and AS_THERE.search(ast.get_docstring(each.owner) or ""))]
     assert bare == []
 
 
 def test_every_public_function_tells_what_it_takes():
-    assert [f"{each.path}:{each.name}" for each in ALL if not is_explained(each)] == []
+    assert [f"{each.path}:{each.name}" for each in all_functions() if not is_explained(each)] == []
 
 
 def told_by_file(path: Path) -> set[str]:
     """Arguments of kernels that a file, or one that it names, tells of."""
-    text = ast.get_docstring(TREES[path]) or ""
+    text = ast.get_docstring(trees()[path]) or ""
     told = {name for names in ENTRY.findall(text) for name in names.split(", ")}
     others = [path.with_name(f"{other}.py") for other in ELSEWHERE.findall(text)]
-    return told.union(*(told_by_file(other) for other in others if other in TREES))
+    return told.union(*(told_by_file(other) for other in others if other in trees()))
 
 
 def test_every_kernel_or_its_file_tells_what_it_takes():
     untold = [
-        f"{each.path}:{each.name}: {name}" for each in ALL if "njit" in each.decorators
+        f"{each.path}:{each.name}: {name}" for each in all_functions() if "njit" in each.decorators
         for name in each.takes if "Args:" not in each.text
         and name not in told_by_file(each.path) and not re.search(rf"\b{name}\b", each.text)
     ]
@@ -120,7 +138,7 @@ def test_every_kernel_or_its_file_tells_what_it_takes():
 
 def test_an_args_section_names_the_functions_arguments_and_no_others():
     wrong = []
-    for each in ALL:
+    for each in all_functions():
         section = re.search(r"^Args:\n((?: .*\n?|\n)*)", each.text + "\n", re.M)
         # Arguments of a command may stand below other titles.
         if section and each.path.parts[0] != "command_line" and "njit" not in each.decorators:

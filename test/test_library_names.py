@@ -4,10 +4,9 @@ It is looked at without calling anything, so that no name is forgotten when a ve
 """
 
 import ast
-import importlib
+import importlib.util
 import inspect
 import sys
-from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -26,10 +25,10 @@ BY_VERSION = {
 }  # fmt: skip
 
 
-def imported_names(tree: ast.AST) -> dict[str, str]:
+def imported_names(nodes: list[ast.AST]) -> dict[str, str]:
     """Full name of what each name of a module stands for, of those that are imported."""
     names = {}
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.Import):
             for alias in node.names:
                 whole = alias.name if alias.asname else alias.name.partition(".")[0]
@@ -53,18 +52,21 @@ def is_library(name: str) -> bool:
     return name.partition(".")[0] not in {*sys.stdlib_module_names, PACKAGE.name}
 
 
-def uses() -> Iterator[tuple[str, str, ast.Call | None]]:
+@cache
+def uses() -> list[tuple[str, str, ast.Call | None]]:
     """Where something of a library is named, its full name, and the call of it if it is one."""
+    all_uses = []
     for path in sorted(PACKAGE.rglob("*.py")):
-        tree = ast.parse(path.read_text(), str(path))
-        names = imported_names(tree)
-        calls = {id(node.func): node for node in ast.walk(tree) if isinstance(node, ast.Call)}
-        for node in ast.walk(tree):
+        nodes = list(ast.walk(ast.parse(path.read_text(), str(path))))
+        names = {name: whole for name, whole in imported_names(nodes).items() if is_library(whole)}
+        calls = {id(node.func): node for node in nodes if isinstance(node, ast.Call)}
+        for node in nodes:
             first, _, rest = dotted_name(node).partition(".")
-            name = names.get(first, "")
-            if name and is_library(name):
+            if first in names:
                 where = f"{path.relative_to(PACKAGE)}:{node.lineno}"
-                yield where, f"{name}.{rest}".rstrip("."), calls.get(id(node))
+                name = f"{names[first]}.{rest}".rstrip(".")
+                all_uses.append((where, name, calls.get(id(node))))
+    return all_uses
 
 
 @cache
@@ -79,17 +81,13 @@ def found(name: str):
     return thing
 
 
-USES = list(uses())
-
-
-@pytest.mark.parametrize("library", sorted({name.partition(".")[0] for _, name, _ in USES}))
-def test_every_name_that_is_taken_from_a_library_is_there(library):
+def test_every_name_that_is_taken_from_a_library_is_there():
+    lost, libraries = set(), {name.partition(".")[0] for _, name, _ in uses()}
     # dask is an extra, and not all of ROS has a wheel; others are declared (test_package.py).
-    if library in ("distributed", "tf2_msgs"):
-        pytest.importorskip(library)
-    lost = set()
-    for where, name, _ in USES:
-        if name.partition(".")[0] == library and name not in BY_VERSION:
+    absent = {library for library in libraries & {"distributed", "tf2_msgs"}
+              if importlib.util.find_spec(library) is None}  # fmt: skip
+    for where, name, _ in uses():
+        if name.partition(".")[0] not in absent and name not in BY_VERSION:
             try:
                 found(name)
             except (AttributeError, ImportError):
@@ -118,7 +116,7 @@ def signature_of(name: str) -> inspect.Signature:
 
 def test_functions_of_libraries_take_the_arguments_they_are_given():
     refused, judged = set(), set()
-    for where, name, call in USES:
+    for where, name, call in uses():
         given = arguments(call) if call is not None else None
         if given is None or name in BY_VERSION:
             continue

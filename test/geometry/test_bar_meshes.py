@@ -12,15 +12,6 @@ MESHES = Path(__file__).resolve().parents[2] / "meshes"
 KEPT = sorted(path.name for path in MESHES.glob("bar_*.msh"))
 
 
-def test_the_script_makes_the_committed_meshes(mesh_script, tmp_path):
-    assert mesh_script("make_bar").main(["--output", str(tmp_path)]) == 0
-    assert sorted(path.name for path in tmp_path.iterdir()) == KEPT
-    for name in KEPT:
-        made, kept = (read_solid_mesh(folder / name).mesh for folder in (tmp_path, MESHES))
-        np.testing.assert_array_equal(made.cells, kept.cells)
-        np.testing.assert_allclose(made.node_positions, kept.node_positions, atol=1e-12)
-
-
 @pytest.mark.parametrize("name", KEPT)
 def test_every_mesh_of_the_bar_has_its_volume_and_names_its_body(name):
     reading = read_solid_mesh(MESHES / name)

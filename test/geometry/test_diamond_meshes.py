@@ -1,9 +1,7 @@
-import sys
 
 import numpy as np
 import pytest
 
-from softrobot_twin.geometry.mesh_reading import read_solid_mesh
 from softrobot_twin.geometry.point_location import locate_points
 from softrobot_twin.geometry.regions import nodes_in_box
 
@@ -17,11 +15,6 @@ ATTACH_POINTS = 1e-3 * np.array([(0, 97, 45), (-97, 0, 45), (0, -97, 45), (97, 0
 @pytest.fixture(scope="module", params=SIZES)
 def mesh(request, kept_mesh):
     return kept_mesh(f"diamond_{request.param}")
-
-
-@pytest.fixture(scope="module")
-def script(mesh_script):
-    return mesh_script("make_diamond")
 
 
 def test_the_standard_refinement_has_about_5000_elements(kept_mesh):
@@ -64,27 +57,3 @@ def test_the_body_has_two_mirror_symmetries(mesh):
         np.unique(np.sort(image[mesh.cells], axis=1), axis=0),
         np.unique(np.sort(mesh.cells, axis=1), axis=0),
     )
-
-
-def test_the_script_writes_the_same_mesh_twice(script, tmp_path, capsys):
-    pytest.importorskip("gmsh", exc_type=ImportError)
-    paths = [tmp_path / "once.vtk", tmp_path / "twice.vtk"]
-    for path in paths:
-        assert script.main(["--size", "400", "--output", str(path)]) == 0
-    assert paths[0].read_bytes() == paths[1].read_bytes()
-    assert read_solid_mesh(paths[0]).notes == ()
-    assert "nodes" in capsys.readouterr().out
-
-
-def test_the_script_does_not_write_a_mesh_that_cannot_be_used(script, tmp_path, capsys):
-    pytest.importorskip("gmsh", exc_type=ImportError)
-    path = tmp_path / "coarse.vtk"
-    assert script.main(["--edge-length", "0.2", "--output", str(path)]) == 1
-    assert "radius ratio is 0." in capsys.readouterr().err
-    assert not path.exists()
-
-
-def test_the_script_names_the_package_to_install(script, tmp_path, capsys, monkeypatch):
-    monkeypatch.setitem(sys.modules, "gmsh", None)
-    assert script.main(["--size", "400", "--output", str(tmp_path)]) == 1
-    assert "python -m pip install gmsh" in capsys.readouterr().err

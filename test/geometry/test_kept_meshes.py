@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softrobot_twin.geometry.mesh_reading import read_solid_mesh
 from softrobot_twin.geometry.quality import radius_ratios
 from softrobot_twin.geometry.surface import boundary_triangles
 
@@ -25,12 +24,6 @@ KEPT = {
     "octoleg_1000": (900, 1100, 0.2),
     "trunk_700": (680, 740, 0.6), "trunk_900": (880, 920, 0.38), "trunk_1600": (1600, 1700, 0.6), "trunk_4000": (3000, 4500, 0.45),
 }  # fmt: skip
-# The script of each robot whose meshes need no mesher.
-SCRIPTS = {"flexo_hand": "make_flexo", "grasper_finger": "make_grasper", "octoleg": "make_octoleg",
-           "trunk": "make_trunk"}  # fmt: skip
-# A size of each, and a refinement that makes it too flat.
-FLAT = {"flexo_hand": (48, (60, 1, 1)), "grasper_finger": (158, (50e-3, 1, 1, 1, 6)), "octoleg": (120, (0, 30e-3, 12)),
-        "trunk": (700, (1, 1, 12, 3, (2, 2)))}  # fmt: skip
 
 
 @pytest.fixture(scope="module", params=KEPT)
@@ -60,25 +53,3 @@ def test_the_surface_is_closed(mesh):
     corners = mesh.node_positions[boundary_triangles(mesh.cells)]
     flux = np.einsum("ti,ti->", np.cross(corners[:, 0], corners[:, 1]), corners[:, 2]) / 6
     assert flux == pytest.approx(mesh.volume, rel=1e-12)
-
-
-@pytest.mark.parametrize("name", [name for name in KEPT if name.rpartition("_")[0] in SCRIPTS])
-def test_the_script_makes_the_committed_mesh(name, mesh, mesh_script, tmp_path, capsys):
-    robot, _, size = name.rpartition("_")
-    script = mesh_script(SCRIPTS[robot])
-    assert script.main(["--size", size, "--output", str(tmp_path)]) == 0
-    made = read_solid_mesh(tmp_path / f"{name}.vtk").mesh
-    np.testing.assert_array_equal(made.cells, mesh.cells)
-    np.testing.assert_allclose(made.node_positions, mesh.node_positions, rtol=0, atol=1e-12)
-    assert f"{name}.vtk: {mesh.node_count} nodes" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize("robot", SCRIPTS)
-def test_the_script_does_not_write_a_mesh_that_cannot_be_used(
-    robot, mesh_script, tmp_path, capsys, monkeypatch
-):
-    script, (size, flat) = mesh_script(SCRIPTS[robot]), FLAT[robot]
-    monkeypatch.setitem(script.REFINEMENTS, size, script.Refinement(*flat))
-    assert script.main(["--size", str(size), "--output", str(tmp_path)]) == 1
-    assert "radius ratio is 0." in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())

@@ -83,8 +83,3 @@ def test_the_coarsest_mesh_has_one_triangle_on_every_flank(script, kept_mesh):
         offsets = mesh.node_positions - corners[:, None]
         nearest = np.linalg.norm(offsets, axis=-1).argmin(axis=1)
         assert frozenset(nearest.tolist()) in triangles
-
-
-def test_the_script_prints_the_self_contacts(script, tmp_path, capsys):
-    assert script.main(["--size", "120", "--output", str(tmp_path)]) == 0
-    assert "(138.43, 0.00, -73.85) on" in capsys.readouterr().out

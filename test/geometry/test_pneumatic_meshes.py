@@ -1,6 +1,5 @@
 """Facts of the kept meshes of pneumatic robots: their regions, their cavities, their symmetry."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -8,14 +7,7 @@ import meshio
 import numpy as np
 import pytest
 
-from meshes.mesh_making import (
-    PneumaticMesh,
-    maps_onto_itself,
-    mirror,
-    pneumatic_faults,
-    turn_about_z,
-)
-from meshes.swept_body import UNCOLOURED, Section, chequered, joined, polar_section, swept
+from meshes.mesh_making import PneumaticMesh, mirror, turn_about_z
 from softrobot_twin.geometry.closed_surface import closed_surface
 from softrobot_twin.geometry.mesh_reading import read_solid_mesh
 from softrobot_twin.geometry.quality import radius_ratios
@@ -50,8 +42,6 @@ KEPT = {
     "fetch_1500": Kept(1450, 1600, 0.1), "fetch_3714": Kept(3714, 3714, 0.3),
     "fetch_5152": Kept(5049, 5255, 0.2), "fetch_5586": Kept(5586, 5586, 0.24),
 }  # fmt: skip
-SCRIPTS = {"springy": "make_springy", "pneunet_finger": "make_pneunet",
-           "segment": "make_segment", "fetch": "make_fetch"}  # fmt: skip
 REGIONS = {
     "springy": {"body"}, "pneunet_finger": {"body", "layer"}, "segment": {"body"},
     "fetch": {"plate_0", "plate_1", "plate_2", "module_1", "module_2"},
@@ -122,23 +112,6 @@ def test_the_package_reads_the_same_body_and_has_nothing_else_to_note(name, made
     np.testing.assert_array_equal(reading.mesh.cells, made.mesh.cells)
     np.testing.assert_array_equal(reading.mesh.node_positions, made.mesh.node_positions)
     assert all("triangle" in note for note in reading.notes)
-
-
-@pytest.mark.exhaustive
-def test_the_script_makes_the_committed_mesh(name, robot, made, mesh_script, tmp_path, capsys):
-    size = name.rpartition("_")[2]
-    script = mesh_script(SCRIPTS[robot])
-    assert script.main(["--size", size, "--output", str(tmp_path)]) == 0
-    again = read(tmp_path / f"{name}.msh")
-    np.testing.assert_array_equal(again.mesh.cells, made.mesh.cells)
-    np.testing.assert_allclose(
-        again.mesh.node_positions, made.mesh.node_positions, rtol=0, atol=1e-12
-    )
-    for mine, kept in ((again.regions, made.regions), (again.cavities, made.cavities)):
-        assert set(mine) == set(kept)
-        for part in mine:
-            np.testing.assert_array_equal(mine[part], kept[part])
-    assert f"{name}.msh: {made.mesh.node_count} nodes" in capsys.readouterr().out
 
 
 def test_each_tetrahedron_belongs_to_one_region(robot, made):
@@ -246,23 +219,6 @@ def test_the_chambers_of_a_segment_lie_behind_walls_of_their_thickness(size):
         assert inner / outer == pytest.approx(20.2 / 22.2, rel=1e-6)
 
 
-@pytest.mark.parametrize("size, nodes, cells", [(1125, 1125, 664), (1279, 1279, 792)])
-def test_a_segment_of_hexahedra_is_that_of_the_script_and_has_the_same_chambers(
-    size, nodes, cells, mesh_script, tmp_path
-):
-    kept, script = MESHES / f"segment_hexa_{size}.msh", mesh_script("make_segment")
-    assert script.main(["--size", str(size), "--output", str(tmp_path)]) == 0
-    assert (tmp_path / kept.name).read_bytes() == kept.read_bytes()
-    reading, made = read_solid_mesh(kept), script.make_segment(script.HEXAHEDRAL[size])
-    assert reading.mesh.node_count == nodes and len(reading.mesh.hexahedra) == cells
-    assert all("triangle" in note for note in reading.notes)
-    # Tetrahedra of other diagonals fill the same cells; their faces are not all flat.
-    assert reading.mesh.volume == pytest.approx(made.mesh.volume, rel=1e-9)
-    volumes, tolerance = CAVITIES["segment"]
-    for cavity, volume in volumes.items():
-        assert 1e6 * made.cavity_volume(cavity) == pytest.approx(volume, rel=tolerance)
-
-
 @pytest.mark.parametrize("size", (1500, 5152))
 def test_the_plates_of_the_fetch_close_the_accordions_of_each_module(size):
     made = read(MESHES / f"fetch_{size}.msh")
@@ -281,92 +237,6 @@ def test_the_plates_of_the_fetch_close_the_accordions_of_each_module(size):
             assert np.linalg.norm(gas[:, :2].mean(axis=0) - axis) < 1e-6
 
 
-def test_a_mesh_is_not_written_when_a_cavity_has_another_volume(
-    mesh_script, tmp_path, capsys, monkeypatch
-):
-    script = mesh_script("make_springy")
-    narrower = replace(script.ACCORDION, cavity_volume=5300.0)
-    monkeypatch.setattr(script, "make_springy", script.make_springy)
-    monkeypatch.setattr(script.make_springy, "__defaults__", (narrower,))
-    assert script.main(["--size", "400", "--output", str(tmp_path)]) == 1
-    assert "cavity has 5300 mm³, not 5470" in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())
-
-
-def faults(made, volume=8900.0, symmetries=None, lowest_radius_ratio=0.1):
-    return pneumatic_faults(made, {"cavity": volume}, symmetries or {}, lowest_radius_ratio)
-
-
 @pytest.fixture(scope="module")
 def finger():
     return read(MESHES / "pneunet_finger_400.msh")
-
-
-def test_a_sound_mesh_has_no_faults(finger):
-    assert faults(finger, symmetries={"the mirror z": mirror(2)}) == []
-
-
-def test_each_fault_of_a_mesh_is_named(finger):
-    triangles = finger.cavities["cavity"]
-    turned = np.vstack([triangles[:1, ::-1], triangles[1:]])
-
-    def with_cavity(surface):
-        return replace(finger, cavities={"cavity": surface})
-
-    assert "is not closed" in faults(with_cavity(triangles[1:]))[0]
-    assert "is not closed" in faults(with_cavity(turned))[0]
-    inside_out = faults(with_cavity(triangles[:, ::-1]))
-    assert f"{len(triangles)} triangles of cavity are not on the body's surface" in inside_out
-    assert "cavity has -8900 mm³, not 8900" in inside_out
-    assert "not 9100" in faults(finger, volume=9100.0)[0]
-    assert "radius ratio is 0." in faults(finger, lowest_radius_ratio=0.9)[0]
-    skewed = faults(finger, symmetries={"the mirror y": mirror(1)})
-    assert skewed == ["the mirror y does not map it onto itself"]
-    assert "it has the cavities []" in faults(replace(finger, cavities={}))[0]
-
-
-def test_a_mesh_whose_tetrahedra_are_not_symmetric_does_not_map_onto_itself():
-    unit = np.array([(0.0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (0, 0, -1)])
-    both = TetMesh(unit, np.array([(0, 1, 2, 3), (0, 2, 1, 4)]))
-    one = TetMesh(unit, np.array([(0, 1, 2, 3)]))
-    assert maps_onto_itself(both, mirror(2))
-    assert not maps_onto_itself(one, mirror(2))  # its nodes do
-
-
-def test_bricks_and_prisms_of_a_disc_fill_it():
-    disc = polar_section(np.array([1.0, 2.0, 3.0]), 6)
-    labels = np.full((3, len(disc.faces)), "body")
-    made = swept(disc, np.arange(4.0)[:, None], labels)
-    assert 1e9 * made.mesh.volume == pytest.approx(np.pi * 9 * 3)
-    surface = made.mesh.surface_triangles
-    closed_surface(surface, made.mesh.node_count)
-    # Prisms in the middle become three tetrahedra, bricks five.
-    assert made.mesh.cell_count == 3 * (6 * 3 + 12 * 5)
-
-
-def test_nodes_that_are_not_chequered_are_refused():
-    square = np.array([[(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)]])
-    section = chequered(*joined(square))
-    labels, heights = np.array([["body"]]), np.array([[0.0], [1.0]])
-    assert swept(section, heights, labels).mesh.cell_count == 5
-    alike = section._replace(ranks=np.zeros(4, dtype=np.int64))
-    with pytest.raises(ValueError, match="chequered"):
-        swept(alike, heights, labels)
-
-
-def test_prisms_with_neighbours_of_one_rank_are_refused():
-    points = np.array([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)])
-    faces, heights = np.array([(0, 1, 2, 2)]), np.array([[0.0], [1.0]])
-    ordered = Section(points, faces, UNCOLOURED + np.arange(3))
-    assert swept(ordered, heights, np.array([["body"]])).mesh.cell_count == 3
-    alike = Section(points, faces, np.full(3, UNCOLOURED))
-    with pytest.raises(ValueError, match="same rank"):
-        swept(alike, heights, np.array([["body"]]))
-
-
-def test_gas_without_a_wall_is_refused():
-    disc = polar_section(np.array([1.0, 2.0]), 6)
-    around = np.where(np.arange(len(disc.faces)) < 6, "cavity", "body")
-    open_ended = np.array([around, around])
-    with pytest.raises(ValueError, match="cavity"):
-        swept(disc, np.arange(3.0)[:, None], open_ended)

@@ -1,15 +1,12 @@
 """Meshes of the Stifface."""
 
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from meshes.make_stifface import HALF_SIDE, HEIGHT, REFINEMENTS, THICKNESS, main, make_stifface
+from meshes.make_stifface import HALF_SIDE, HEIGHT, REFINEMENTS, THICKNESS, make_stifface
 from meshes.mesh_making import mirror, turn_about_z
 from softrobot_twin.geometry.hexahedral_mesh import HexahedralMesh
-
-MESHES = Path(__file__).resolve().parents[2] / "meshes"
 
 
 @pytest.mark.parametrize("size", REFINEMENTS)
@@ -33,9 +30,3 @@ def test_a_mesh_is_the_same_after_a_quarter_of_a_turn_and_in_mirrors(size):
 def test_all_refinements_have_the_same_volume():
     volumes = [make_stifface(refinement).volume for refinement in REFINEMENTS.values()]
     assert volumes == pytest.approx([volumes[0]] * len(volumes), rel=1e-9)
-
-
-def test_the_script_makes_the_files_that_are_kept(tmp_path):
-    assert main(["--size", "282", "--output", str(tmp_path)]) == 0
-    made = (tmp_path / "stifface_282.msh").read_bytes()
-    assert made == (MESHES / "stifface_282.msh").read_bytes()

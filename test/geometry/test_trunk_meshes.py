@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-import yaml
 
 from softrobot_twin.geometry.point_location import locate_points
 
@@ -65,10 +64,3 @@ def test_cables_follow_the_published_rule(cables):
 
 def test_the_fixed_base_ends_on_a_layer_of_nodes(mesh):
     assert np.abs(mesh.node_positions[:, 2] - 0.020).min() < 1e-9
-
-
-def test_the_script_prints_a_scenes_cables_and_tubes(script, capsys):
-    assert script.main(["--cables"]) == 0
-    printed = yaml.safe_load(capsys.readouterr().out)
-    assert [len(cable["points"]) for cable in printed["cables"]] == [20] * 4 + [10] * 4
-    assert len(printed["tubes"]) == 40

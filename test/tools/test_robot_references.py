@@ -1,8 +1,6 @@
 """References of shipped robots: what errors of elements are measured against."""
 
-import numpy as np
 import pytest
-import robot_references
 from robot_references import CASES, errors_of, read_references, scene_of
 
 from softrobot_twin.simulation.mesh_error import MeshErrorEstimator
@@ -13,29 +11,6 @@ pytestmark = pytest.mark.sampled
 @pytest.fixture(scope="module")
 def known():
     return read_references()
-
-
-UNSURE = {"fetch": (0.25, 0.04), "pneunet": (0.15, 0.05), "segment": (0.04, 0.4)}
-"""Robots whose meshes are too coarse for a reference that is known well."""
-
-
-def test_every_robot_has_a_reference_and_says_how_well_it_is_known(known):
-    assert known.keys() == CASES.keys()
-    for name, entry in known.items():
-        assert entry["mesh"] == CASES[name].fine[1]
-        efforts, setpoints = UNSURE.get(name, (0.03, 0.03))
-        assert 0.0 < entry["by_effort_uncertainty"] < efforts, name
-        assert 0.0 < entry["by_setpoint_uncertainty"] < setpoints, name
-
-
-def test_a_reference_is_that_of_its_meshes(known, monkeypatch, tmp_path):
-    """Of the finger, whose meshes are small."""
-    monkeypatch.setattr(robot_references, "FILE", tmp_path / "references.yaml")
-    monkeypatch.setattr("sys.argv", ["robot_references", "finger"])
-    robot_references.main()
-    found = read_references()["finger"]
-    for key in ("by_effort", "by_setpoint"):
-        np.testing.assert_allclose(found[key], known["finger"][key], rtol=1e-3, atol=1e-6)
 
 
 @pytest.mark.parametrize("mesh, forces, lengths, state", [
