@@ -293,6 +293,7 @@ def test_where_the_model_buckles_forces_stay_and_no_look_is_slow(observed, rng, 
     assert observer.found is before
 
 
+@pytest.mark.exhaustive
 def test_a_finger_that_closes_on_an_object_that_nobody_modelled_tells_it(rng):
     """A PneuNet finger; the real one meets a ball, whose contact grows with the pressure."""
     gripper = yaml.safe_load((ROOT / "config/scenes/pneunet.yaml").read_text())

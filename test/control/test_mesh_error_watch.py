@@ -154,6 +154,7 @@ def test_a_state_is_asked_about_once_and_then_the_process_gives_its_memory_back(
     assert watch.at_rest is at_rest
 
 
+@pytest.mark.exhaustive
 def test_a_large_request_does_not_block_the_sender(diamond, watch_of):
     simulation = diamond()
     watch = watch_of(simulation)

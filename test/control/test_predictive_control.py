@@ -214,6 +214,7 @@ def test_lengths_move_what_they_hold_without_a_jump():
     assert rms(seen - wanted(sine(), 200)) < 0.03 * 5e-3
 
 
+@pytest.mark.exhaustive
 def test_the_margin_is_where_the_loop_begins_to_swing():
     model = swing()
     control = PredictiveControl(model, PERIOD, AT, free(1), delay=1)

@@ -202,6 +202,7 @@ def states_of(twin, far, most=4000):
     return said
 
 
+@pytest.mark.exhaustive
 def test_a_loop_looks_for_nearer_poses_before_it_rests_away_from_its_target(clocked):
     said = states_of(clocked(explores=True, target_timeout=0.0), FAR)
     assert said[:2] == ["steps", "explores"] and said[-1] == "rests"

@@ -85,6 +85,7 @@ def test_the_gripper_lifts_the_ball_with_its_palm(run, tmp_path):
         "pneumatic_gripper.png", "pneumatic_gripper_end.png"}
 
 
+@pytest.mark.exhaustive
 def test_fingers_lead_a_cube_along_a_circle(run, tmp_path):
     seen = run("in_hand")
     assert seen["errors"].max() < 0.2 and seen["errors"][-1] < 0.01  # mm
@@ -146,6 +147,7 @@ def test_a_policy_learned_on_many_reduced_robots_serves_the_full_model_and_the_d
         "many_robots.png", "policy.csv", "policy_on_device.png"}
 
 
+@pytest.mark.exhaustive
 def test_a_cable_is_led_so_that_the_tip_passes_four_places(run, tmp_path, capsys):
     seen = run("design")
     places = seen["tips"](seen["st"].load("designed.yaml"))

@@ -147,6 +147,7 @@ def test_in_overlap_a_contact_point_is_at_least_as_deep_as_any_point(shape, seed
     assert found.gaps.min() >= np.sqrt(3.0) * lowest.min() - 1e-9
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("seed", range(6))
 def test_contacts_are_consistent_and_never_nearer_than_the_distance(shape, seed):
     points, triangles, origin, turn, found = touching(shape, seed, 5e-4)
@@ -183,6 +184,7 @@ def test_contacts_are_consistent_and_never_nearer_than_the_distance(shape, seed)
         assert np.linalg.norm(normals @ turn.T - found.normals[k], axis=1).min() <= turned
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("seed", range(6))
 def test_every_pair_is_given_once_and_at_a_distinct_place(shape, seed):
     found = touching(shape, seed, 5e-4)[-1]
@@ -233,6 +235,7 @@ def test_the_normal_is_the_direction_of_fastest_growth_of_the_gap(shape):
     np.testing.assert_allclose(slopes[known], found.normals[known], atol=2e-3)
 
 
+@pytest.mark.sampled
 def test_keys_stay_under_small_motion(shape):
     points, triangles, origin, turn, found = touching(shape, 5, 2e-4)
     shaken = points + np.random.default_rng(1).uniform(-1e-8, 1e-8, points.shape)

@@ -407,6 +407,7 @@ def report_of(folder):
     return json.loads((folder / "report.json").read_text())
 
 
+@pytest.mark.exhaustive
 def test_ctrl_c_ends_all_three_processes_and_writes_the_report(demo, tmp_path):
     process = demo("--seconds", "60")
     process.until_led()
@@ -526,8 +527,8 @@ def led(tmp_path_factory, ros_domain):
     return LedDemos(tmp_path_factory.mktemp, ros_domain)
 
 
-@pytest.mark.parametrize("robot", [
-    pytest.param(robot, marks=[pytest.mark.exhaustive] * (robot != "diamond")) for robot in LED])
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("robot", LED)
 def test_the_demo_leads_the_robot(led, robot):
     demo = led(robot)
     folder = demo.folder / "demo"

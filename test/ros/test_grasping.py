@@ -55,6 +55,7 @@ def run_ticks(world, tick, count):
             world.executor.spin_once(0.0)
 
 
+@pytest.mark.exhaustive
 def test_a_motor_closes_the_fingers_and_a_pose_lifts_palm_and_cube(world, make_grasper):
     twin = make_grasper(rate=100.0)
     tick = world.ticks_of(twin)

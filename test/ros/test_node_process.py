@@ -99,6 +99,7 @@ def test_an_interrupt_ends_a_node_cleanly(interrupted, node):
     assert "Traceback" not in interrupted[node].output
 
 
+@pytest.mark.exhaustive
 def test_a_termination_request_ends_a_node_cleanly(begin):
     process, output = begin("target")
     wait_for("ready", process, output)
@@ -107,6 +108,7 @@ def test_a_termination_request_ends_a_node_cleanly(begin):
     assert "Traceback" not in output.read_text()
 
 
+@pytest.mark.exhaustive
 def test_an_impossible_setting_ends_a_process_with_exit_code_2(begin):
     process, output = begin("twin", rate="30")
     assert process.wait(60.0) == 2

@@ -90,6 +90,7 @@ def live_run(world, make_twin, small_scene_file, tmp_path):
     return path, twin.recording.recorder
 
 
+@pytest.mark.exhaustive
 def test_a_live_run_with_device_targets_and_hostile_messages_is_replayed_to_the_bit(live_run):
     path, recorder = live_run
     run = RunFile(path)
@@ -291,6 +292,7 @@ twin.destroy_node()
 """
 
 
+@pytest.mark.exhaustive
 def test_without_record_nothing_of_it_is_loaded_started_or_replaced(
     small_scene_file, ros_domain_id, monkeypatch
 ):

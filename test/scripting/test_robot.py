@@ -259,6 +259,7 @@ def test_a_view_shows_targets_and_is_replaced_by_the_next(held, tmp_path):
     assert first.failure is None and second.failure is None
 
 
+@pytest.mark.exhaustive
 def test_names_of_the_package_are_imported_when_they_are_used():
     code = ("import sys, softrobot_twin as st; assert 'numpy' not in sys.modules; "
             "assert {name for name in dir(st) if name[0] != '_'} == set(st.__all__); "

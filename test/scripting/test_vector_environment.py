@@ -54,7 +54,7 @@ def assert_same(one, other):
         assert_same(own, same)
 
 
-def test_two_workers_give_what_one_gives_and_that_is_what_gymnasium_gives(built):
+def test_one_worker_gives_what_gymnasium_gives(built):
     alone = st.vector_env(built, COUNT, 1, **OPTIONS)
     by_hand = gymnasium.vector.SyncVectorEnv([
         lambda: ReachingEnvironment(built.scene, **OPTIONS | {"states": alone.states})] * COUNT)
@@ -63,6 +63,12 @@ def test_two_workers_give_what_one_gives_and_that_is_what_gymnasium_gives(built)
     found = play(alone, 3)
     assert_same(found, play(by_hand, 3))
     assert alone.clipped_count == sum(by_hand.get_attr("clipped_count")) > 0
+
+
+@pytest.mark.exhaustive
+def test_two_workers_give_what_one_gives(built):
+    alone = st.vector_env(built, COUNT, 1, **OPTIONS)
+    found = play(alone, 3)
     with contextlib.closing(st.vector_env(built, COUNT, 2, **OPTIONS)) as both:
         assert_same(found, play(both, 3, pause=0.1))
         assert both.clipped_count == alone.clipped_count
@@ -91,6 +97,7 @@ def test_only_the_robots_of_a_mask_begin_an_episode(built):
         environments.reset(options={"reset_mask": np.zeros(3, bool)})
 
 
+@pytest.mark.exhaustive
 def test_a_lost_worker_is_named_with_its_scene_and_no_process_is_left(built):
     environments = st.vector_env(built, 4, 2, states=2)
     pids = [one.pid for one in multiprocessing.active_children()]
@@ -165,6 +172,7 @@ def test_the_reduced_model_beside_a_scene_is_taken_and_said():
                           "finger_reduced.yaml beside it")
 
 
+@pytest.mark.exhaustive
 def test_reduced_robots_in_motion_play_the_same_in_two_workers():
     """By a file that was made for statics."""
     scene = load_scene(SCENES / "diamond_reduced.yaml").changed(integration="dynamic")

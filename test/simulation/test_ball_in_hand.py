@@ -38,6 +38,7 @@ def test_a_ball_is_held_for_ten_seconds_where_the_fingers_reach(held_ball, way):
     assert results[-1].status is Status.OK and results[-1].report.active_limits == ()
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("way", "limit"), [((0, 0, 2), "grip_margin"), ((0, 0, -2), "pressure_max")])
 def test_a_target_beyond_reach_is_missed_with_its_limit_named_and_the_ball_stays(
     held_ball, way, limit

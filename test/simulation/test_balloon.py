@@ -59,6 +59,7 @@ def test_volume_control_passes_the_limit_point(balloon):
     assert np.all(np.diff(found[most:]) < 0.0)
 
 
+@pytest.mark.exhaustive
 def test_pressure_control_stops_at_the_limit_point_and_says_so(balloon):
     simulation = balloon()
     whole = rest_volume(simulation)

@@ -89,6 +89,7 @@ def test_only_the_named_law_and_element_are_built(diamond, element, node_count, 
     assert (mesh.node_count > mesh.corner_mesh.node_count) == (element == "quadratic")
 
 
+@pytest.mark.exhaustive
 def test_building_and_stepping_load_no_viewer_no_ros_and_no_mesher():
     scene = ROOT / "config" / "scenes" / "diamond.yaml"
     code = (

@@ -44,7 +44,8 @@ def cable(name: str, side: float) -> dict:
 
 
 @pytest.mark.parametrize("friction, cells", [
-    (0.2, 50), pytest.param(0.5, 40, marks=pytest.mark.exhaustive),
+    (0.2, 28), pytest.param(0.2, 50, marks=pytest.mark.exhaustive),
+    pytest.param(0.5, 40, marks=pytest.mark.exhaustive),
 ])  # fmt: skip
 def test_tension_grows_along_the_wrap_by_the_capstan_equation(scene_of, strip, friction, cells):
     simulation = scene_of(
@@ -60,10 +61,10 @@ def test_tension_grows_along_the_wrap_by_the_capstan_equation(scene_of, strip, f
         solver={"newton_iterations": 2},
     )  # fmt: skip
     rest = simulation.rest_setpoints
-    for step in range(200):
+    for step in range(120):
         # Both are taut first; then only one is shortened, and the strip slides towards it.
-        taut = 5e-4 * min(1.0, step / 33)
-        wound = [taut, taut + 4e-3 * max(0.0, min(1.0, (step - 33) / 133))]
+        taut = 5e-4 * min(1.0, step / 20)
+        wound = [taut, taut + 4e-3 * max(0.0, min(1.0, (step - 20) / 80))]
         result = simulation.step(CommandSetpoints(rest - np.array(wound), 0.01))
     assert result.status in (Status.OK, Status.LINEARIZED, Status.NOT_CONVERGED)
     # Friction acts on the strip's inner face, tension in its middle.

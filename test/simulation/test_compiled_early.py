@@ -158,6 +158,7 @@ print(late)
 """
 
 
+@pytest.mark.exhaustive
 @pytest.mark.libraries
 def test_fallback_solvers_are_compiled_before_the_first_step():
     """Compiled in a step, one took nine seconds: the twin took the device for lost."""

@@ -226,6 +226,7 @@ def test_a_trunk_that_folded_on_its_way_home_lets_go_and_comes_home(robot):
     assert result.status is Status.OK and result.effector_errors[0] <= 1e-4
 
 
+@pytest.mark.exhaustive
 def test_a_beam_that_slipped_around_the_rod_comes_home_the_way_it_went(robot):
     """Straightened behind the rod, its tip rests 43 mm from home with all lengths at rest."""
     simulation, distance = robot("eight cables and rod")

@@ -43,6 +43,7 @@ def finger():
     return curled(np.linspace(0.0, GREATEST, 7)[1:])
 
 
+@pytest.mark.exhaustive
 def test_each_step_over_the_range_is_solved_and_more_pressure_curls_it_more(finger):
     angles = np.abs(finger[0])
     assert np.all(np.diff(angles) > np.radians(10.0))

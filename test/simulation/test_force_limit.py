@@ -1,6 +1,7 @@
 """The limit on contact force in the inverse problem: it holds wherever it is feasible."""
 
 import numpy as np
+import pytest
 
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Status
 from test.scene_changes import repeat_step
@@ -25,6 +26,7 @@ def over_limit(result) -> list[str]:
     return [name for name in result.report.active_limits if name.endswith("force_limit_exceeded")]
 
 
+@pytest.mark.exhaustive
 def test_a_lower_force_limit_presses_less_and_ends_further_from_the_target(beam, rod):
     errors, forces = [], []
     for limit in LIMITS:

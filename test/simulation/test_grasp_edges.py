@@ -31,6 +31,7 @@ def slippery(friction, of_floor):
     return entries
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("of_floor", [0.0, 0.7])
 @pytest.mark.parametrize("way", [(0, 0, 20), (3, 0, 0), (0, 3, 3)])
 def test_without_friction_no_finger_lifts_the_cube_and_its_target_is_missed(of_floor, way):
@@ -61,6 +62,7 @@ def test_a_cube_that_slides_out_of_its_fingers_is_told_as_lost():
     assert not results[-1].status.is_success
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("beyond", [-1e-6, 0.0, 1e-6, 1e-4, 1e-3])
 def test_fingers_that_just_touch_a_cube_rest_and_do_not_flicker(beyond):
     """Row 32: the cube stands on the floor, its target where the fingers begin to push it."""

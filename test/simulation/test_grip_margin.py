@@ -79,6 +79,7 @@ def fingertips(simulation):
     return {name: sorted(found) for name, found in nodes.items()}
 
 
+@pytest.mark.exhaustive
 def test_the_margin_of_each_finger_is_told_before_its_tip_slips_by_a_tenth_of_a_millimetre():
     simulation = grasper()
     closed = simulation.rest_setpoints - 0.022

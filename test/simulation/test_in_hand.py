@@ -31,6 +31,7 @@ def follow(simulation, state, targets, step):
     return results, np.linalg.norm(places - targets, axis=1)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("step", [0.02, 0.01])
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize("side", [-1.0, 1.0])

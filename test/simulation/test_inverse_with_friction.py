@@ -169,6 +169,7 @@ def test_a_place_on_the_way_back_is_reached_by_a_detour(finger):
     assert furthest > (simulation.rest_setpoints - result.setpoints)[0] + 1e-3
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("count", [5, pytest.param(40, marks=pytest.mark.exhaustive)])
 @pytest.mark.parametrize("breaks", [True, False])
 def test_contacts_are_broken_and_made_by_no_more_force_than_it_takes(finger, rng, breaks, count):
@@ -232,6 +233,7 @@ def missed_places(simulation, ends, count):
     return near
 
 
+@pytest.mark.exhaustive
 def test_with_hardly_any_friction_it_goes_as_near_as_without(finger, rng):
     """Where targets are out of reach, lengths rest within some 1e-5 m along which the miss is even.
 
@@ -357,6 +359,7 @@ def test_pulled_and_released_both_the_cone_and_the_capstan_law_hold(finger):
     assert slipping[18] == pytest.approx(-1.0, abs=1e-6)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("friction", [0.0, MU])
 def test_with_hardly_any_friction_along_cables_targets_are_reached_as_without(finger, friction):
     smooth, rough = finger(friction), finger(friction, {"cables.*.friction": 1e-9})
@@ -374,12 +377,14 @@ def test_with_hardly_any_friction_along_cables_targets_are_reached_as_without(fi
         np.testing.assert_allclose(*[end.effector_positions for end in ends], atol=1e-6)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("friction", [0.0, MU])
 def test_places_are_reached_though_cables_and_contacts_rub(finger, rng, friction):
     """A cable that is slack at its target cannot help: then the place depends on the way there."""
     assert missed_in_contact(finger(friction, RUBBING), rng, -0.3, 60).max() < 1e-4
 
 
+@pytest.mark.exhaustive
 def test_fingers_whose_cables_rub_lead_a_cube_in_the_hand():
     mapping = hand()
     mapping["cables"][0]["friction"] = 0.1
@@ -423,6 +428,7 @@ def lag(robot, leader, lengths):
     return np.array(errors)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("iterations", [1, 3])
 def test_moving_targets_are_followed_also_where_all_contacts_stick(finger, iterations):
     robot, leader = (finger(MU, {"solver.newton_iterations": iterations}) for _ in range(2))
@@ -488,6 +494,7 @@ def test_the_octoleg_curls_to_where_its_tip_shall_be():
     assert result.report.contact_count == 7
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("friction, along_cables", [
     (0.5, 0.0), pytest.param(0.1, 0.0, marks=pytest.mark.exhaustive),
     pytest.param(0.5, 0.1, marks=pytest.mark.exhaustive),

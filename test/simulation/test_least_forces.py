@@ -43,6 +43,7 @@ def follow(simulation, target, steps=200):
     return results, np.array(left), np.array(forces)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("way", [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1)])
 def test_targets_are_held_with_the_least_force_at_two_sides(way):
     simulation = lifted(entries(), GRIP, 70)
@@ -53,6 +54,7 @@ def test_targets_are_held_with_the_least_force_at_two_sides(way):
     assert forces[50:].min() > 0.99 * LEAST
 
 
+@pytest.mark.exhaustive
 def test_the_target_is_missed_before_the_grip_falls_below_its_least_force():
     """Without one the fingers open to let the cube down."""
     down, found = np.array([0.0, 0.0, -2e-3]), {}

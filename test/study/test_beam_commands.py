@@ -16,6 +16,7 @@ def test_explain_prints_the_sag_of_a_beam(cantilever, call):
     assert printed == pytest.approx(1e3 * sag, rel=0.01)
 
 
+@pytest.mark.exhaustive
 def test_a_run_records_the_nodes_of_a_beam(cantilever, tmp_path, call):
     done = call("simulate", cantilever, "--steps", 5, "--output", tmp_path / "run.csv",
                 "--picture", tmp_path / "run.png")  # fmt: skip

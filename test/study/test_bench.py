@@ -59,6 +59,7 @@ def test_bench_writes_a_row_for_each_stage_and_a_picture(column, tmp_path, call)
     assert (tmp_path / "made" / "bench.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.exhaustive
 def test_an_observer_is_a_stage_beside_the_step(measured):
     scene = load_scene(default_scene_path()).changed(observer=Observer())
     case = given_cases([default_scene_path()])[0]._replace(scene=scene)
@@ -66,6 +67,7 @@ def test_an_observer_is_a_stage_beside_the_step(measured):
     assert OBSERVER not in measured.stages
 
 
+@pytest.mark.exhaustive
 def test_control_is_a_stage_beside_the_step(measured):
     path = default_scene_path().with_name("finger.yaml")
     scene = load_scene(path).changed(
@@ -209,6 +211,7 @@ def test_cases_of_given_scenes_are_one_family_without_a_bar(column):
     assert isinstance(case, BenchCase) and not case.has_requirements
 
 
+@pytest.mark.exhaustive
 def test_a_step_that_grew_is_marked_beside_an_earlier_run(column, tmp_path, call):
     done = call("bench", column, "--steps", 4, "--output", tmp_path)
     assert done.code == 0, done.errors

@@ -157,6 +157,7 @@ def test_a_wanted_error_that_is_not_met_is_said(column, call, tmp_path, monkeypa
     assert (tmp_path / "r.npz").is_file()
 
 
+@pytest.mark.exhaustive
 def test_a_training_by_targets_tells_which_were_reached_and_is_judged_between_them_too(
     column, call, tmp_path
 ):

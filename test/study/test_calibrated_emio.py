@@ -62,6 +62,7 @@ def test_servos_zeros_and_clamps_of_another_emio_are_found_within_their_interval
     assert np.abs(off).max() < 2.0
 
 
+@pytest.mark.exhaustive
 def test_the_ways_of_the_servos_are_found_within_their_intervals(drawn_rng):
     scene, ways = load_scene(SCENE), {
         key: -sign * 0.1130 for key, sign in zip(WAYS, (1, 1, -1, -1), strict=True)}

@@ -293,6 +293,7 @@ def test_a_number_that_the_data_say_nothing_about_stays_as_it_was(bar, random):
     assert found.values["cables[2].offset"] == pytest.approx(5e-4, abs=1e-4)
 
 
+@pytest.mark.exhaustive
 def test_what_a_suggestion_promises_comes_true(bar, random):
     truth = true_scene(bar)
     poses = measured(truth, poses_at(bar, drawn(random, 8), None, False), 1.0, random)

@@ -197,6 +197,7 @@ def test_a_cable_that_others_slacken_pulls_with_nothing(page, diamond):
     assert pair.state[2][[1, 3]].max() < 1e-12 and pair.state[2][0] > 1.0  # N
 
 
+@pytest.mark.exhaustive
 def test_targets_lead_to_the_same_lengths(page, with_all_points):
     """The package rounds the tangents of points that are sampled, and which of four cables pull how
 
@@ -262,6 +263,7 @@ def test_pressures_volumes_and_cables_lead_to_the_same_shape(page, air):
         np.testing.assert_array_equal(pair.state[2][1:3], drives[1:3])
 
 
+@pytest.mark.exhaustive
 def test_targets_lead_to_the_same_pressures(page, air):
     there = Pair(page, air)
     pair = Pair(page, air)

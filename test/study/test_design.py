@@ -56,6 +56,7 @@ def test_a_length_that_is_commanded_is_kept_and_a_shortening_too(finger):
     assert abs(lengths[3] - lengths[1]) > 1e-6, "the path at rest has another length"
 
 
+@pytest.mark.exhaustive
 def test_heights_of_cables_are_found_again_within_the_flatness_that_is_told(finger, drawn_rng):
     hidden = drawn_rng.uniform(-1.5e-3, 1.5e-3, 2)
     wanted = finger.design_model(HEIGHTS, commands()).solve(hidden).found.effectors
@@ -89,6 +90,7 @@ def test_what_poses_cannot_tell_is_told(finger):
     assert max(design.flatness.values()) > 1.0e-3
 
 
+@pytest.mark.exhaustive
 def test_a_function_is_made_small_within_bounds(finger):
     def bent(found):
         slopes = Equilibria(np.zeros_like(found.effectors), np.zeros_like(found.efforts))

@@ -42,6 +42,10 @@ def costs(scene, given=()):
 def test_only_effects_that_the_scene_names_are_left_out(beam):
     assert list(costs(beam(gravity=[0, 0, 0]))) == [NOTHING.name]
     assert list(costs(beam())) == ["gravity", NOTHING.name]
+
+
+@pytest.mark.exhaustive
+def test_many_effects_of_a_scene_are_left_out_one_by_one(beam):
     viscous = {"viscosity": [{"share": 0.3, "time": 0.2}]}
     found = costs(beam(material=viscous, integration="dynamic", element="smoothed",
                        cable={"axial_stiffness": 1e4, "friction": 0.2}))  # fmt: skip

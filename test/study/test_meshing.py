@@ -90,6 +90,7 @@ def test_the_size_is_searched_for_a_step_time(tmp_path, capsys, monkeypatch):
     assert "at most 5 meshes" in out and "step" in out and not lines_of(err)
 
 
+@pytest.mark.exhaustive
 def test_what_takes_too_long_to_measure_is_left_out_and_told(tmp_path, capsys, monkeypatch):
     need_gmsh()
     monkeypatch.setattr(meshing, "MOST_SECONDS", 0.0)

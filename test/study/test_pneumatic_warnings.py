@@ -41,10 +41,12 @@ def test_threads_that_are_further_apart_than_two_walls_are_warned_of(pitch, warn
         assert re.search(r"fibres hoops: 4\.\d+ mm .* wall of 1\.9\d mm", found[0])
 
 
+@pytest.mark.exhaustive
 def test_a_robot_of_the_package_is_far_from_bursting_at_all_its_pressures():
     assert not list(burst_warnings(robot("pneunet_inverse")))
 
 
+@pytest.mark.exhaustive
 def test_without_fibres_the_walls_of_the_segment_come_near_a_burst():
     bare = robot("segment", changed({"fibres": LEFT_OUT, "cavities.*.pressure": [0.0, 40e3]}))
     found = list(burst_warnings(bare))

@@ -59,7 +59,8 @@ def inputs(column, stamp, cantilever, tmp_path, monkeypatch):
     monkeypatch.setattr("sys.argv", ["softrobot_twin"])  # else usage names how pytest was called
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [
+    pytest.param(name, marks=[pytest.mark.exhaustive] * (name == "mesh")) for name in NAMES])
 def test_a_command_prints_what_its_file_holds(name, inputs, tmp_path, call):
     """Numbers are equal to a part in a thousand, or to a unit of their last decimal."""
     if name in ("mesh", "init"):

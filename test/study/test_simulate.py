@@ -23,6 +23,7 @@ def tip_of(row):
     return np.array([float(row[f"tip_{axis}_m"]) for axis in "xyz"])
 
 
+@pytest.mark.exhaustive
 @pytest.mark.libraries
 def test_a_run_has_the_stated_columns_and_a_row_for_each_target(tmp_path, column, targets, command):
     done = command("simulate", column, "--targets", targets(), "--output", tmp_path / "run.csv")
@@ -131,6 +132,7 @@ def test_targets_in_millimetres_are_warned_of(column, targets):
     assert "in metres?" in unlikely_warning(simulation, unlikely)
 
 
+@pytest.mark.exhaustive
 def test_a_run_of_a_reduced_body_ends_with_its_errors(tmp_path, half_trained, call):
     def run(*rows):
         path = tmp_path / "targets.csv"

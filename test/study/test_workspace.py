@@ -237,6 +237,7 @@ def test_a_lost_process_costs_only_its_own_sample(squares, tmp_path):
     assert all(found[index].row == [index**2] for index in found if index != 3)
 
 
+@pytest.mark.exhaustive
 def test_processes_that_cannot_begin_are_told(squares, tmp_path):
     with pytest.raises(sample_workers.WorkerError, match="code 7"):
         list(LocalWorkers(2).run(Job(squares.Broken, tmp_path, ""), [(0, 0), (1, 1)]))

@@ -37,6 +37,7 @@ ROBOTS = (
 )  # fmt: skip
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("element", ["linear", "smoothed"])
 @pytest.mark.parametrize("name, mesh, given", [
     pytest.param(*robot, given,

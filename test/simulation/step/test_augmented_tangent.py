@@ -220,6 +220,7 @@ def test_a_beam_that_its_contacts_stabilise_rests_without_projection(leaning, wo
     assert simulation.newton.is_augmented and not simulation.newton.projected_tangent
 
 
+@pytest.mark.exhaustive
 def test_beside_the_limit_of_stability_an_inverse_neither_chatters_nor_misses():
     """The Diamond at its working height is stable at given tensions in one place and not in the
     next: by the plain tangent the cables go back and forth by 0.5 mm there."""
