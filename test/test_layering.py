@@ -255,7 +255,7 @@ print(*sys.modules)
 """
 
 
-@cache
+@pytest.fixture(scope="module")
 def loaded_modules() -> tuple[set[str], set[str]]:
     """All modules that a fresh interpreter has once it has imported all of ours but the nodes and
     the commands that start them, and all but the view.
@@ -280,14 +280,14 @@ def loaded_modules() -> tuple[set[str], set[str]]:
 
 
 @pytest.mark.libraries
-def test_only_an_open_view_loads_rerun_and_only_a_picture_matplotlib():
-    _, loaded = loaded_modules()
+def test_only_an_open_view_loads_rerun_and_only_a_picture_matplotlib(loaded_modules):
+    _, loaded = loaded_modules
     assert {"softrobot_twin.simulation", "softrobot_twin.study", "softrobot_twin.ros"} <= loaded
     assert not loaded & {"rerun", "matplotlib", "gmsh", "trimesh", "manifold3d"}
 
 
-def test_only_nodes_and_the_commands_that_start_them_load_ros():
-    loaded, _ = loaded_modules()
+def test_only_nodes_and_the_commands_that_start_them_load_ros(loaded_modules):
+    loaded, _ = loaded_modules
     assert {"softrobot_twin.simulation", "softrobot_twin.study"} <= loaded
     assert not {name for name in loaded if is_ros(name.split(".")[0])}
     assert "softrobot_twin.ros" not in loaded

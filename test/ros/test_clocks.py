@@ -134,7 +134,7 @@ def test_twin_device_and_target_work_together_on_simulated_time(
     assert twin.loop.device.setpoints is not None
     answer = world.ask(SetBool, "/twin/enable", SetBool.Request(data=True))
     assert answer.success, answer.message
-    simulated_time.turn(1.5)
+    simulated_time.turn(3.0)
     assert twin.loop.device.refusals.total == 0
     away = device.device.simulation.effector_positions()[0]
     assert abs(float((away[0] ** 2 + away[1] ** 2) ** 0.5) - 0.005) < 0.003
