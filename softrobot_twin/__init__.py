@@ -16,6 +16,7 @@ See docs/python.md.
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 from pathlib import Path
@@ -106,8 +107,14 @@ if not TYPE_CHECKING:
         """
         if name not in __all__:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        import softrobot_twin.scripting as scripting
-
+        # All that is imported stays: to look through it again and again for garbage takes an eighth.
+        was_enabled = gc.isenabled()
+        gc.disable()
+        try:
+            import softrobot_twin.scripting as scripting
+        finally:
+            if was_enabled:
+                gc.enable()
         found = getattr(scripting, name)
         globals()[name] = found
         return found

@@ -28,15 +28,18 @@ from hashlib import sha256
 from pathlib import Path
 from uuid import uuid4
 
+import llvmlite.binding
 import numba
 from numba.core import sigutils, types
 from numba.core.caching import _Cache
+from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 
 _ROOT = Path(__file__).parent
 _PACKAGE = __name__.split(".")[0]
-_IMPORT = re.compile(rf"^(?:from|import) ({_PACKAGE}[\w.]*)(?: import (\([^)]*\)|.*))?", re.M)
+# It begins with a line break, which is found faster than the begin of a line.
+_IMPORT = re.compile(rf"\n(?:from|import) ({_PACKAGE}[\w.]*)(?: import (\([^)]*\)|.*))?")
 _DAY = 24 * 3600
 # An entry that was not used for so long is deleted [s].
 _SECONDS_KEPT = 7 * _DAY
@@ -50,10 +53,10 @@ _SHORT = 16
 def _source(module: str) -> bytes | None:
     """Content of a module's file; None where it is none of this package."""
     name, *parts = module.split(".")
-    path = _ROOT.joinpath(*parts)
-    for file in (path.with_suffix(".py"), path / "__init__.py"):
-        if name == _PACKAGE and file.is_file():
-            return file.read_bytes()
+    path = os.path.join(_ROOT, *parts)
+    for file in (f"{path}.py", f"{path}/__init__.py"):
+        if name == _PACKAGE and os.path.isfile(file):
+            return Path(file).read_bytes()
     return None
 
 
@@ -61,7 +64,7 @@ def _source(module: str) -> bytes | None:
 def _imports(module: str) -> frozenset[str]:
     """Modules of this package that a module imports."""
     found = set()
-    for origin, names in _IMPORT.findall(_source(module).decode()):
+    for origin, names in _IMPORT.findall("\n" + _source(module).decode()):
         parts = {f"{origin}.{name}" for name in re.findall(r"\w+", names)}
         found |= {name for name in {origin, *parts} if _source(name) is not None}
     # This file makes no code.
@@ -150,6 +153,35 @@ def _modules_of_types(type_: types.Type) -> Iterator[str]:
             yield from _modules_of_types(part)
 
 
+class KeptLibrary(JITCodeLibrary):
+    """Machine code from the disk. Its bitcode is parsed when a kernel is compiled that calls it."""
+
+    def __init__(self, codegen, state, names) -> None:
+        """Load the machine code.
+
+        Args:
+            codegen: numba's, of the machine that the code is for.
+            state: As `serialize_using_object_code` gives it.
+            names: Functions that Python or a driver may call.
+        """
+        name, _, (code, self._bitcode) = state
+        super().__init__(codegen, name)
+        self.enable_object_caching()
+        self._set_compiled_object(code)
+        self._finalize_final_module()
+        codegen._engine._defined_symbols |= {one for one in names if one.encode() in code}
+
+    def _get_module_for_linking(self):
+        self._shared_module = self._shared_module or llvmlite.binding.parse_bitcode(self._bitcode)
+        return self._shared_module
+
+
+@cache
+def _prepare(target_context) -> None:
+    """Lets numba know all types, once: no code that is loaded needs what is declared later."""
+    target_context.refresh()
+
+
 class KernelCache(_Cache):
     """The entries of one kernel, in place of numba's cache.
 
@@ -194,7 +226,7 @@ class KernelCache(_Cache):
             sig: Types of the arguments, as numba gives them.
             target_context: numba's, of the machine that the code is for.
         """
-        target_context.refresh()
+        _prepare(target_context)
         entry = self._entry(sig, target_context.codegen())
         if entry is None or not entry.is_file():
             return None
@@ -204,7 +236,21 @@ class KernelCache(_Cache):
             return None
         if time.time() - entry.stat().st_mtime > _DAY:
             entry.touch()
-        return CompileResult._rebuild(target_context, *pickle.loads(code))
+        state, fndesc, own, signature, _, lifted, annotation, begins, others = pickle.loads(code)
+        for begin in begins:
+            begin()
+        names = fndesc.llvm_func_name, fndesc.llvm_cpython_wrapper_name
+        library = KeptLibrary(target_context.codegen(), state, names)
+        result = CompileResult(
+            target_context=target_context, typing_context=target_context.typing_context,
+            entry_point=target_context.get_executable(library, fndesc, own), library=library,
+            fndesc=fndesc, environment=own, signature=signature, type_annotation=annotation,
+            lifted=lifted, reload_init=begins, referenced_envs=others, objectmode=False,
+            typing_error=None, call_helper=None, metadata=None,
+        )  # fmt: skip
+        for environment in others:
+            library.codegen.set_env(environment.env_name, environment)
+        return result
 
     def save_overload(self, sig, data) -> None:
         """Keeps a compiled kernel.

@@ -4,8 +4,8 @@ A stage in Python asks each term for its share, and a term calls a kernel or two
 take as long as small kernels do. They have the same answers in most steps. So a stage is traced:
 the kernels that it called, with their arguments, and what they returned. The driver then calls them by
 their addresses, from a table in which arrays are addresses, shapes and strides. It is compiled once
-for all scenes, and a scene compiles nothing but a short piece of machine code for each signature,
-which loads the arguments.
+for kernels of any arguments: by the calling conventions of Linux they lie in registers or on the
+stack, in an order that does not depend on the signature.
 
 What a kernel returns decides how Python goes on, so it must return the same as when it was traced;
 else the driver stops, and the stage is run in Python from its beginning. So a kernel that finds
@@ -16,7 +16,9 @@ kernels, a stage may only do what follows from what they returned: it must not c
 
 from __future__ import annotations
 
+import platform
 import struct
+from bisect import bisect_left
 from collections.abc import Callable
 from operator import is_
 from threading import Lock, get_ident
@@ -24,7 +26,7 @@ from threading import Lock, get_ident
 import numpy as np
 from llvmlite import ir
 from numba import types, typeof
-from numba.core.compiler_lock import global_compiler_lock
+from numba.core import cgutils
 from numba.core.registry import cpu_target
 from numba.extending import intrinsic
 
@@ -38,18 +40,41 @@ NEVER = 2**62
 # Words that are kept for what a kernel returns.
 RETURNED = 4
 _CODES = {bool: "?", int: "q", float: "d"}
-_WORD = ir.IntType(64)
+_WORD, _FLOAT, _STATUS = ir.IntType(64), ir.DoubleType(), ir.IntType(32)
+# Arguments in registers: integers and addresses beside the two that numba puts first, and floats.
+# The others lie on the stack, one word each (System V ABI for x86-64; AAPCS64).
+_INTEGERS = {"x86_64": 4, "aarch64": 6}.get(platform.machine(), 0)
+_FLOATS = 8
+# Words on the stack for which the driver has code. A kernel does not look at words behind its own.
+_STACKS = (8, 16, 24, 48, 96, 128, 256, 512)
 
 
 @intrinsic
-def _call(typing_context, address, arguments):
-    """Call a piece of machine code that takes the address of its arguments, and gives a status."""
+def _call(typing_context, address, place, stack):
+    """Call a kernel with the arguments at a place, of which some lie on the stack; gives a status."""
 
     def generate(context, builder, signature, values):
-        function = ir.FunctionType(_WORD, [_WORD]).as_pointer()
-        return builder.call(builder.inttoptr(values[0], function), [values[1]])
+        address, place, stack = values
+        status = cgutils.alloca_once_value(builder, _STATUS(-1))
+        error = cgutils.alloca_once(builder, ir.IntType(8).as_pointer())
+        words, end = builder.inttoptr(place, _WORD.as_pointer()), builder.append_basic_block()
+        choice = builder.switch(stack, end)
+        for k, count in enumerate(_STACKS):
+            choice.add_case(_WORD(k), block := builder.append_basic_block())
+            builder.position_at_end(block)
+            kinds = [_WORD] * _INTEGERS + [_FLOAT] * _FLOATS + [_WORD] * count
+            addresses = [builder.gep(words, [_WORD(RETURNED + j)]) for j in range(len(kinds))]
+            given = [words, error] + [
+                builder.load(builder.bitcast(one, kind.as_pointer()))
+                for one, kind in zip(addresses, kinds)
+            ]
+            kernel = ir.FunctionType(_STATUS, [one.type for one in given]).as_pointer()
+            builder.store(builder.call(builder.inttoptr(address, kernel), given), status)
+            builder.branch(end)
+        builder.position_at_end(end)
+        return builder.sext(builder.load(status), _WORD)
 
-    return types.int64(types.int64, types.int64), generate
+    return types.int64(types.int64, types.int64, types.int64), generate
 
 
 @njit(**KERNEL)
@@ -57,8 +82,8 @@ def run_calls(calls, memory, expected):
     """Call kernels one after the other, while they return what is expected.
 
     Args:
-        calls: Address of the code that loads its arguments, and its first word in the memory,
-            shape (call_count, 2).
+        calls: Address of each, its first word in the memory, and which of the `_STACKS` it takes,
+            shape (call_count, 3).
         memory: What each returns, then its arguments, shape (word_count,); changed.
         expected: What each is to return, at the same places, shape (word_count,).
 
@@ -68,7 +93,7 @@ def run_calls(calls, memory, expected):
     begin = memory.ctypes.data
     for c in range(len(calls)):
         first = calls[c, 1]
-        if _call(calls[c, 0], begin + 8 * first) != 0:
+        if _call(calls[c, 0], begin + 8 * first, calls[c, 2]) != 0:
             return c
         for word in range(first, first + RETURNED):
             if memory[word] != expected[word]:
@@ -84,38 +109,31 @@ def clear(numbers):
 
 
 _is_tracing = Lock()
-_loaders: dict[tuple, tuple[int, object]] = {}
+_entries: dict[tuple, tuple[int, list[bool]]] = {}
 
 
-@global_compiler_lock
-def _loader(kernel: Kernel, argument_types: tuple) -> int:
-    """Address of code that loads the arguments of one signature of a kernel, and calls it."""
-    if (kernel, argument_types) in _loaders:
-        return _loaders[kernel, argument_types][0]
-    compiled = kernel.overloads[argument_types]
-    target = cpu_target.target_context
-    kind = target.call_conv.get_function_type(compiled.signature.return_type, argument_types)
-    name = f"load_{len(_loaders)}"
-    library = target.codegen().create_library(name)
-    module = library.create_ir_module(name)
-    function = ir.Function(module, ir.FunctionType(_WORD, [_WORD]), name)
-    builder = ir.IRBuilder(function.append_basic_block())
-    place = function.args[0]
-    words = enumerate(kind.args[2:], start=RETURNED)
-    arguments = [
-        builder.load(builder.inttoptr(builder.add(place, _WORD(8 * k)), one.as_pointer()))
-        for k, one in words
-    ]
-    code = compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name)
-    status = builder.call(
-        builder.inttoptr(_WORD(code), kind.as_pointer()),
-        [builder.inttoptr(place, kind.args[0]), builder.alloca(kind.args[1].pointee), *arguments],
-    )  # fmt: skip
-    builder.ret(builder.sext(status, _WORD))
-    library.add_ir_module(module)
-    library.finalize()
-    _loaders[kernel, argument_types] = library.get_pointer_to_function(name), library
-    return _loaders[kernel, argument_types][0]
+def _entry(kernel: Kernel, argument_types: tuple) -> tuple[int, list[bool]]:
+    """Address of a kernel's code for one signature, and which words of its arguments are floats."""
+    key = kernel, argument_types
+    if key not in _entries:
+        compiled = kernel.overloads[argument_types]
+        convention = cpu_target.target_context.call_conv
+        kind = convention.get_function_type(compiled.signature.return_type, argument_types)
+        address = compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name)
+        _entries[key] = address, [one == _FLOAT for one in kind.args[2:]]
+    return _entries[key]
+
+
+def _loaded(words: list[int], is_float: list[bool]) -> tuple[list[int], int]:
+    """Words of arguments as registers and the stack take them, and which of the `_STACKS` it is."""
+    registers, stack = ([], []), []
+    for word, floats in zip(words, is_float, strict=True):
+        is_full = len(registers[floats]) == (_FLOATS if floats else _INTEGERS)
+        (stack if is_full else registers[floats]).append(word)
+    if len(stack) > _STACKS[-1]:
+        raise KeyError(len(stack))
+    filled = [(kind + [0] * count)[:count] for kind, count in zip(registers, (_INTEGERS, _FLOATS))]
+    return filled[0] + filled[1] + stack, bisect_left(_STACKS, len(stack))
 
 
 def _words(value: object) -> list[int]:
@@ -217,7 +235,7 @@ class TracedStages:
             stages: Each is called with the same arrays in most steps.
         """
         self._stages = [_Known(stage) for stage in stages]
-        self.is_traceable, self.are_known, self._runs = is_traceable, False, 0
+        self.is_traceable, self.are_known, self._runs = is_traceable and _INTEGERS > 0, False, 0
         self.begin_anew()
 
     def run(self, place: int, *arguments):
@@ -315,9 +333,12 @@ def _laid_out(trace: Trace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     Raises:
         KeyError: A kernel has no code for exactly the types of its arguments.
     """
-    calls, first = [], 0
-    for (kernel, given, _), words in zip(trace.calls, trace.words):
-        calls.append((_loader(kernel, tuple(map(typeof, given))), first))
-        first += len(words)
-    expected = np.array([word for words in trace.words for word in words], np.int64)
-    return np.array(calls, np.int64).reshape(-1, 2), expected.copy(), expected
+    calls, words = [], []
+    for (kernel, given, _), own in zip(trace.calls, trace.words):
+        address, is_float = _entry(kernel, tuple(map(typeof, given)))
+        loaded, stack = _loaded(own[RETURNED:], is_float)
+        calls.append((address, len(words), stack))
+        words += own[:RETURNED] + loaded
+    # It also reads the words of the stack that its last kernel does not have.
+    expected = np.array(words + [0] * _STACKS[-1], np.int64)
+    return np.array(calls, np.int64).reshape(-1, 3), expected.copy(), expected

@@ -293,6 +293,33 @@ def test_only_nodes_and_the_commands_that_start_them_load_ros(loaded_modules):
     assert "softrobot_twin.ros" not in loaded
 
 
+# What a load with its first step imports: libraries, and rooms of scipy. Some come with another one:
+# rich with meshio, jinja2 with osqp, coverage with numba where it is installed.
+LOADED_BY_A_STEP = {
+    "annotated_types", "charset_normalizer", "colorama", "coverage", "cython_runtime", "daqp", "jinja2",
+    "llvmlite", "markupsafe", "meshio", "numba", "numpy", "osqp", "pydantic", "pydantic_core", "rich",
+    "scipy", "scipy.constants", "scipy.linalg", "scipy.sparse", "scipy.spatial", "scipy.special",
+    "scipy.version", "softrobot_twin", "typing_extensions", "typing_inspection", "yaml"}
+LOAD = """
+import sys
+print(*sys.modules)
+import softrobot_twin
+print(*sys.modules)
+softrobot_twin.load("config/scenes/diamond.yaml").step()
+print(*sys.modules)
+"""
+
+
+def test_a_load_and_a_step_import_only_the_libraries_that_they_need():
+    done = subprocess.run([sys.executable, "-W", "ignore", "-c", LOAD], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    started, imported, stepped = (set(line.split()) for line in done.stdout.splitlines())
+    rooms = {".".join(name.split(".")[:1 + name.startswith("scipy.")]) for name in stepped - started}
+    known = LOADED_BY_A_STEP | sys.stdlib_module_names
+    assert {room for room in rooms if not room.startswith(("_", "scipy._"))} <= known
+    assert not (imported - started) & {"numpy", "numba", "softrobot_twin.simulation"}
+
+
 def test_file_names_are_specific():
     vague = [str(path) for path in MODULES if VAGUE_NAMES & {
         word for part in path.relative_to(PACKAGE).with_suffix("").parts

@@ -230,6 +230,56 @@ def test_a_number_that_stays_the_same_is_expected_and_another_one_is_found_in_py
     assert not stages.run(0)
 
 
+@njit(**{**KERNEL, "cache": False})
+def digest(matrices, numbers, flags, weights, found):
+    k = 0
+    for matrix in matrices:
+        found[k] = matrix[1, 2]
+        k += 1
+    for number in numbers:
+        found[k] = number
+        k += 1
+    for flag in flags:
+        found[k] = flag
+        k += 1
+    for weight in weights:
+        found[k] = weight
+        k += 1
+    return k, weights[-1], flags[0]
+
+
+@pytest.mark.libraries
+@pytest.mark.parametrize("counts", [(1, 1, 1, 1), (2, 7, 2, 11), (9, 3, 4, 9)])
+def test_arguments_of_all_kinds_reach_a_kernel_in_registers_and_on_the_stack(counts, monkeypatch):
+    driven, found = count_driven(monkeypatch), np.zeros(40)
+    matrices, numbers, flags, weights = counts
+    given = (
+        tuple(np.arange(12.0).reshape(3, 4) + k for k in range(matrices)),
+        tuple(range(-1, numbers - 1)), (True, *(flags - 1) * [False]), tuple(0.1 * k for k in range(weights)),
+        found,
+    )  # fmt: skip
+    stages, expected = TracedStages(True, lambda: digest(*given)), (sum(counts), given[3][-1], True)
+    assert [stages.run(0), stages.run(0)] == 2 * [expected]
+    values = found.copy()
+    found[:] = np.nan
+    assert stages.run(0) == expected and driven[0] == 1
+    np.testing.assert_array_equal(found[: sum(counts)], values[: sum(counts)])
+
+
+def test_a_kernel_of_more_words_than_the_driver_has_code_for_stays_in_python(monkeypatch):
+    driven, found = count_driven(monkeypatch), np.zeros(1)
+    many = tuple(np.zeros((80, 1)))  # seven words each
+
+    @njit(**{**KERNEL, "cache": False})
+    def count_all(rows, found):
+        found[0] += len(rows)
+
+    stages = TracedStages(True, lambda: count_all(many, found))
+    for _ in range(4):
+        stages.run(0)
+    assert found[0] == 320 and driven[0] == 0
+
+
 @pytest.mark.libraries
 def test_a_kernel_whose_arguments_numba_converts_stays_in_python(monkeypatch):
     driven, numbers = count_driven(monkeypatch), np.zeros(3)

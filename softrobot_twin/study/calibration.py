@@ -21,8 +21,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from scipy.linalg import qr
-from scipy.optimize import lsq_linear
-from scipy.stats import qmc, t
+from scipy.special import stdtrit
 
 from softrobot_twin.errors import NamedError, SceneError
 from softrobot_twin.control.rest_watch import RestPose
@@ -466,7 +465,7 @@ class Estimate(NamedTuple):
     @property
     def intervals(self) -> np.ndarray:
         """Ends of the 95 % intervals of the numbers, shape (p, 2)."""
-        wide = t.ppf(0.975, self.freedom) * np.sqrt(np.diag(self.covariance))
+        wide = stdtrit(self.freedom, 0.975) * np.sqrt(np.diag(self.covariance))
         return np.array([[one.value(z - w), one.value(z + w)]
                          for one, z, w in zip(self.unknowns, self.z, wide, strict=True)])  # fmt: skip
 
@@ -574,6 +573,8 @@ def _polished(
         b = A @ z - np.concatenate([root * off / per, z])
         moved, z = z, np.linalg.lstsq(A, b, rcond=None)[0]
         if np.any((z < low) | (z > high)):
+            from scipy.optimize import lsq_linear  # it loads slowly
+
             z = lsq_linear(A, b, (low, high)).x
         if np.abs(z - moved).max(initial=0.0) < 1.0e-6 and all(
                 abs(noise[kind] / before[kind] - 1.0) < 1.0e-3 for kind in noise):  # fmt: skip
@@ -1063,6 +1064,8 @@ class _Candidates:
 
     def new_poses(self, count: int) -> tuple[str, list[RestPose], list[np.ndarray]]:
         """New poses within the range of the recorded ones, chosen one after the other."""
+        from scipy.stats import qmc  # it loads slowly
+
         setpoints = np.array([pose.setpoints for pose in self._found.poses])
         low, high = setpoints.min(axis=0), setpoints.max(axis=0)
         drawn = qmc.Sobol(len(low), seed=0).random(NEW_CANDIDATES) * (high - low) + low

@@ -20,7 +20,6 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry.connected_pieces import connected_pieces
@@ -433,6 +432,8 @@ def _elements_of_spans(lengths: np.ndarray, count: int) -> np.ndarray:
 
 def _smooth_path(points, counts) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Nodes, unit tangents and lengths of elements along a cubic spline through points."""
+    from scipy.interpolate import CubicSpline  # it loads slowly
+
     knots = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     curve = CubicSpline(knots, points)
     parameters, lengths = [knots[:1]], []

@@ -16,7 +16,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from softrobot_twin.simulation.building.actuators import Actuators
 from softrobot_twin.simulation.building.model import Model
@@ -26,6 +25,7 @@ from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.step.step_part import Steppable, StepPart
 from softrobot_twin.simulation.step.target_trust import CALM, Approach
 from softrobot_twin.simulation.step.time_budget import StageClock
+from softrobot_twin.solvers.direct_problem import solve_by_daqp
 
 # Moves of one actuator, as shares of its scale, in the order in which they are tried; a move that
 # its limits shorten to less than the last share is not.
@@ -208,9 +208,9 @@ class Exploration:
         limits, scale = self.limits, self.limits.drive_scale
         least = np.maximum((limits.drive_min - place) / scale, -radius)
         most = np.minimum((limits.drive_max - place) / scale, radius)
-        # Bounds must not meet, for what is not free nor for what is at its limit.
-        moves = lsq_linear(slopes, -misses, (np.minimum(least, 0.0) - 1e-12, np.maximum(most, 0.0) + 1e-12))
-        return self._within(place + np.where(self._is_free, moves.x, 0.0) * scale)
+        least, most = np.minimum(least, 0.0), np.maximum(most, 0.0)
+        moves = solve_by_daqp(slopes.T @ slopes, slopes.T @ misses, least, most)
+        return self._within(place if moves is None else place + np.where(self._is_free, moves, 0.0) * scale)
 
 
 class Explorer(StepPart):
