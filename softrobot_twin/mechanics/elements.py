@@ -17,6 +17,7 @@ from softrobot_twin.geometry.vector_arrays import (
 )
 from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.block_addition import are_contiguous
+from softrobot_twin.mechanics.compression_watch import CompressionWatch, coarseness
 from softrobot_twin.mechanics.element_assembly import assembly_of, deform_all
 from softrobot_twin.mechanics.element_batches import BATCH, lay_out_elements, stencils_of
 from softrobot_twin.mechanics.element_inversion import (
@@ -54,11 +55,13 @@ class Elements(ForceTerm):
     Attributes:
         law: Parameters of the law.
         strain_watch: Watches their strain, where their law has a range of strains; else None.
+        compression_watch: Watches the compression of hexahedra; else None.
         has_energy: Whether it is elastic: what it does follows from the state alone.
         hourglass: What resists the motions of hexahedra that their points do not see; else None.
     """
 
     strain_watch: StrainWatch | None = None
+    compression_watch: CompressionWatch | None = None
     hourglass: Hourglass | None = None
     has_energy = True
     is_traceable = True
@@ -333,6 +336,24 @@ class Elements(ForceTerm):
             greatest: Only greater ones count.
         """
         return extreme_squares(self._deformations_at(positions), self._weights, least, greatest)
+
+    @property
+    def has_varied_strain(self) -> bool:
+        """Whether its strain varies in cells beside what the law sees, and may be large."""
+        return self.mesh.shape_functions is MEAN_HEXAHEDRON and not law_of(self.law).is_linear
+
+    def coarseness(self, positions: np.ndarray) -> float:
+        """How coarse hexahedra are for their compression, too much above 1; see `compression_watch.py`.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
+        hourglass = self.hourglass
+        if self._is_stored(positions):
+            F, y = hourglass.deformations, hourglass.strains
+        else:
+            F, _, y = hourglass.measured_at(positions)
+        return coarseness(F, self._weights[:, 0], hourglass.moduli, y, *hourglass.lame)
 
     def energy(self, positions: np.ndarray) -> float:
         """Stored elastic energy [J].

@@ -430,6 +430,9 @@ class Hourglass:
         start: y₀ [m], shape (batch_count, 12 × BATCH); to be set where it is not zero.
         pull: b [N], same shape; so.
         strains: y at the state that was taken last [m], same shape.
+        moduli: M - m 1 [N/m], shape (batch_count, 144 × BATCH).
+        lame: Lamé's constants of small strains [Pa].
+        deformations: F at that state, shape (batch_count, 9 × BATCH).
     """
 
     def __init__(
@@ -449,14 +452,15 @@ class Hourglass:
         gammas = np.take_along_axis(fields.gammas, batches.order[:, None, :], axis=2)
         self._gammas = flat_batches(gammas.transpose(0, 2, 1))
         moduli, floor = divided_moduli(hourglass_moduli(fields, lame), has_floor)
-        self._moduli, self._floor = flat_batches(moduli), flat_batches(floor)
+        self.moduli, self._floor = flat_batches(moduli), flat_batches(floor)
+        self.lame = lame
         self._is_linear, self._rest = is_linear, node_positions
         self._cells, self._free = batches.cells, batches.free
         self._gradients = np.ascontiguousarray(batches.gradients[:, 0])
         self._offsets, self._strides = batches.offsets, batches.strides
         self._moves = np.empty_like(node_positions)
-        count = len(self._moduli)
-        self._deformations = np.zeros((count, 9 * BATCH))
+        count = len(self.moduli)
+        self.deformations = np.zeros((count, 9 * BATCH))
         self._vectors, self.strains, self._forces, self.start, self.pull = np.zeros(
             (5, count, 3 * VECTORS * BATCH)
         )
@@ -471,10 +475,10 @@ class Hourglass:
         write_differences(writable(positions), self._rest, self._moves)
         find_strains(
             self._is_linear, self._moves, self._cells, self._gradients, self._gammas,
-            self._deformations, self._vectors, self.strains,
+            self.deformations, self._vectors, self.strains,
         )  # fmt: skip
         write_forces(
-            self._moduli, self.scale, self.strains, self.start, self.pull, self._forces
+            self.moduli, self.scale, self.strains, self.start, self.pull, self._forces
         )
 
     def add_forces(self, forces: np.ndarray) -> None:
@@ -484,7 +488,7 @@ class Hourglass:
             forces: On the unknowns [N], shape (free_node_count, 3); changed.
         """
         add_forces(
-            self._is_linear, self._free, self._floor, self._gradients, self._gammas, self._deformations,
+            self._is_linear, self._free, self._floor, self._gradients, self._gammas, self.deformations,
             self._vectors, self._forces, forces,
         )  # fmt: skip
 
@@ -497,8 +501,8 @@ class Hourglass:
             storage: The factorization's storage [N/m]; added to.
         """
         add_stiffness(
-            self._is_linear, self._moduli, self.scale, self._floor, self._gradients, self._gammas,
-            self._deformations, self._vectors, self._forces, projected, self._offsets,
+            self._is_linear, self.moduli, self.scale, self._floor, self._gradients, self._gammas,
+            self.deformations, self._vectors, self._forces, projected, self._offsets,
             self._strides, are_contiguous, storage,
         )  # fmt: skip
 
@@ -508,14 +512,18 @@ class Hourglass:
         Args:
             positions: Node positions [m], shape (node_count, 3).
         """
-        return self._measured_at(positions)[1]
+        return self.measured_at(positions)[2]
 
-    def _measured_at(self, positions: np.ndarray) -> np.ndarray:
-        """h and y [m], shape (2, batch_count, 12 × BATCH)."""
-        found = np.empty((2, *self.strains.shape))
+    def measured_at(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """F, h and y, the shapes of `deformations` and twice of `strains`.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
+        found = tuple(map(np.empty_like, (self.deformations, self.strains, self.strains)))
         find_strains(
             self._is_linear, positions - self._rest, self._cells, self._gradients, self._gammas,
-            np.empty_like(self._deformations), *found,
+            *found,
         )  # fmt: skip
         return found
 
@@ -527,7 +535,7 @@ class Hourglass:
         """
         y, none = self.strains_at(positions), np.zeros_like(self.strains)
         found = np.empty_like(y)
-        write_forces(self._moduli, np.ones(1), y, none, none, found)
+        write_forces(self.moduli, np.ones(1), y, none, none, found)
         return found
 
     def energy(self, positions: np.ndarray) -> float:
@@ -536,9 +544,9 @@ class Hourglass:
         Args:
             positions: Node positions [m], shape (node_count, 3).
         """
-        h, y = self._measured_at(positions)
+        _, h, y = self.measured_at(positions)
         return float(
-            add_energies(self._moduli, self.scale, self._floor, h, y, self.start, self.pull)
+            add_energies(self.moduli, self.scale, self._floor, h, y, self.start, self.pull)
         )
 
     def add_force_curvature(
@@ -555,8 +563,8 @@ class Hourglass:
         for sign in (1.0, -1.0):
             self.take(positions + sign * step * direction)
             add_force_changes(
-                self._is_linear, writable(direction), self._cells, self._free, self._moduli,
-                self.scale, self._floor, self._gradients, self._gammas, self._deformations,
+                self._is_linear, writable(direction), self._cells, self._free, self.moduli,
+                self.scale, self._floor, self._gradients, self._gammas, self.deformations,
                 self._vectors, self._forces, 0.5 * sign / step, curvature,
             )  # fmt: skip
         self.take(positions)

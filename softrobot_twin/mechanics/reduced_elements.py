@@ -40,6 +40,7 @@ from softrobot_twin.geometry.matrix3 import product, transposed_product
 from softrobot_twin.geometry.shape_functions import MEAN_HEXAHEDRON, hourglass_fields
 from softrobot_twin.geometry.vector_arrays import gather_vectors, multiply_transposed
 from softrobot_twin.mechanics.barycentric import writable
+from softrobot_twin.mechanics.compression_watch import CompressionWatch, coarseness
 from softrobot_twin.mechanics.element_assembly import (
     fill_derivatives,
     find_negative,
@@ -460,9 +461,11 @@ class ReducedElements(ForceTerm):
         law: Parameters of the law.
         point_count: Number of sampled points.
         mode_count: Number of coordinates.
+        compression_watch: See `Elements`.
     """
 
     is_traceable = True
+    compression_watch: CompressionWatch | None = None
 
     def __init__(
         self, sampled: PointGradients, law: tuple, coordinate_nodes: np.ndarray,
@@ -666,6 +669,22 @@ class ReducedElements(ForceTerm):
             self._evaluate(positions)
         deformations, weights = self.deformations[:, None], self._weights[:, None]
         return extreme_squares(deformations, weights, least, greatest)
+
+    @property
+    def has_varied_strain(self) -> bool:
+        """See `Elements.has_varied_strain`."""
+        return self._hourglass is not None and not law_of(self.law).is_linear
+
+    def coarseness(self, positions: np.ndarray) -> float:
+        """See `Elements.coarseness`; of the sampled hexahedra.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
+        if not self.knows(positions):
+            self._evaluate(positions)
+        own = self._hourglass
+        return coarseness(self.deformations, self._weights, own.moduli, own.strains, *own.lame)
 
     def energy(self, positions: np.ndarray) -> float:
         """Stored elastic energy [J]; see `ForceTerm.energy`."""

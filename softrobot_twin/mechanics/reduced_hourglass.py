@@ -169,6 +169,8 @@ class ReducedHourglass:
         scale: See `Hourglass`.
         start: See there.
         strains: y at the state that was taken last [m], shape (batch_count, 12 × BATCH).
+        moduli: See there.
+        lame: See there.
     """
 
     def __init__(
@@ -191,10 +193,11 @@ class ReducedHourglass:
         rows = padded.reshape(batch_count, BATCH, 3 * VECTORS, width).transpose(0, 2, 1, 3)
         self._rows = np.ascontiguousarray(np.concatenate([gradients, rows], axis=1))
         moduli = own.weights[:, None, None] * hourglass_moduli(own.fields, lame)
-        self._moduli = np.zeros((batch_count, ROWS_OF_MODULI * BATCH))
+        self.moduli = np.zeros((batch_count, ROWS_OF_MODULI * BATCH))
         self._floor = np.zeros((batch_count, BATCH))
+        self.lame = lame
         if count:
-            self._moduli[:], self._floor[:] = map(flat_batches, divided_moduli(moduli, has_floor))
+            self.moduli[:], self._floor[:] = map(flat_batches, divided_moduli(moduli, has_floor))
         self._is_linear = is_linear
         self._states = np.zeros((batch_count, ROWS * BATCH))
         self.strains, self._forces, self.start, self._pull = np.zeros(
@@ -214,7 +217,7 @@ class ReducedHourglass:
         """
         measure(self._rows, coordinates, self._states)
         find_strains(self._is_linear, self._states, self.strains)
-        write_forces(self._moduli, self.scale, self.strains, self.start, self._pull, self._forces)
+        write_forces(self.moduli, self.scale, self.strains, self.start, self._pull, self._forces)
         find_stresses(self._is_linear, self._floor, self._states, self._forces, self._stresses)
         add_forces(self._rows, self._stresses, forces)
 
@@ -231,7 +234,7 @@ class ReducedHourglass:
             projected: True for a part that is never negative.
         """
         write_changes(
-            self._is_linear, self._moduli, self.scale, self._floor, self._rows, self._states, self._forces,
+            self._is_linear, self.moduli, self.scale, self._floor, self._rows, self._states, self._forces,
             projected, self._changes,
         )  # fmt: skip
         width = self._rows.shape[3]
@@ -252,7 +255,7 @@ class ReducedHourglass:
         find_strains(self._is_linear, states, y)
         h = np.ascontiguousarray(states[:, 9 * BATCH :])
         return float(
-            add_energies(self._moduli, self.scale, self._floor, h, y, self.start, self._pull)
+            add_energies(self.moduli, self.scale, self._floor, h, y, self.start, self._pull)
         )
 
     def begin(self, coordinates: np.ndarray, rate: float) -> None:

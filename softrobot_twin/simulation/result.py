@@ -28,6 +28,9 @@ SAMPLED = "sampled_range"
 # Ending of the name that tells that a body is strained beyond the range of its law, such as
 # ``finger.strain_range``.
 STRAINED = "strain_range"
+# Ending of the name that tells that hexahedra are too few for their compression, such as
+# ``pad.coarse_hexahedra``.
+COARSE = "coarse_hexahedra"
 # Ending of the name that tells that a cavity is near the pressure at which it bursts, such as
 # ``air.near_burst``.
 BURST = "near_burst"

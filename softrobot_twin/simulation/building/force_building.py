@@ -16,6 +16,7 @@ from softrobot_twin.geometry.helix import helix_points
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.beam_masses import BeamDamping, BeamInertia, BeamMasses, BeamWeight
 from softrobot_twin.mechanics.beams import BeamElements, Beams
+from softrobot_twin.mechanics.compression_watch import CompressionWatch
 from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.gravity import Gravity
@@ -278,6 +279,8 @@ def _elastic_terms(layout: Layout, body: Body) -> Iterator[ForceTerm]:
         for term in terms:
             if part.strain_range is not None and not isinstance(term, PatchVolumes):
                 term.strain_watch = StrainWatch(term, part.key, body.name, part.strain_range)
+            if not isinstance(term, PatchVolumes) and term.has_varied_strain:
+                term.compression_watch = CompressionWatch(term, body.name)
             yield term
 
 

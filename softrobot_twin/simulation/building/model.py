@@ -10,6 +10,7 @@ import numpy as np
 from softrobot_twin.constraints.hinge_angle import HingeAngles
 from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
+from softrobot_twin.mechanics.compression_watch import CompressionWatch
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.kinematics import Nodes
 from softrobot_twin.mechanics.strain_watch import StrainWatch
@@ -100,7 +101,15 @@ class Model:
     @property
     def strain_watches(self) -> tuple[StrainWatch, ...]:
         """Watches of the materials that have a range of strains; empty without any."""
-        watches = (getattr(term.on_points, "strain_watch", None) for term in self.forces)
+        return self._watches("strain_watch")
+
+    @property
+    def compression_watches(self) -> tuple[CompressionWatch, ...]:
+        """Watches of the hexahedra; empty without any."""
+        return self._watches("compression_watch")
+
+    def _watches(self, name: str) -> tuple:
+        watches = (getattr(term.on_points, name, None) for term in self.forces)
         return tuple(watch for watch in watches if watch is not None)
 
     @property

@@ -1,4 +1,4 @@
-"""The ranges in which bodies can be believed: those of reductions, and of strains of laws.
+"""The ranges in which bodies can be believed: those of reductions, of strains of laws, and of hexahedra.
 
 Of a body in the coordinates of a basis, each coordinate counts by the largest magnitude that it had
 in the training. The root mean square of these shares is known in every step for next to nothing.
@@ -20,7 +20,7 @@ from softrobot_twin.mechanics.strain_watch import StrainOutside
 from softrobot_twin.mechanics.superelements import Superelements
 from softrobot_twin.simulation.building.deformable_body import Body
 from softrobot_twin.simulation.building.model import Model
-from softrobot_twin.simulation.result import SAMPLED, STRAINED
+from softrobot_twin.simulation.result import COARSE, SAMPLED, STRAINED
 from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.step.step_part import PartReport, StepPart
 
@@ -147,3 +147,38 @@ def strain_ranges_of(model: Model) -> Iterator[StepPart]:
     """
     if model.strain_watches:
         yield StrainRanges(model)
+
+
+class HexahedraRange(StepPart):
+    """Tells where hexahedra are too few for their compression, as long as they are."""
+
+    name = "hexahedra_range"
+
+    def __init__(self, model: Model):
+        """Take the watches.
+
+        Args:
+            model: A scene with hexahedra.
+        """
+        self._watches = model.compression_watches
+        self._coarse: tuple[str, ...] = ()
+
+    def end(self, positions: np.ndarray, efforts: np.ndarray) -> dict[str, np.ndarray]:
+        """See `StepPart`."""
+        bodies = (watch.body for watch in self._watches if watch.is_too_coarse(positions))
+        self._coarse = tuple(dict.fromkeys(f"{body}.{COARSE}" for body in bodies))
+        return {}
+
+    def report(self, state: State) -> PartReport:
+        """See `StepPart`."""
+        return PartReport(self._coarse, is_trusted=not self._coarse)
+
+
+def hexahedra_range_of(model: Model) -> Iterator[StepPart]:
+    """The part of a scene with hexahedra.
+
+    Args:
+        model: The model of a simulation.
+    """
+    if model.compression_watches:
+        yield HexahedraRange(model)

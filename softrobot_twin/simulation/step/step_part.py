@@ -36,6 +36,8 @@ class PartReport(NamedTuple):
         readings: Entries of the step's result by their names; see `StepResult`.
         misses: What effectors miss beside their targets after and before the step [m], each of
             shape (effector_count,), zero where nothing is asked; empty if nothing is.
+        is_trusted: False where the state cannot be believed, so that the command does not count as
+            carried out.
     """
 
     limits: tuple[str, ...] = ()
@@ -43,6 +45,7 @@ class PartReport(NamedTuple):
     entries: Mapping[str, object] = {}
     readings: Mapping[str, np.ndarray] = {}
     misses: tuple[np.ndarray, ...] = ()
+    is_trusted: bool = True
 
 
 class StepPart:

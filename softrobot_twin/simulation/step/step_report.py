@@ -332,7 +332,9 @@ class StepResults:
             active = (*self._binding(command, asked, actuation), *actuation.given_up)
         if newton.is_nearly_flat and INVERSION not in active:
             active = (*active, INVERSION)
-        met = not newton.is_nearly_flat and is_met(
+        doubted = [part for part in told if not part.is_trusted]
+        active = (*active, *(limit for part in doubted for limit in part.limits))
+        met = not newton.is_nearly_flat and not doubted and is_met(
             model.scene, model.actuators.limits, command, asked, actuation, missed
         )
         following = isinstance(command, FollowTargets)
