@@ -13,12 +13,13 @@ refuse() {
     exit 1
 }
 
-# Prints the base interpreter of the first Python 3.12 on the PATH; fails where there is none.
+# Prints the base interpreter of the first Python 3.12 on the PATH that can make environments; fails
+# where there is none. Ubuntu keeps ensurepip, which puts pip into them, in a package of its own.
 find_python() {
     local candidate
     while IFS= read -r candidate; do
         "$candidate" - 2>/dev/null <<'PYTHON' && return
-import os, sys
+import ensurepip, os, sys, venv
 if sys.version_info[:2] != (3, 12):
     sys.exit(1)
 print(os.path.realpath(sys.executable))
@@ -40,17 +41,11 @@ check_platform() {
 
 make_environment() {
     local base
-    base=$(find_python) || refuse "softrobot_twin needs Python 3.12 on the PATH: install it with\
- 'sudo apt install python3.12-venv' (Ubuntu 24.04), 'pyenv install 3.12' or 'uv python install\
+    base=$(find_python) || refuse "softrobot_twin needs Python 3.12 with venv on the PATH: install it\
+ with 'sudo apt install python3.12-venv' (Ubuntu 24.04), 'pyenv install 3.12' or 'uv python install\
  3.12'."
     echo "Setting up $folder with $("$base" --version), once: about a minute."
-    # Ubuntu keeps ensurepip in a package of its own; pip then comes from PyPI.
-    if "$base" -c 'import ensurepip' 2>/dev/null; then
-        "$base" -m venv --clear "$folder"
-    else
-        "$base" -m venv --clear --without-pip "$folder"
-        "$python" tools/fetch_pip.py
-    fi
+    "$base" -m venv --clear "$folder"
 }
 
 install_packages() {
@@ -82,7 +77,7 @@ mkdir -p "$folder"
 exec 9<"$folder"
 flock 9
 requirements=(setup.py setup.cfg requirements/*.txt
-    tools/{set_up.sh,build_tf2_msgs.sh,fetch_pip.py,print_requirements.py})
+    tools/{set_up.sh,build_tf2_msgs.sh,print_requirements.py})
 fingerprint=$({ printf '%s\n' "$PWD" "$@"; cat "${requirements[@]}"; } | sha256sum)
 if [ -x "$python" ] && [ "$(cat "$folder/fingerprint" 2>/dev/null)" = "$fingerprint" ]; then
     exit 0
