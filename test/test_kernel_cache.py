@@ -166,6 +166,7 @@ def test_a_source_that_changes_in_a_run_is_not_that_of_its_kernels(small_package
     assert run(small_package) == (25.0, 1)
 
 
+@pytest.mark.exhaustive
 def test_a_damaged_entry_is_compiled_anew(small_package):
     run(small_package)
     for entry in entries(small_package):

@@ -13,6 +13,7 @@ from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Sim
 from softrobot_twin.traced_stage import TracedStages, clear
 
 SCENES = Path(__file__).resolve().parents[1] / "config" / "scenes"
+LARGE = {"fetch", "fast_pneunet_device"}  # Their steps take long.
 # Those of which all terms are traceable, and which the driver must therefore run.
 TRACED = {
     "diamond", "diamond_reduced", "trunk", "flexo", "fetch_reduced", "octoleg", "grasper", "finger",
@@ -63,7 +64,9 @@ def states_of(path, seed):
 
 
 @pytest.mark.sampled
-@pytest.mark.parametrize("path", sorted(SCENES.glob("*.yaml")), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", [
+    pytest.param(path, id=path.stem, marks=[pytest.mark.exhaustive] * (path.stem in LARGE))
+    for path in sorted(SCENES.glob("*.yaml"))])
 def test_the_driver_gives_the_same_bits_as_python(path, monkeypatch):
     seed = np.random.SeedSequence().entropy
     print("seed", seed)
@@ -77,6 +80,7 @@ def test_the_driver_gives_the_same_bits_as_python(path, monkeypatch):
     assert driven[0] == 0
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(
     "name, time_step", [("diamond_reduced", 0.001), ("diamond", 0.002), ("flexo", 0.01)]
 )

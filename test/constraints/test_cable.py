@@ -10,8 +10,6 @@ from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from test.builder import builder
 from test.finite_differences import central_slopes
 
-pytestmark = pytest.mark.libraries
-
 
 @pytest.fixture(params=["linear", "quadratic"])
 def body(request, block):

@@ -11,8 +11,6 @@ from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.cavity_surfaces import CavitySurface
 from test.finite_differences import central_slopes
 
-pytestmark = pytest.mark.libraries
-
 SIZE = np.array([0.2, 0.3, 0.4])
 
 

@@ -69,7 +69,6 @@ def gaps_curvature(corners, axis, h=1e-4):
     return found
 
 
-@pytest.mark.libraries
 @pytest.mark.parametrize("edge, axis", [(True, AXIS), (True, None), (False, None)])
 def test_stiffness_is_minus_force_times_the_gaps_curvature_or_its_definite_part(edge, axis):
     corners, force = facet(edge) + [0.0, 0.0003, -0.0005], 0.7
@@ -109,7 +108,6 @@ def test_what_moves_across_a_moving_shape_does_not_roll():
     assert found.any() and not found[across].any() and not found[:, across].any()
 
 
-@pytest.mark.libraries
 def test_a_facet_along_a_straight_side_is_not_infinitely_stiff():
     corners = np.array([[0.0, -0.004, RADIUS], [0.0, 0.004, RADIUS], [0.0, 0.0, 0.0]])
     normal, found = np.array([0.0, 0.0, 1.0]), np.zeros((9, 9))

@@ -8,8 +8,6 @@ from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.geometry.point_location import locate_points
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 
-pytestmark = pytest.mark.libraries
-
 
 def carried(mesh, points):
     found = locate_points(mesh, np.array(points, float))

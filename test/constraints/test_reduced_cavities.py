@@ -15,8 +15,6 @@ from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.cavity_surfaces import CavitySurface
 from test.spheres import cut_on_sphere
 
-pytestmark = pytest.mark.libraries
-
 SIZE = np.array([0.2, 0.3, 0.4])
 # Coordinate nodes among the free nodes of a scene; the others belong to something else.
 PLACES, NODE_COUNT = np.array([4, 1, 2]), 6

@@ -7,8 +7,6 @@ from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.mechanics.kinematics import CarriedPoints
 from softrobot_twin.mechanics.rigid_bodies import RigidFrames
 
-pytestmark = pytest.mark.libraries
-
 NODES = 5
 
 

@@ -16,8 +16,6 @@ from softrobot_twin.errors import ParameterError
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import Simulation
 
-pytestmark = pytest.mark.libraries
-
 SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
 
 

@@ -8,8 +8,6 @@ from softrobot_twin.control.inputs import MarkerInput
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.loop_timing import NANOSECONDS
 
-pytestmark = pytest.mark.libraries
-
 IDS = np.array([7, 3, 5], dtype=np.uint32)
 HERE = np.arange(9.0).reshape(3, 3)
 

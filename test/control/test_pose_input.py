@@ -10,8 +10,6 @@ from softrobot_twin.control.inputs import PoseInput
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.loop_timing import NANOSECONDS
 
-pytestmark = pytest.mark.libraries
-
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 HERE = (0.1, 0.2, 0.3)
 

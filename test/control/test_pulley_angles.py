@@ -15,8 +15,6 @@ from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.scene.actuator_entries import Pulley
 from softrobot_twin.simulation.building.limits import ActuatorLimits, Pulleys
 
-pytestmark = pytest.mark.libraries
-
 NAMES = ("a", "b", "c", "d")
 REST = np.array([0.2, 0.3, 0.25, 0.1])
 RADIUS = 0.01

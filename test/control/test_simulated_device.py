@@ -50,7 +50,6 @@ def test_delayed_commands_keep_their_order(simulation, rest):
     assert reading.setpoints == pytest.approx(rest - 0.0001 * 4, abs=1e-7)
 
 
-@pytest.mark.libraries
 def test_noise_has_the_given_deviation_and_repeats_for_a_seed(simulation, rest):
     def markers(noise, seed):
         simulation.reset()

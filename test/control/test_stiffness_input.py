@@ -12,8 +12,6 @@ from softrobot_twin.control.twin_loop import Activity, TwinLoop
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import Simulation
 
-pytestmark = pytest.mark.libraries
-
 FRAME, START = "base_link", 1000 * NANOSECONDS
 SCENE = np.array([[np.nan, np.nan, 470.0], [np.nan] * 3])
 

@@ -23,8 +23,6 @@ from softrobot_twin.control.target_correction import (
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import Simulation, Status
 
-pytestmark = pytest.mark.libraries
-
 HERE = np.array([[0.0, 0.0, 0.1], [0.1, 0.0, 0.0], [0.0, 0.0, 0.0]])
 AIMS = np.array([[0.03, 0.04, 0.1], [0.1, 0.001, 0.0], [np.nan] * 3])
 

@@ -12,8 +12,6 @@ from softrobot_twin.control.inputs import TargetInput
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.loop_timing import NANOSECONDS
 
-pytestmark = pytest.mark.libraries
-
 STEP = 0.05
 REST = np.array([[0.0, 0.0, 0.125], [0.1, 0.0, 0.0]])
 SETTINGS = LoopSettings(

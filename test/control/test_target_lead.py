@@ -57,6 +57,7 @@ def leads_along(path, rate=100.0, noise=0.0, skew=0.0, jitter=0.0, limit=0.3, se
     return times[round(rate) :], np.array(leads)[round(rate) :]
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("path", [circle, eight])
 @pytest.mark.parametrize("rate", [20.0, 30.0, 100.0, 1000.0])
 def test_a_target_on_its_way_is_led_to_where_it_will_be(path, rate):

@@ -18,8 +18,6 @@ from softrobot_twin.control.target_path import (
 )
 from softrobot_twin.errors import ParameterError
 
-pytestmark = pytest.mark.libraries
-
 AROUND = ClosedCurve((0.0, 0.0, 0.13), 0.02, 10.0)
 
 

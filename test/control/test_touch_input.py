@@ -16,8 +16,6 @@ from softrobot_twin.errors import ParameterError
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import Simulation
 
-pytestmark = pytest.mark.libraries
-
 FRAME = "base_link"
 SETTINGS = LoopSettings(rate=20.0, touch_timeout=0.2)
 PLACE = (0.012, 0.01, 0.10)

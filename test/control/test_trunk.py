@@ -152,6 +152,7 @@ def wound_far(trunk, seed):
     return trunk.rest_setpoints - share * far
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("seed", [0, 3, 5])
 def test_a_reset_from_far_returns_to_rest_without_a_jump(drive_trunk, trunk, seed):
     """Elements may be inverted there; the actuators return all the same."""
@@ -173,6 +174,7 @@ def test_a_reset_from_far_returns_to_rest_without_a_jump(drive_trunk, trunk, see
     assert trunk.state.step_count <= 1 and driver.loop.is_enabled
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("seed", [0, 3, 5])
 def test_a_device_far_from_rest_is_enabled_at_its_measured_lengths(drive_trunk, trunk, seed):
     driver = drive_trunk(use_device=True)

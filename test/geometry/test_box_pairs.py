@@ -117,7 +117,6 @@ def test_the_order_of_two_boxes_matters_only_where_both_their_faces_are_equally_
     assert 0 < alike < 200
 
 
-@pytest.mark.libraries
 @pytest.mark.parametrize("tilt", [1e-4, 1e-2, 0.3, 0.7])
 def test_a_tilted_cube_stands_on_its_lowest_edge(tilt):
     lowest = 0.5 * EDGE * (np.cos(tilt) + np.sin(tilt))

@@ -7,8 +7,6 @@ from scipy.sparse.csgraph import connected_components
 
 from softrobot_twin.geometry.cell_patches import grow_patches, neighbours_of
 
-pytestmark = pytest.mark.libraries
-
 
 @pytest.fixture(params=["block", "diamond"])
 def tets(request, block, kept_mesh):

@@ -46,6 +46,7 @@ def test_a_box_has_six_flat_regions_twelve_ridges_and_eight_crests(scale, seed):
     assert len(ends) == 4 * (9 + 7 + 4) + 8
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("scale", SCALES)
 def test_a_finely_cut_round_surface_is_not_flat(scale):
     """Points of a region are in its plane up to round-off, for any angle between triangles."""
@@ -90,7 +91,6 @@ def floor(cells, scale, seed):
     return flatten_regions(scale * points, triangles), triangles
 
 
-@pytest.mark.libraries
 @pytest.mark.parametrize("cells, scale, seed", [
     (2, 1e-3, 0), (2, 1.0, 1), (2, 10.0, 2), (8, 1e-3, 1), (8, 1.0, 2), (8, 10.0, 3),
     (30, 1e-3, 2), (30, 1.0, 3), (30, 10.0, 0),
@@ -123,7 +123,6 @@ def test_all_contact_normals_on_a_flat_floor_equal_its_normal(cells, scale, seed
             np.testing.assert_allclose(found.gaps, height, rtol=0, atol=PLANE * scale)
 
 
-@pytest.mark.libraries
 def test_a_ball_touches_a_table_by_its_face_edge_and_corner_alone():
     points, triangles = Box([0, 0, 0], [1.0, 1.0, 1.0]).surface(0.1)
     detector = SolidShapeDetector(triangles, points, Sphere([0, 0, 0], 0.2))

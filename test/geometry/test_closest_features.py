@@ -8,8 +8,6 @@ from softrobot_twin.geometry.closest_features import (
 )
 from softrobot_twin.geometry.point_location import closest_on_triangles
 
-pytestmark = pytest.mark.libraries
-
 
 @pytest.fixture
 def pairs():

@@ -16,8 +16,6 @@ from softrobot_twin.geometry.point_location import locate_points
 from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.geometry.shape_functions import EDGES
 
-pytestmark = pytest.mark.libraries
-
 
 def test_bubbles_vanish_at_the_nodes_of_quadratic_elements():
     nodes = np.vstack([np.eye(4), np.eye(4)[EDGES].mean(axis=1)])

@@ -5,8 +5,6 @@ import pytest
 from softrobot_twin.geometry.point_location import locate_points
 from softrobot_twin.geometry.regions import nodes_in_box
 
-pytestmark = pytest.mark.libraries
-
 SIZES = (400, 1600, 4500, 15000)
 FIXED_BOX = ((-15e-3, -15e-3, -40e-3), (15e-3, 15e-3, 10e-3))
 ATTACH_POINTS = 1e-3 * np.array([(0, 97, 45), (-97, 0, 45), (0, -97, 45), (97, 0, 45)])

@@ -12,8 +12,6 @@ from softrobot_twin.geometry.point_location import locate_points
 from softrobot_twin.geometry.quality import radius_ratios
 from softrobot_twin.scene import load_scene
 
-pytestmark = pytest.mark.libraries
-
 ROOT = Path(__file__).resolve().parents[2]
 
 

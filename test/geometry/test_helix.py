@@ -3,8 +3,6 @@ import pytest
 
 from softrobot_twin.geometry.helix import across, helix_points
 
-pytestmark = pytest.mark.libraries
-
 
 @pytest.mark.parametrize("turn", [1, -1])
 def test_a_helix_has_its_radius_pitch_and_handedness(turn):

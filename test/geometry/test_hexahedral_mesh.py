@@ -16,8 +16,6 @@ from softrobot_twin.geometry.mass_properties import surface_mass_properties
 from softrobot_twin.geometry.mesh_reading import read_solid_mesh
 from softrobot_twin.geometry.point_location import extrapolated_weights, locate_points
 
-pytestmark = pytest.mark.libraries
-
 FORMATS = {".vtk": {}, ".vtu": {}, ".inp": {}, ".msh": {"file_format": "gmsh22", "binary": False}}
 
 

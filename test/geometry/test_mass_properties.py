@@ -6,8 +6,6 @@ from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.mass_properties import surface_mass_properties
 from softrobot_twin.geometry.surface import boundary_triangles
 
-pytestmark = pytest.mark.libraries
-
 TET = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 
 

@@ -107,6 +107,7 @@ def test_each_refinement_has_its_size_and_no_flat_element(name, made):
     assert radius_ratios(made.mesh).min() >= KEPT[name].quality
 
 
+@pytest.mark.sampled
 def test_the_package_reads_the_same_body_and_has_nothing_else_to_note(name, made):
     reading = read_solid_mesh(MESHES / f"{name}.msh")
     np.testing.assert_array_equal(reading.mesh.cells, made.mesh.cells)
@@ -131,6 +132,7 @@ def test_each_cavity_is_closed_and_has_its_volume(robot, made):
         assert 1e6 * flux == pytest.approx(volume, rel=tolerance)
 
 
+@pytest.mark.sampled
 def test_the_normals_of_a_cavity_point_into_the_body(made):
     def cycles(triangles):
         return {tuple(np.roll(each, -each.argmin())) for each in triangles}
@@ -159,6 +161,7 @@ def test_the_body_is_one_piece_whose_only_other_surface_is_the_outside(made):
         assert (volume < 0) == (int(piece) in inner)
 
 
+@pytest.mark.sampled
 def test_a_mesh_maps_onto_itself(robot, made):
     positions = made.mesh.node_positions
     index = {tuple(node): k for k, node in enumerate(np.round(1e6 * positions).astype(int))}

@@ -9,8 +9,6 @@ from softrobot_twin.geometry.shape_functions import EDGES, quadratic_values
 from softrobot_twin.geometry.surface import boundary_triangles
 from softrobot_twin.geometry.tet_mesh import TetMesh
 
-pytestmark = pytest.mark.libraries
-
 
 def test_every_edge_gets_one_node_in_its_middle(block):
     linear = block(cells=(2, 2, 3))

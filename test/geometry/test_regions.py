@@ -5,8 +5,6 @@ from scipy.spatial.transform import Rotation
 from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.regions import nodes_in_box, nodes_in_sphere
 
-pytestmark = pytest.mark.libraries
-
 GRID = np.stack(np.meshgrid(*[np.linspace(0, 0.2, 5)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 
 

@@ -17,8 +17,6 @@ from softrobot_twin.geometry.round_axes import (
 )
 from softrobot_twin.geometry.shapes import Box, Capsule, Cylinder, Plane, Sphere
 
-pytestmark = pytest.mark.libraries
-
 AT_WORLD = np.vstack([np.zeros(3), np.eye(3)])
 FINE = np.linspace(0.0, 1.0, 401)
 

@@ -3,8 +3,6 @@ import pytest
 
 from softrobot_twin.geometry.surface import boundary_faces, boundary_triangles
 
-pytestmark = pytest.mark.libraries
-
 
 def test_surface_encloses_the_volume_of_the_body(block):
     mesh = block()

@@ -193,6 +193,7 @@ def test_every_pair_is_given_once_and_at_a_distinct_place(shape, seed):
     assert (apart + np.eye(len(apart))).min() > 1e-8
 
 
+@pytest.mark.sampled
 def test_all_vertices_within_the_margin_are_given_first(shape):
     points, triangles, origin, turn, _ = touching(shape, 2, 1e-4)
     distances, normals = shape.signed_distances((points - origin) @ turn)
@@ -204,6 +205,7 @@ def test_all_vertices_within_the_margin_are_given_first(shape):
     np.testing.assert_allclose(found.normals[: len(within)], normals[within] @ turn.T, atol=1e-12)
 
 
+@pytest.mark.sampled
 def test_contacts_move_with_the_placement_of_the_whole(shape):
     points, triangles, origin, turn, found = touching(shape, 4, -1e-4)
     move, shift = Rotation.from_rotvec([1.0, -2.0, 0.5]).as_matrix(), np.array([0.3, -0.1, 0.2])
@@ -218,6 +220,7 @@ def test_contacts_move_with_the_placement_of_the_whole(shape):
                                atol=1e-8)  # fmt: skip
 
 
+@pytest.mark.sampled
 def test_the_normal_is_the_direction_of_fastest_growth_of_the_gap(shape):
     points, triangles, origin, turn, found = touching(shape, 4, 3e-4)
     detector = SurfaceShapeDetector(triangles, len(points), shape)
@@ -248,6 +251,7 @@ def test_keys_stay_under_small_motion(shape):
     )  # fmt: skip
 
 
+@pytest.mark.sampled
 def test_the_same_input_gives_the_same_bits(shape):
     points, triangles, origin, turn, found = touching(shape, 3, -1e-4)
     again = near(SurfaceShapeDetector(triangles, len(points), shape), points, origin, turn, MARGIN)

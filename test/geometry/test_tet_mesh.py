@@ -4,8 +4,6 @@ import pytest
 from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.tet_mesh import TetMesh
 
-pytestmark = pytest.mark.libraries
-
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
 
 

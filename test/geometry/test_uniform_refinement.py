@@ -8,8 +8,6 @@ from softrobot_twin.geometry.quality import radius_ratios
 from softrobot_twin.geometry.surface import boundary_triangles
 from softrobot_twin.geometry.uniform_refinement import refine
 
-pytestmark = pytest.mark.libraries
-
 MESH = Path(__file__).resolve().parents[2] / "meshes" / "diamond_400.vtk"
 
 

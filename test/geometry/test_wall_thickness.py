@@ -6,8 +6,6 @@ import pytest
 from softrobot_twin.geometry.box_mesh import read_box
 from softrobot_twin.geometry.wall_thickness import thinnest_part
 
-pytestmark = pytest.mark.libraries
-
 SIZE = (0.06, 0.04, 0.005)
 
 

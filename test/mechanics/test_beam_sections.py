@@ -5,8 +5,6 @@ import pytest
 
 from softrobot_twin.mechanics.beam_sections import rectangle, tube
 
-pytestmark = pytest.mark.libraries
-
 
 @pytest.mark.parametrize(("ratio", "factor"), [(1.0, 0.1406), (2.0, 0.229), (5.0, 0.291),
                                                 (10.0, 0.312)])  # fmt: skip

@@ -11,8 +11,6 @@ from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.laws.small_displacement import SmallDisplacement
 from softrobot_twin.mechanics.material import lame_parameters
 
-pytestmark = pytest.mark.libraries
-
 LAME = lame_parameters(1.0e5, 0.4)
 
 

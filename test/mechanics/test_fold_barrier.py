@@ -148,6 +148,7 @@ def test_forces_and_stiffness_are_derivatives_of_the_energy(kind, law, request, 
     assert bound.least_curvatures(x)[1] > -1e-12
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("law", law_names())
 def test_all_laws_but_that_of_small_displacements_have_the_barrier(law, tetrahedron, drawn_rng):
     mesh, bound = tetrahedron(law)

@@ -6,8 +6,6 @@ import pytest
 from softrobot_twin.mechanics.gravity import Gravity
 from softrobot_twin.mechanics.inertia import borne_masses
 
-pytestmark = pytest.mark.libraries
-
 
 def test_nodes_weigh_what_the_body_weighs(block):
     mesh = block()

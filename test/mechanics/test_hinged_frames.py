@@ -23,8 +23,6 @@ from softrobot_twin.mechanics.rotation import rotation_from_vector, vector_from_
 from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.solvers.superlu import SuperLU
 
-pytestmark = pytest.mark.libraries
-
 # Two free nodes; translation and rotation of a free body; a hinge and a ball joint on it, a hinge
 # on a guided body, and a ball joint and a hinge on the world.
 UNKNOWNS = 9

@@ -12,8 +12,6 @@ from softrobot_twin.mechanics.principal_axes import (
     symmetric_eigenvalues,
 )
 
-pytestmark = pytest.mark.libraries
-
 YOUNG, POISSON = 1.0e5, 0.45
 SHEAR, BULK = shear_modulus(YOUNG, POISSON), bulk_modulus(YOUNG, POISSON)
 C10, C01 = 0.35 * SHEAR, 0.15 * SHEAR

@@ -16,8 +16,6 @@ from softrobot_twin.mechanics.inertia import (
 )
 from test.builder import builder
 
-pytestmark = pytest.mark.libraries
-
 DENSITY, STEP, GRAVITY = 1070.0, 0.004, np.array([1.0, -2.0, -9.81])
 
 

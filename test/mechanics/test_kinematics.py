@@ -27,8 +27,6 @@ from softrobot_twin.mechanics.rotation import rotation_from_vector
 from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.solvers.superlu import SuperLU
 
-pytestmark = pytest.mark.libraries
-
 UNKNOWNS = 6
 FREE_POINTS = 3
 POINTS = np.array([[0.1, 0.2, -0.3], [0.0, 0.0, 0.0], [2.0, -1.0, 0.5]])

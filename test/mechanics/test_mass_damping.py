@@ -5,8 +5,6 @@ import pytest
 
 from softrobot_twin.mechanics.inertia import ConsistentInertia, MassDamping, lumped_masses
 
-pytestmark = pytest.mark.libraries
-
 DENSITY, STEP, ALPHA = 1070.0, 0.004, 3.0
 
 

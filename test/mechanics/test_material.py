@@ -4,8 +4,6 @@ import pytest
 
 from softrobot_twin.mechanics.material import lame_parameters
 
-pytestmark = pytest.mark.libraries
-
 
 def test_constants_give_back_young_and_poisson():
     lame, shear = lame_parameters(180e3, 0.45)

@@ -6,8 +6,6 @@ import pytest
 from softrobot_twin.mechanics.element_batches import BATCH
 from softrobot_twin.mechanics.polar import find_rotations, find_upright
 
-pytestmark = pytest.mark.libraries
-
 
 def rotations_of(matrices):
     """Rotations and the number of flat elements of up to BATCH deformations."""

@@ -97,7 +97,6 @@ def test_the_products_of_rows_are_those_of_the_whole_derivative(block, drawn_rng
             np.testing.assert_allclose(rows, whole, atol=3e-6 * np.abs(whole).max())
 
 
-@pytest.mark.libraries
 @pytest.mark.parametrize("name", ["corotational", "neo_hookean"])
 def test_sampled_points_store_the_same_energy_in_a_rotated_state(name, block, drawn_rng):
     """Objectivity does not need all points: every point is objective."""

@@ -12,8 +12,6 @@ from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.solvers.superlu import SuperLU
 from test.builder import builder
 
-pytestmark = pytest.mark.libraries
-
 MASSES = [0.03, 2.0]
 TURN = rotation_from_vector([0.3, -1.0, 0.5])
 INERTIAS = [np.diag([1.0e-5, 2.0e-5, 2.8e-5]), TURN @ np.diag([0.1, 0.2, 0.25]) @ TURN.T]

@@ -6,8 +6,6 @@ from scipy.spatial.transform import Rotation
 
 from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 
-pytestmark = pytest.mark.libraries
-
 YOUNG, POISSON = 2.0e5, 0.4
 
 

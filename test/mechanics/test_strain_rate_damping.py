@@ -12,8 +12,6 @@ from softrobot_twin.mechanics.material import lame_parameters
 from softrobot_twin.mechanics.strain_rate_damping import THINNEST, StrainRateDamping
 from test.builder import builder
 
-pytestmark = pytest.mark.libraries
-
 YOUNG, POISSON, DENSITY = 2.0e5, 0.3, 1070.0
 STEP, BETA = 0.004, 0.02
 

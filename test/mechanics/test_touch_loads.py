@@ -1,13 +1,10 @@
 """Loads of touches: given forces, and points held at a place."""
 
 import numpy as np
-import pytest
 
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.touch_loads import TouchLoads
 from test.finite_differences import central_slopes
-
-pytestmark = pytest.mark.libraries
 
 NODES = np.array([[0, 1, 2, 3], [4, 2, 1, 0]])
 WEIGHTS = np.array([[0.1, 0.2, 0.3, 0.4], [0.5, 0.25, 0.25, 0.0]])

@@ -443,9 +443,9 @@ ROBOTS = dict.fromkeys(("diamond", "trunk", "grasper", "octoleg", "fetch", "flex
 ROBOTS["stifface"] = 0.004
 """The robots of Table 1 of Coevoet 2017, each with what its error is a share of: the travel of its
 effector, or a length [m] where the effector is held in place: the thickness of the pad."""
-LED = ROBOTS | dict.fromkeys(("finger", "fast_pneunet", "finray", "tdcr"), TRAVEL)
+LED = ROBOTS | dict.fromkeys(("finger", "fast_pneunet"), TRAVEL)
 LED["pneunet_in_hand"] = 0.005
-"""These, the finger that README begins with, what people print or cast, and a ball in the hand."""
+"""These, the finger that README begins with, one that is cast, and a ball in the hand."""
 SECONDS = dict.fromkeys(LED, 5.0) | {"diamond": 8.0, "pneunet_in_hand": 8.0}
 """Length of each run of a robot's demo [s]."""
 LATEST = 0.5

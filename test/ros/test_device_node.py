@@ -33,7 +33,6 @@ def rest_of(device):
     return np.array(device.device.read(device.monotonic()).setpoints)
 
 
-@pytest.mark.libraries
 def test_it_measures_lengths_markers_and_effectors_with_one_stamp(world, make_device):
     make_device()
     cables = world.hear(JointState, "/twin/measured_cables", 100)

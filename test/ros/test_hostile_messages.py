@@ -491,6 +491,7 @@ def test_no_message_ends_a_target(world):
                for value in (message.point.x, message.point.y, message.point.z))
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("robot", ["diamond", "trunk", "grasper", "air"])
 @pytest.mark.parametrize("node_class", [TwinNode, DeviceNode, TargetNode])
 def test_a_message_that_is_too_large_is_refused_unread_on_every_topic(

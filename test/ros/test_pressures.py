@@ -57,7 +57,6 @@ def stamp_of(message):
     return message.header.stamp.sec, message.header.stamp.nanosec
 
 
-@pytest.mark.libraries
 def test_pressures_are_published_absolute_with_the_stamp_of_all_actuators(world, make_air):
     make_air(ambient_pressure=9e4)
     cables = world.hear(JointState, "/twin/cables", 100)

@@ -11,8 +11,6 @@ from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.ros.device_node import DeviceNode
 from softrobot_twin.ros.twin_node import TwinNode
 
-pytestmark = pytest.mark.libraries
-
 RADIUS = 0.01
 
 

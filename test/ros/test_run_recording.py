@@ -145,7 +145,7 @@ def test_no_byte_follows_the_end_of_a_recorded_message():
     assert to_bytes(message).endswith(bytes(8))  # Two empty sequences.
 
 
-@pytest.mark.libraries
+@pytest.mark.sampled
 @pytest.mark.parametrize("robot, changes", [
     ("air", {"mode": "direct"}), ("air", {"mode": "inverse"}), ("posed", {}),
 ])  # fmt: skip

@@ -8,8 +8,6 @@ from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros import scene_file
 from softrobot_twin.ros.scene_file import find_scene_file
 
-pytestmark = pytest.mark.libraries
-
 NAME = "scenes/some.yaml"
 
 

@@ -11,8 +11,6 @@ from std_srvs.srv import SetBool
 from softrobot_twin.ros.status import LEAST_PERIOD
 from softrobot_twin.ros.topics import LATCHED
 
-pytestmark = pytest.mark.libraries
-
 TOPIC = "/twin/status"
 
 

@@ -134,7 +134,6 @@ def table_of(folder, *rows):
     return {"scene_file": str(GRASPER), "target_commands": str(file), "target_effector": "cube"}
 
 
-@pytest.mark.libraries
 def test_a_table_of_commands_is_played_over_and_over_and_no_targets(world, make_target, tmp_path):
     given = table_of(tmp_path, "0.0,0.0,0,0,0", "0.5,0.01,0,0,0.02", "1.0,0.0,0,0,0")
     target = make_target(**given)

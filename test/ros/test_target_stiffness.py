@@ -10,8 +10,6 @@ from std_msgs.msg import Header
 from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.ros.messages import vector_message
 
-pytestmark = pytest.mark.libraries
-
 FREE = math.nan
 
 

@@ -12,8 +12,6 @@ from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.ros.device_node import DeviceNode
 from softrobot_twin.ros.twin_node import TwinNode
 
-pytestmark = pytest.mark.libraries
-
 
 @pytest.fixture(scope="module")
 def touched_scene_file(column):

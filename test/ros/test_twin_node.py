@@ -17,8 +17,6 @@ from softrobot_twin.ros import message_bytes, twin_node
 from softrobot_twin.ros.audience import PERIOD
 from softrobot_twin.ros.messages import markers_message
 
-pytestmark = pytest.mark.libraries
-
 RATE = 50.0
 CABLE_RATE = 0.05
 INSIDE = (0.008, 0.004, 0.134)

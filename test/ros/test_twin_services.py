@@ -142,7 +142,6 @@ def test_rerun_is_imported_only_when_a_view_is_requested(world, make_twin):
     assert after == before
 
 
-@pytest.mark.libraries
 def test_a_view_can_be_recorded(world, make_twin, diagnostics, tmp_path):
     file = tmp_path / "run.rrd"
     twin = make_twin(record_file=str(file), record_every=1)

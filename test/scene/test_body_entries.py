@@ -8,8 +8,6 @@ import pytest
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene import scene_from_mapping
 
-pytestmark = pytest.mark.libraries
-
 BALL = {"name": "ball", "sphere": {"radius": 0.01}, "mass": 0.1, "position": [0, 0, 0.1]}
 FLOOR = {"name": "floor", "plane": {"normal": [0, 0, 1]}}
 GOOD = {

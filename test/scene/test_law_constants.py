@@ -7,8 +7,6 @@ from softrobot_twin.mechanics.laws import law_named
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation.building.deformable_body import law_at_rest
 
-pytestmark = pytest.mark.libraries
-
 MOONEY = {"law": "mooney_rivlin", "constants": {"c10": 40e3, "c01": 10e3}}
 OGDEN = {"law": "ogden", "constants": {"shear_moduli": [40e3, 1e3], "exponents": [1.5, 6.0]}}
 YEOH = {"law": "yeoh", "constants": {"c1": 50e3, "c2": -200.0, "c3": 15.0}}

@@ -10,8 +10,6 @@ import pytest
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene import scene_from_mapping
 
-pytestmark = pytest.mark.libraries
-
 BOX = {"box": {"size": [0.1, 0.02, 0.02], "cell_size": 0.01}}
 SCENE = {
     "name": "bar",

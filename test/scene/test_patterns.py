@@ -19,8 +19,6 @@ from softrobot_twin.scene.loading import read_yaml, written_out
 from softrobot_twin.scene.patterns import MOST_COPIES, Pattern
 from softrobot_twin.simulation import Hold, Simulation
 
-pytestmark = pytest.mark.libraries
-
 ROOT = Path(__file__).resolve().parents[2]
 ROBOT = read_yaml(f"""
 name: robot

@@ -20,6 +20,7 @@ def finger():
     return load_scene(CONFIG / "scenes" / "finger.yaml")
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
 def test_every_number_of_every_scene_can_be_set_to_its_value(path):
     scene = load_scene(path)

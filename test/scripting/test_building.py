@@ -9,8 +9,6 @@ import yaml
 
 import softrobot_twin as st
 
-pytestmark = pytest.mark.libraries
-
 
 def test_a_scene_in_python_is_the_same_as_its_file_to_the_bit(entries, tmp_path):
     path = tmp_path / "finger.yaml"

@@ -12,8 +12,6 @@ from softrobot_twin.simulation import (
     Touched,
 )
 
-pytestmark = pytest.mark.libraries
-
 STEP = 0.02
 
 

@@ -17,8 +17,6 @@ from softrobot_twin.errors import CommandError, SceneError
 from softrobot_twin.scene import load_scene
 from softrobot_twin.study.sample_workers import WorkerError
 
-pytestmark = pytest.mark.libraries
-
 gymnasium = pytest.importorskip("gymnasium")
 
 from softrobot_twin.scripting.gym_environment import ReachingEnvironment  # noqa: E402

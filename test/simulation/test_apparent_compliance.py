@@ -178,7 +178,6 @@ def test_a_cable_that_is_neither_slack_nor_tense_holds_nothing_and_still_pulls(b
     assert_same(found.jacobian[0], pulls, 1e-4)
 
 
-@pytest.mark.libraries
 def test_a_contact_that_presses_holds_its_gap(beam, rod):
     change = changed(exact, lambda m: rod(m, x=0.028, radius=0.005), {"contact.tolerance": 1e-12})
     simulation, free = beam(change), beam(exact)
@@ -219,7 +218,6 @@ def test_tension_that_is_commanded_holds_no_length(beam):
     assert_same(found.jacobian[0, :, 0], (ends[0] - ends[1]) / 2e-4)
 
 
-@pytest.mark.libraries
 def test_with_friction_a_small_push_lets_the_cables_stick(beam):
     def change(mapping):
         for cable in mapping["cables"]:
@@ -262,7 +260,6 @@ def test_motors_of_hinges_hold_beams():
     assert found.is_held.all()
 
 
-@pytest.mark.libraries
 def test_a_body_reduced_to_vertebrae():
     simulation = Simulation(load_scene(SCENES / "fetch_reduced.yaml"), with_warnings=False)
     go_to(simulation, [2e3, 1e3, 500.0, 200.0, 800.0, 300.0])

@@ -8,8 +8,6 @@ import pytest
 from softrobot_twin.simulation import Hold, Status
 from test.scene_changes import repeat_step
 
-pytestmark = pytest.mark.libraries
-
 YOUNG, RADIUS, DENSITY = 1.0e7, 0.002, 1000.0
 INERTIA, AREA = np.pi * RADIUS**4 / 4.0, np.pi * RADIUS**2
 
@@ -186,6 +184,7 @@ def test_a_floating_robot_keeps_its_momentum(simulate, drawn_rng):
     assert np.ptp(found, axis=0).max() < 1e-6 * np.abs(found).max()
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("scheme", ["backward_euler", "generalized_alpha"])
 def test_a_steady_spin_stretches_a_rod_by_its_centrifugal_force(simulate, scheme):
     """EA u' = ρA ω² (L² - s²)/2, so u = ρ ω² L³/(3 E)."""

@@ -22,8 +22,6 @@ from softrobot_twin.simulation import (
 from softrobot_twin.simulation.building.beam_bodies import build_section
 from test.scene_changes import repeat_step
 
-pytestmark = pytest.mark.libraries
-
 YOUNG, RADIUS = 1.0e6, 0.002
 INERTIA, AREA = np.pi * RADIUS**4 / 4.0, np.pi * RADIUS**2
 RIGIDITY = YOUNG * INERTIA

@@ -16,8 +16,6 @@ from softrobot_twin.simulation import (
 )
 from test.scene_changes import LEFT_OUT, changed, repeat_step
 
-pytestmark = pytest.mark.libraries
-
 STEP = 0.02
 SMALL = {"size": (0.02, 0.02, 0.06), "cells": (4, 4, 6), "hole": ((1, 3), (1, 3), (1, 5))}
 

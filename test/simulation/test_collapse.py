@@ -123,6 +123,7 @@ def test_in_dynamics_a_collapsed_body_recovers_or_is_reported_as_inverted(
         np.testing.assert_allclose(result.state.positions, rest, atol=1e-4)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
 def test_random_nodes_recover_or_are_reported_or_reach_another_equilibrium(
     tower, element, energies

@@ -77,7 +77,6 @@ def late(monkeypatch):
     return found
 
 
-@pytest.mark.libraries
 def test_the_first_contact_of_every_pair_compiles_nothing(stones, late):
     simulation = Simulation(stones)
     simulation.warm_up()
@@ -159,7 +158,6 @@ print(late)
 
 
 @pytest.mark.exhaustive
-@pytest.mark.libraries
 def test_fallback_solvers_are_compiled_before_the_first_step():
     """Compiled in a step, one took nine seconds: the twin took the device for lost."""
     scene = ROOT / "config" / "scenes" / "grasper.yaml"

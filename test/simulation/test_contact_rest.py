@@ -41,6 +41,7 @@ def wind_to_rest(simulation, wound):
     return residual
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("wound", CYCLING)
 def test_a_beam_that_would_cycle_on_a_rod_comes_to_rest(beside_a_rod, wound):
     assert wind_to_rest(beside_a_rod, np.array(wound)) < AT_REST

@@ -55,6 +55,7 @@ def run(simulation: Simulation, steps: int):
     return [simulation.step(Hold(STEP)) for _ in range(steps)]
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
 @pytest.mark.parametrize("obstacle", ["plane", "box", "stl"])
 def test_the_mesh_boundary_as_contact_surface_changes_nothing(tmp_path, cube, element, obstacle):

@@ -7,8 +7,6 @@ from softrobot_twin.constraints.elastic_cable import ElasticCables
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, FollowTargets, Hold, Status
 from test.scene_changes import repeat_step
 
-pytestmark = pytest.mark.libraries
-
 
 def stretching(stiffness=2000.0, iterations=40, **more):
     def change(mapping):

@@ -15,8 +15,6 @@ from softrobot_twin.simulation import CommandEfforts, FollowTargets
 from softrobot_twin.simulation.mesh_error import MeshErrorEstimator, MeshErrorUnknown
 from test.scene_changes import repeat_step
 
-pytestmark = pytest.mark.libraries
-
 BUBBLE_SHARE = 256.0 * 6.0 / 5040.0
 """∫b dV / V of the bubble b = 256 L₀ L₁ L₂ L₃."""
 

@@ -94,6 +94,7 @@ def test_quadratic_elements_are_softer_and_both_laws_agree_for_small_displacemen
     assert sag(both) == pytest.approx(sag(quadratic), rel=1e-2)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("change, steps", [(None, 400), (small, 150)], ids=["linear", "quadratic"])
 @pytest.mark.parametrize("collapse", ["plane", "point", "random", "mirrored"])
 def test_a_collapsed_body_recovers_its_shape_or_is_reported_as_inverted(

@@ -14,8 +14,6 @@ from softrobot_twin.simulation.effects.reduction_error import FullModelError
 from softrobot_twin.simulation.effects.touches import Touched
 from test.scene_changes import repeat_step
 
-pytestmark = pytest.mark.libraries
-
 ANY_TIME = 1.0e3
 TRAINED = 0.011
 FINGER = [0.2, -0.1, 0.15]

@@ -21,8 +21,6 @@ from softrobot_twin.simulation import (
 from test.builder import builder
 from test.scene_changes import repeat_step
 
-pytestmark = pytest.mark.libraries
-
 E, DENSITY = 35e6, 1220.0
 THICKNESS, WIDTH, LENGTH = 0.005, 0.01, 0.2
 BENDING = E * WIDTH * THICKNESS**3 / 12.0
@@ -244,6 +242,7 @@ def test_a_beam_on_a_ball_joint_swings_until_it_hangs_down(scene):
     assert np.min(ways, axis=0)[0] < -0.01
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("elements", [1, 2, 4])
 def test_a_stiff_beam_on_a_hinge_swings_with_the_period_of_its_moment_of_inertia(scene, elements):
     tilt, step = 0.05, 0.002

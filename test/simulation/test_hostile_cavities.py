@@ -28,6 +28,7 @@ def any_command(random, control):
     return Hold(0.02)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("iterations", [1, 30])
 @pytest.mark.parametrize("control", ["pressure", "volume"])
 @pytest.mark.parametrize("seed", [1, 2, 3])

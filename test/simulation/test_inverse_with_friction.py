@@ -118,6 +118,7 @@ TURN = {
 }  # fmt: skip
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("change", [
     ROD, lambda mapping: mapping["effectors"].append(MIDDLE), TURN, {"contact.force_limit": 1.0},
 ], ids=["guided rod", "two effectors", "orientation", "force limit"])  # fmt: skip
@@ -295,6 +296,7 @@ def test_what_contacts_do_tells_how_effectors_follow_lengths(finger):
 
 
 # The second is held by six contacts that stick, whose gaps depend on each other.
+@pytest.mark.sampled
 @pytest.mark.parametrize("shortenings, change", [
     ((0.0125, -0.01), None), ((0.01539, -0.01093), None), ((0.0125, -0.01), RUBBING),
 ])  # fmt: skip

@@ -65,6 +65,7 @@ SPRING = {"name": "damper", "stiffness": 20.0, "damping": 0.2, "rest_length": 0.
           "ends": [{"point": [0.05, 0.0, 0.1]}, {"on": "body", "point": [0.1, 0.0, 0.009]}]}  # fmt: skip
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("scheme", [{}, ALPHA, ALPHA | {"springs": [SPRING]}])
 @pytest.mark.parametrize("driven_by", ["tensions", "lengths"])
 def test_steps_of_small_changes_are_those_of_the_simulation(scheme, driven_by):
@@ -106,6 +107,7 @@ def test_few_modes_tell_nearly_the_motion_of_all():
     assert apart.max() < 1e-2 and apart[10:].max() < 1e-3
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("count", [1, 4, None])
 def test_a_robot_that_stands_yields_as_its_compliance_says(air_scene, count):
     """Pressures, a volume and the length of a cable together."""

@@ -8,8 +8,6 @@ import pytest
 from softrobot_twin.simulation import Hold, Status
 from test.scene_changes import repeat_step
 
-pytestmark = pytest.mark.libraries
-
 G = 9.81
 
 

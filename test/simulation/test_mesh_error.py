@@ -142,6 +142,7 @@ def test_the_live_estimate_of_a_hanging_bar_is_right_for_both_elements(bar):
         assert discretization_error(simulation) == pytest.approx(fine - coarse, rel=0.33)
 
 
+@pytest.mark.exhaustive
 def test_the_live_estimate_of_a_bent_diamond_is_within_a_factor_of_the_truth(diamond_on):
     def bent(number, element):
         scene = diamond_on(number)

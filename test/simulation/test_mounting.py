@@ -248,6 +248,7 @@ def test_twelve_elements_a_strip_are_within_a_tenth_of_a_millimetre():
     assert apart.max() < 1.0e-4
 
 
+@pytest.mark.exhaustive
 def test_the_points_at_which_its_makers_measured_it_are_reached():
     """A ball of 80 mm across, 130 mm below the axes (SofaComplianceRobotics, Emio.validation, 2026)."""
     grid = 0.016 * np.stack(np.meshgrid(*3 * [np.arange(-2, 3)], indexing="ij"), axis=-1).reshape(-1, 3)

@@ -210,7 +210,6 @@ def test_a_vertebra_of_the_fetch_is_tilted_and_held_in_place():
     assert result.effector_errors[0] < 2e-4
 
 
-@pytest.mark.libraries
 @pytest.mark.exhaustive
 def test_the_tip_of_a_trunk_points_aside_within_a_hundredth_of_a_degree(coarse_trunk):
     entry = {"pointing": [0.0, 0.0, 1.0], "points": TIP_PATCH}

@@ -85,6 +85,7 @@ def test_a_plane_that_appears_pushes_no_node_faster_than_the_push_out_speed(
     assert result.state.positions[:, 2].min() == pytest.approx(DEEP, abs=1e-7)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("integration", ["quasi_static", "first_order", "dynamic"])
 def test_all_time_integrations_end_in_the_same_shape(scene_of, write_block, obstacle, integration):
     simulation = overlapping(scene_of, write_block, integration, **obstacle("plane"))

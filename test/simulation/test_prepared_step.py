@@ -54,6 +54,7 @@ def draw_command(rng, simulation, step=STEP):
 
 
 # Full, reduced, in motion by both schemes, beams, springs, hinges, contact with friction; guided.
+@pytest.mark.sampled
 @pytest.mark.parametrize("name, is_prepared", [
     ("finger", True), ("diamond_reduced", True), ("fast_trunk", True), ("tdcr", True),
     ("springy", True), ("strider", True), ("finray", True), ("fast_pneunet", True),

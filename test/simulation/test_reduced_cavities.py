@@ -19,8 +19,6 @@ from softrobot_twin.simulation.building.reduced_body import (
 from test.builder import builder
 from test.scene_changes import changed
 
-pytestmark = pytest.mark.libraries
-
 STEP = 0.02
 BLOCK = {"size": (0.03, 0.03, 0.03), "cells": (3, 3, 3), "hole": ((1, 2), (1, 2), (1, 2))}
 

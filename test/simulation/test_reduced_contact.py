@@ -20,8 +20,6 @@ from .test_slides import CART, FOOT, SLIDE
 from test.builder import builder
 from test.scene_changes import LEFT_OUT, changed, repeat_step
 
-pytestmark = pytest.mark.libraries
-
 
 def saved_beside(simulation, basis, path) -> Simulation:
     """The same scene, its beam reduced to a basis, with all quadrature points."""

@@ -36,6 +36,7 @@ def spanned(beam, tmp_path):
     return make
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("damping, body", [
     (None, {}), ({"mass": 2.0, "stiffness": 4e-3}, {}), ({"stiffness": 2e-3}, {"material": RUBBER}),
@@ -101,6 +102,7 @@ def let_go(simulation, coordinates, velocities=None):
     simulation.restore(replace(simulation.state, positions=positions, velocities=moving))
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("damping", [None, {"mass": 3.0, "stiffness": 2e-3}])
 @pytest.mark.parametrize("time_step", [0.001, 0.02, 0.3])
 def test_energy_never_grows_without_input(few, energies, time_step, damping, drawn_rng):
@@ -116,6 +118,7 @@ def test_energy_never_grows_without_input(few, energies, time_step, damping, dra
     assert totals[-1] < totals[0] - 0.05 * lost
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("radius", [0.0, 0.8])
 @pytest.mark.parametrize("time_step", [0.002, 0.1])
 def test_a_scheme_of_second_order_neither_gains_nor_blows_up_over_a_long_run(

@@ -36,6 +36,7 @@ def lying(scene_of, friction=0.5, tolerance=1e-10, **bodies):
     )  # fmt: skip
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("friction", [0.0, 0.5])
 @pytest.mark.parametrize("kind", ["rigid", "soft"])
 def test_the_contact_forces_on_a_resting_body_equal_its_weight_and_it_stays(

@@ -65,7 +65,6 @@ def remembered(state):
     return np.concatenate([array.ravel() for array in state.memory.values()])
 
 
-@pytest.mark.libraries
 @pytest.mark.parametrize("integration", ["quasi_static", "dynamic"])
 def test_a_restored_state_goes_on_to_the_bit_and_a_reset_is_new_material(bar, integration):
     simulation = bar({"viscosity": VISCOSITY, "softening": SOFTENING}, integration)

@@ -9,8 +9,6 @@ from test.cad_parts import need_gmsh
 from test.scene_changes import repeat_step
 from test.thin_walled_meshes import random_thin_walls
 
-pytestmark = pytest.mark.libraries
-
 STEP, OPENING, RADIUS, ANGLE = 0.01, 0.0, 0.03, 5.9
 
 

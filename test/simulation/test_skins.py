@@ -16,8 +16,6 @@ from softrobot_twin.mechanics.cavity_surfaces import surface_area
 from softrobot_twin.simulation import Simulation, State
 from test.builder import builder
 
-pytestmark = pytest.mark.libraries
-
 SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
 
 

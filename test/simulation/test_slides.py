@@ -12,8 +12,6 @@ from softrobot_twin.simulation.step.time_budget import StageClock
 from test.builder import builder
 from test.scene_changes import LEFT_OUT, change_scene, changed, repeat_step
 
-pytestmark = pytest.mark.libraries
-
 AXIS = np.array([0.6, 0.0, 0.8])
 SLIDE = {"name": "lift", "body": "cart", "axis": AXIS.tolist(), "travel": [-0.01, 0.03],
          "rate": 0.05}  # fmt: skip

@@ -7,8 +7,6 @@ from softrobot_twin.errors import CommandError
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, State, Status
 from test.scene_changes import LEFT_OUT
 
-pytestmark = pytest.mark.libraries
-
 
 def run(simulation, targets):
     return [simulation.step(FollowTargets(target, 0.05)) for target in targets]

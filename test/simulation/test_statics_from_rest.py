@@ -33,6 +33,7 @@ def balanced(simulation, command, most_steps):
     raise AssertionError(f"{result.status} after {most_steps} steps")
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("element", ELEMENTS)
 def test_one_tension_at_a_point_leads_where_small_steps_lead(element, law, simulate, drawn_rng):
@@ -76,6 +77,7 @@ def bar(simulate, /, element, law, young_modulus, cable_count):
     )  # fmt: skip
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("cable_count", [0, 4])
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("element", ELEMENTS)
@@ -106,6 +108,7 @@ def test_a_soft_bar_that_was_straight_sags_to_where_a_stiff_one_sags_as_it_softe
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
 def test_a_column_that_just_buckles_comes_to_rest_within_ten_steps(
@@ -133,6 +136,7 @@ def test_a_column_that_just_buckles_comes_to_rest_within_ten_steps(
         assert 0.01 < aside.max() < 0.15 and not leaning.newton.projected_tangent
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("element", ["quadratic", "hexahedral"])
 def test_no_step_of_a_sagging_bar_towards_a_target_is_refused_or_folds(

@@ -59,6 +59,7 @@ def two_alike(request, diamond, coarse_trunk):
     return coarse_trunk(on_free_slide), coarse_trunk(on_free_slide)
 
 
+@pytest.mark.sampled
 def test_a_run_with_rests_and_one_that_steps_are_the_same_to_the_bit(two_alike, drawn_rng):
     stepping, resting = two_alike
     for _ in range(12):

@@ -37,6 +37,7 @@ def told_by(result):
     return result.status, repr(report), repr([one.tolist() for one in arrays]), repr(result.contacts)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("name", ["finger", "octoleg", "trunk_cylinders", "fetch_reduced"])
 def test_a_result_that_is_read_later_tells_the_same(name):
     simulation = Simulation.from_scene_file(SCENES / f"{name}.yaml")

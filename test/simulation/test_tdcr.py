@@ -62,6 +62,7 @@ def test_twice_as_many_elements_move_the_tip_hardly():
     np.testing.assert_allclose(tips[0], tips[1], atol=0.15e-3)
 
 
+@pytest.mark.exhaustive
 def test_it_follows_its_tip_to_random_reachable_points():
     seed = secrets.randbits(32)
     print(f"seed {seed}")

@@ -60,6 +60,7 @@ def test_shear_and_rotary_inertia_lower_the_frequency_of_a_beam():
     assert 0.98 < timoshenko_frequency() / slender < 0.995
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("mass", ["lumped", "consistent"])
 @pytest.mark.parametrize("element, cells, error", [
     ("smoothed", (30, 3, 3), 0.02), ("quadratic", (10, 1, 1), 0.003),

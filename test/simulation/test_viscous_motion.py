@@ -70,6 +70,7 @@ def test_the_error_of_a_damped_trunk_is_of_the_order_of_its_time_step(
     np.testing.assert_allclose(errors[:-1] / errors[1:], 2.0, atol=0.1)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("step", [0.02, 0.05, 0.1, 0.3])
 @pytest.mark.parametrize(
     ("integration", "beta"), [("dynamic", 0.1), ("dynamic", 0.0), ("first_order", 0.1)]
@@ -98,6 +99,7 @@ def spinning(simulation, degrees, step, rng):
     simulation.restore(replace(simulation.state, positions=x, velocities=velocities))
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
 @pytest.mark.parametrize("degrees", [0.0, 10.0, 30.0, 60.0, 90.0])
 @pytest.mark.parametrize("seed", range(3))

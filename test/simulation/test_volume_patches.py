@@ -11,8 +11,6 @@ from softrobot_twin.mechanics.patch_volumes import PatchVolumes
 from softrobot_twin.simulation import Hold, Status
 from test.builder import builder
 
-pytestmark = pytest.mark.libraries
-
 SIZE = (0.06, 0.01, 0.01)
 
 

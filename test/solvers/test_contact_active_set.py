@@ -8,8 +8,6 @@ from softrobot_twin.solvers.contact_active_set import solve_by_active_set
 from softrobot_twin.solvers.contact_gauss_seidel import ContactGaussSeidel
 from softrobot_twin.solvers.contact_problem import ContactProblem
 
-pytestmark = pytest.mark.libraries
-
 FAR = 5.0e-4
 
 

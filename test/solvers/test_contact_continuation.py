@@ -8,8 +8,6 @@ from softrobot_twin.solvers.contact_gauss_seidel import ContactGaussSeidel
 from softrobot_twin.solvers.contact_problem import ContactProblem
 from softrobot_twin.solvers.contact_proximal_newton import ContactProximalNewton
 
-pytestmark = pytest.mark.libraries
-
 COUNT, FRICTION = 40, 0.4
 TOLERANCE, SHARE = 1e-10, 1e-8
 

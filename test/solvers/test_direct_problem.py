@@ -11,8 +11,6 @@ from softrobot_twin.solvers.direct_problem import (
 )
 from softrobot_twin.solvers.inverse_problem import Bounds
 
-pytestmark = pytest.mark.libraries
-
 NONE = np.zeros(4), np.full(4, np.inf)
 
 

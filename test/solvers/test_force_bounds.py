@@ -12,8 +12,6 @@ from softrobot_twin.solvers.pivoting import solve_by_pivoting
 from softrobot_twin.solvers.polyhedron_projection import SLACK_COST
 from softrobot_twin.solvers.qpcc import MARGIN
 
-pytestmark = pytest.mark.libraries
-
 
 def solve(robot, problem=None, **options):
     problem = robot.problem() if problem is None else problem

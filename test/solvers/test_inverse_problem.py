@@ -11,8 +11,6 @@ from softrobot_twin.solvers.inverse_problem import (
 )
 from softrobot_twin.solvers.pivoting import solve_by_pivoting
 
-pytestmark = pytest.mark.libraries
-
 
 def mean_curvature(system, weights):
     """Mean over the actuators of the tracking term's curvature, each in its own unit 1/√W_ii."""

@@ -17,8 +17,6 @@ from softrobot_twin.solvers.inverse_solver import (
 )
 from softrobot_twin.solvers.quadratic_program import DAQPSolver, OSQPSolver, whiten
 
-pytestmark = pytest.mark.libraries
-
 STEPS = 100
 
 

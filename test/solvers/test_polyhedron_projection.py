@@ -9,8 +9,6 @@ from softrobot_twin.solvers.polyhedron_projection import (
     SoftBounds,
 )
 
-pytestmark = pytest.mark.libraries
-
 
 def program(seed, n=6, m=9):
     rng = np.random.default_rng(seed)

@@ -46,7 +46,6 @@ def equal(first, second):
     return True
 
 
-@pytest.mark.libraries
 def test_the_file_says_how_it_was_made(trained):
     found = read_body_reduction(trained)
     assert found.mode_count == 18 and found.spare_count == 6

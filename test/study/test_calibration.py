@@ -492,6 +492,7 @@ def test_the_proposal_tells_the_observer_what_the_model_is_off(files, capsys, se
     assert 0.0 < better < 0.5 * shown
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("changes", [
     ["observer={}"], ["observer={systematic_error: 0.3}", "cables.upper.rate=0.1"],
     ["touches=[{name: finger, points: [[0.05, 0.0, 0.0]]}]", "gravity=[0.0, 0.0, -9.0]"],

@@ -257,6 +257,7 @@ def test_the_volume_of_a_hull_has_derivatives(drawn_rng):
     assert volume > 0.0 and np.vdot(slopes, move) == pytest.approx((ends[0] - ends[1]) / 2e-6, rel=1e-6)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("path", sorted(FINGER.parent.glob("*.yaml")), ids=lambda path: path.stem)
 def test_each_scene_is_written_and_read_again(path, tmp_path):
     from softrobot_twin.scene.loading import text_of

@@ -8,8 +8,6 @@ import pytest
 from softrobot_twin.study import terminal
 from softrobot_twin.study.terminal import LiveLine
 
-pytestmark = pytest.mark.libraries
-
 
 @pytest.fixture
 def line(monkeypatch):

@@ -70,7 +70,6 @@ def test_a_size_that_cannot_be_meshed_is_too_large():
         size_for(wanted, 0.2, 0.5, measure_small)
 
 
-@pytest.mark.libraries
 @pytest.mark.exhaustive
 def test_the_size_is_searched_for_a_step_time(tmp_path, capsys, monkeypatch):
     """With steps whose time is that of a law, so that the test does not depend on the machine."""

@@ -21,8 +21,6 @@ from softrobot_twin.study.reduction_basis import (
     work_of,
 )
 
-pytestmark = pytest.mark.libraries
-
 MATERIALS = {
     "linear": {"law": "corotational", "young_modulus": 2.0e5, "poisson_ratio": 0.4, "density": 1e3},
     "quadratic": {"law": "neo_hookean", "young_modulus": 2.0e5, "poisson_ratio": 0.4,

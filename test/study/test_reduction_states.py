@@ -32,8 +32,6 @@ from softrobot_twin.study.sample_workers import Job, RunError, SampleOutcome, sc
 from softrobot_twin.study.workspace import sampled_axes
 from test.scene_changes import repeat_step
 
-pytestmark = pytest.mark.libraries
-
 TIP = (0.01, 0.01, 0.10)
 SAMPLING = Sampling("body", 0.05, ((TIP,), ((0.0, 0.0, 0.06),)), math.radians(30.0))
 

@@ -3,8 +3,6 @@ import pytest
 
 from softrobot_twin.study.accuracy_study import extrapolate
 
-pytestmark = pytest.mark.libraries
-
 SIZES = (8.0, 5.0, 3.0, 2.2)
 
 

@@ -10,8 +10,6 @@ from softrobot_twin.simulation.result import Status
 from softrobot_twin.simulation.runs.run_columns import RunRow
 from softrobot_twin.study.run_summary import RunSummary
 
-pytestmark = pytest.mark.libraries
-
 
 def scene_of(cables=2, effectors=("tip",), pairs=(), bodies=0):
     """What a summary asks of a simulation."""

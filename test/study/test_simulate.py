@@ -24,7 +24,6 @@ def tip_of(row):
 
 
 @pytest.mark.exhaustive
-@pytest.mark.libraries
 def test_a_run_has_the_stated_columns_and_a_row_for_each_target(tmp_path, column, targets, command):
     done = command("simulate", column, "--targets", targets(), "--output", tmp_path / "run.csv")
     assert done.code == 0, done.errors

@@ -1,14 +1,11 @@
 """``explain --stiffness``: principal stiffnesses, compliance and Jacobian of each effector."""
 
 import numpy as np
-import pytest
 
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.apparent_compliance import apparent_compliance
 from softrobot_twin.study.equilibrium import bring_to_rest
 from softrobot_twin.study.stiffness import actuation
-
-pytestmark = pytest.mark.libraries
 
 
 def cells_of(output, title):

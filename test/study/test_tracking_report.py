@@ -19,8 +19,6 @@ from softrobot_twin.study.tracking import (
     write_report,
 )
 
-pytestmark = pytest.mark.libraries
-
 TWIN = {"compute_time_ms": {"median": 4.0, "p99": 6.0, "max": 9.0}, "period_ms": 20.0,
         "ticks": 1500, "missed_ticks": 2, "skipped_ticks": 1,
         "mesh": {"nodes": 1600, "tets": 4500, "dof": 4700}}

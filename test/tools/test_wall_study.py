@@ -18,6 +18,7 @@ def test_a_cylinder_with_a_wall_of_a_tenth_grows_as_by_lame(kind, bar, layers):
     assert abs(error("cylinder", kind, 8, layers)) < bar
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("kind, count, layers, bar", [
     ("smoothed", 16, 2, 0.08), ("quadratic", 8, 2, 0.045), ("hexahedral", 8, 1, 0.03),
 ])  # fmt: skip

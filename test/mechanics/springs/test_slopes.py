@@ -45,7 +45,6 @@ def test_stiffness_is_the_symmetric_part_of_the_forces_slope(world, kind, rest_l
     np.testing.assert_allclose(rest, 0.0, atol=1e-6 * np.abs(K).max())
 
 
-@pytest.mark.libraries
 def test_so_it_is_where_rates_are_taken_from_a_reference(world, kind):
     first, second, offsets = world.ends(kind)
     term, matrix = world.springs(first, second, 60.0, 1.0, 3.0, offsets=offsets)

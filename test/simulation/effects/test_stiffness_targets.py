@@ -14,8 +14,6 @@ from softrobot_twin.simulation.apparent_compliance import apparent_compliance
 from softrobot_twin.simulation.effects.stiffness_targets import StiffnessTargets
 from test.scene_changes import change_scene, changed, repeat_step
 
-pytestmark = pytest.mark.libraries
-
 FILE = Path(__file__).resolve().parents[3] / "config" / "scenes" / "stifface.yaml"
 WHERE, NOWHERE = np.array([[0.0, 0.0, -1.0e-3]]), np.full((1, 3), np.nan)
 

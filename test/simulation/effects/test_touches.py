@@ -10,8 +10,6 @@ from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import FollowTargets, Hold, Simulation, Touched
 from test.scene_changes import repeat_step
 
-pytestmark = pytest.mark.libraries
-
 STEP = 0.05
 TIP = [0.01, 0.01, 0.10]
 NONE = np.full((1, 3), np.nan)

@@ -17,8 +17,6 @@ from softrobot_twin.simulation.step.augmented_tangent import HeldActuators
 from softrobot_twin.simulation.step.time_budget import StageClock
 from test.scene_changes import changed
 
-pytestmark = pytest.mark.libraries
-
 SCENES = Path(__file__).resolve().parents[3] / "config" / "scenes"
 ALL_AXES = np.arange(3)
 

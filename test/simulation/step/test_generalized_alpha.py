@@ -115,6 +115,7 @@ def test_steps_of_different_lengths_keep_the_second_order(hanging):
     np.testing.assert_allclose(np.log2(np.array(errors[:-1]) / errors[1:]), 2.0, atol=0.2)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("radius", [0.0, 0.5, 0.8, 0.95])
 @pytest.mark.parametrize("lengths", ["one short", "one long", "random", "taking turns"])
 def test_stiff_vibrations_never_grow_however_lengths_of_steps_change(hanging, radius, lengths, drawn_rng):

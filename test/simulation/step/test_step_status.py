@@ -143,6 +143,7 @@ def test_keeping_a_state_because_every_step_inverts_is_a_failure(diamond, monkey
 
 
 # In contact the energy weighs less near targets: at 0.05 it keeps the tip by less than the tolerance.
+@pytest.mark.sampled
 @pytest.mark.parametrize("robot, weight", [
     *itertools.product(["beam", "diamond"], [0.05, 0.5, 1.0]),
     *itertools.product(["beam beside a rod"], [0.2, 0.5, 1.0]),
@@ -209,6 +210,7 @@ def test_a_target_that_takes_several_steps_is_not_reported_as_unreachable(diamon
 WEIGHTS = (0.0, 1e-16, 1e-14, 1e-12, 1e-10, 1e-8)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("robot", ["diamond", "beam", "eight", "coarse_trunk"])
 def test_the_inverse_converges_to_one_answer_for_any_small_energy_weight(request, robot):
     """A weight below the limit of the arithmetic counts as this limit."""

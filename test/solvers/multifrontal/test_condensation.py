@@ -5,8 +5,6 @@ import pytest
 
 from softrobot_twin.solvers.factorization import NodeRows
 
-pytestmark = pytest.mark.libraries
-
 BODIES = ["two bodies", "body, rod and isolated nodes", "two nodes apart", "grid"]
 
 

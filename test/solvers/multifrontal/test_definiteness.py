@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-pytestmark = pytest.mark.libraries
-
 
 def test_entries_above_the_diagonal_are_ignored(make_system):
     system = make_system("grid", seed=4)
