@@ -4,6 +4,7 @@ It is looked at without calling anything, so that no name is forgotten when a ve
 """
 
 import ast
+import contextlib
 import importlib.util
 import inspect
 import sys
@@ -52,9 +53,12 @@ def is_library(name: str) -> bool:
     return name.partition(".")[0] not in {*sys.stdlib_module_names, PACKAGE.name}
 
 
-@cache
+@pytest.fixture(scope="module")
 def uses() -> list[tuple[str, str, ast.Call | None]]:
-    """Where something of a library is named, its full name, and the call of it if it is one."""
+    """Where something of a library is named, its full name, and the call of it if it is one.
+
+    The libraries are imported.
+    """
     all_uses = []
     for path in sorted(PACKAGE.rglob("*.py")):
         nodes = list(ast.walk(ast.parse(path.read_text(), str(path))))
@@ -66,6 +70,9 @@ def uses() -> list[tuple[str, str, ast.Call | None]]:
                 where = f"{path.relative_to(PACKAGE)}:{node.lineno}"
                 name = f"{names[first]}.{rest}".rstrip(".")
                 all_uses.append((where, name, calls.get(id(node))))
+    for _, name, _ in all_uses:
+        with contextlib.suppress(AttributeError, ImportError):
+            found(name)
     return all_uses
 
 
@@ -81,12 +88,12 @@ def found(name: str):
     return thing
 
 
-def test_every_name_that_is_taken_from_a_library_is_there():
-    lost, libraries = set(), {name.partition(".")[0] for _, name, _ in uses()}
+def test_every_name_that_is_taken_from_a_library_is_there(uses):
+    lost, libraries = set(), {name.partition(".")[0] for _, name, _ in uses}
     # dask is an extra, and not all of ROS has a wheel; others are declared (test_package.py).
     absent = {library for library in libraries & {"distributed", "tf2_msgs"}
               if importlib.util.find_spec(library) is None}  # fmt: skip
-    for where, name, _ in uses():
+    for where, name, _ in uses:
         if name.partition(".")[0] not in absent and name not in BY_VERSION:
             try:
                 found(name)
@@ -114,9 +121,9 @@ def signature_of(name: str) -> inspect.Signature:
     return signature.replace(parameters=parameters[1:]) if made else signature
 
 
-def test_functions_of_libraries_take_the_arguments_they_are_given():
+def test_functions_of_libraries_take_the_arguments_they_are_given(uses):
     refused, judged = set(), set()
-    for where, name, call in uses():
+    for where, name, call in uses:
         given = arguments(call) if call is not None else None
         if given is None or name in BY_VERSION:
             continue
