@@ -32,12 +32,13 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from softrobot_twin.compilation import INNER, KERNEL, njit
+from softrobot_twin.compilation import INNER, njit
 
 MOST_BY_DEFAULT = 4
 """Threads that are used where nobody says how many, at most."""
-NEXT, STOPPED, STATE_SIZE = 0, 8, 16
-"""Places of the next task and of a flag in the state of a list, apart by a cache line."""
+NEXT, STOPPED, NOTED, STATE_SIZE = 0, 8, 9, 16
+"""Places in the state of a list: of the next task, and apart from it by a cache line, of a flag and of
+what a kernel notes; all begin with zero."""
 # Looks at a task that is not done before the thread lets others run, and before it sleeps.
 _LOOKS, _YIELDS, _NAP = 4000, 200, 50
 _yield = types.ExternalFunction("sched_yield", types.int32())
@@ -77,20 +78,6 @@ def _write(typing_context, address, value):
         builder.store_atomic(values[1], _pointer(builder, values[0]), "seq_cst", 8)
 
     return types.void(types.int64, types.int64), generate
-
-
-@njit(**KERNEL)
-def begin_list(state, done):
-    """Let threads begin a list; no task of it runs.
-
-    Args:
-        state: State of the list.
-        done: Whether each task is done.
-    """
-    for task in range(len(done)):
-        done[task] = 0
-    state[STOPPED] = 0
-    _write(state.ctypes.data + 8 * NEXT, 0)
 
 
 @njit(**INNER)
@@ -218,12 +205,13 @@ class Team:
     def __reduce__(self):
         return team_of, (self.count,)
 
-    def run(self, state: np.ndarray, kernel: Callable, *arguments):
+    def run(self, task_count: int, kernel: Callable, *arguments):
         """Run a list by all threads of the team.
 
         Args:
-            state: State of the list, which has begun; see `begin_list`.
-            kernel: Takes tasks. Its first argument says whether it is to wait for all of them.
+            task_count: Tasks of the list.
+            kernel: Takes tasks. Its first arguments are whether it is to wait for all of them,
+                the state of the list, and which are done.
             *arguments: The others.
 
         Returns:
@@ -234,6 +222,9 @@ class Team:
         """
         if self._process != os.getpid():
             self._start()
+        # A helper that comes late finds the end of its own list, not another one's tasks.
+        state, done = np.zeros(STATE_SIZE, np.int64), np.zeros(task_count, np.int64)
+        arguments = (state, done, *arguments)
         job = _Job(state, kernel, arguments)
         for jobs in self._jobs:
             jobs.put(job)

@@ -13,10 +13,8 @@ import pytest
 
 from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.worker_threads import (
-    STATE_SIZE,
     STOPPED,
     Team,
-    begin_list,
     default_thread_count,
     finish,
     helper_ids,
@@ -44,9 +42,8 @@ def _sum_up(waits_for_all, state, done, numbers):
 
 
 def _run(team, count=500):
-    state, done, numbers = np.zeros(STATE_SIZE, np.int64), np.ones(count, np.int64), np.zeros(count, np.int64)
-    begin_list(state, done)
-    assert team.run(state, _sum_up, state, done, numbers) == count
+    numbers = np.zeros(count, np.int64)
+    assert team.run(count, _sum_up, numbers) == count
     return numbers
 
 
@@ -69,29 +66,27 @@ def test_tasks_wait_for_those_before_them(count):
 
 
 def test_what_a_helper_raises_reaches_the_caller():
-    state = np.zeros(STATE_SIZE, np.int64)
-
-    def kernel(is_caller):
+    def kernel(is_caller, state, done):
         if not is_caller:
             raise ValueError("a helper failed")
         assert _wait_until(lambda: state[STOPPED])
 
     team = Team(2)
     with pytest.raises(ValueError, match="a helper failed"):
-        team.run(state, kernel)
+        team.run(1, kernel)
     assert _run(team)[-1] == 500
 
 
 def test_what_the_caller_raises_stops_the_helpers():
-    state, seen = np.zeros(STATE_SIZE, np.int64), []
+    seen = []
 
-    def kernel(is_caller):
+    def kernel(is_caller, state, done):
         if is_caller:
             raise ValueError("the caller failed")
         seen.append(_wait_until(lambda: state[STOPPED]))
 
     with pytest.raises(ValueError, match="the caller failed"):
-        Team(2).run(state, kernel)
+        Team(2).run(1, kernel)
     assert _wait_until(lambda: seen) == [True]
 
 
@@ -130,7 +125,7 @@ def test_a_forked_process_has_helpers_of_its_own():
 def test_helpers_take_the_priority_of_the_caller():
     team, found, wanted = Team(2), [], min(os.getpriority(os.PRIO_PROCESS, 0) + 3, 19)
 
-    def kernel(is_caller):
+    def kernel(is_caller, state, done):
         if is_caller:
             assert _wait_until(lambda: found)
         else:
@@ -138,7 +133,7 @@ def test_helpers_take_the_priority_of_the_caller():
 
     def call():
         os.setpriority(os.PRIO_PROCESS, 0, wanted)  # of this thread
-        team.run(np.zeros(STATE_SIZE, np.int64), kernel)
+        team.run(1, kernel)
 
     caller = threading.Thread(target=call)
     caller.start()

@@ -409,7 +409,6 @@ class PardisoCandidate(LibraryCandidate):
     _ANALYSE, _FACTOR, _SOLVE = 11, 22, 33
 
     def __init__(self, job: Job):
-        os.environ.setdefault("MKL_NUM_THREADS", "1")
         from pypardiso import PyPardisoSolver
 
         super().__init__(job)
@@ -687,7 +686,7 @@ def write_solver_page(
     """
     absent = f" Not installed here: {', '.join(found.absent)}." if found.absent else ""
     text = _PAGE.format(
-        conditions=_wrapped(f"{conditions}. One thread, garbage collection off."),
+        conditions=_wrapped(f"{conditions}, garbage collection off."),
         factorization_table=factorization_table(found).as_markdown(),
         absent=absent, factorization_words=_factorization_words(found),
         qp_table=qp_table(figures).as_markdown(), qp_words=_qp_words(figures))
@@ -754,7 +753,7 @@ _TWICE = 8
 
 
 def compare(scenes: list[Path], steps: int, output: Path | None = None,
-            docs: Path | None = None) -> int:
+            docs: Path | None = None, threads: int = 1) -> int:
     """Compares solvers and prints the results.
 
     Args:
@@ -762,6 +761,7 @@ def compare(scenes: list[Path], steps: int, output: Path | None = None,
         steps: How much is measured: a tenth as many factorizations, a fifth as many problems.
         output: Folder for ``factorizations.csv`` and ``qp_solvers.csv``, or None.
         docs: Folder for ``solvers.md``, or None.
+        threads: Most threads of the default factorization, and those of MKL.
 
     Returns:
         Exit code, always 0.
@@ -775,7 +775,8 @@ def compare(scenes: list[Path], steps: int, output: Path | None = None,
     case = given_cases(scenes[:1] or [default_scene_path()])[0]
     for ignored in scenes[1:]:
         warn(f"{ignored} is left out: solvers are compared on one scene")
-    simulation = Simulation(case.scene)
+    os.environ["MKL_NUM_THREADS"] = str(threads)
+    simulation = Simulation(case.scene.changed(solver={"threads": threads}))
     simulation.warm_up()
     found = compare_factorizations(simulation, max(1, steps // _STEPS_A_REPEAT))
     count = max(1, steps // _STEPS_A_PROBLEM)
@@ -783,7 +784,8 @@ def compare(scenes: list[Path], steps: int, output: Path | None = None,
     figures = compare_qp_solvers([
         recorded_problems(case, count), *(random_problems(n, each) for n in SIZES),
         random_problems(_TWICE, each, twice=True)])
-    conditions = describe_machine((*NUMERICAL_LIBRARIES, *_OPTIONAL_PACKAGES))
+    conditions = describe_machine((*NUMERICAL_LIBRARIES, *_OPTIONAL_PACKAGES)) + ". " + (
+        "One thread" if threads == 1 else f"{threads} threads")
     tables = {"factorizations": factorization_table(found), "qp_solvers": qp_table(figures)}
     shown = console()
     shown.print(conditions + "\n")
@@ -813,9 +815,11 @@ def main() -> int:
                         help="write factorizations.csv and qp_solvers.csv there")
     parser.add_argument("--docs", metavar="FOLDER", type=Path,
                         help="write the tables and what follows from them to FOLDER/solvers.md")
+    parser.add_argument("--threads", default=1, type=positive_count, metavar="N",
+                        help="most threads of the default factorization, and those of MKL (default 1)")
     chosen = parser.parse_args()
     try:
-        return compare(chosen.scenes, chosen.steps, chosen.output, chosen.docs)
+        return compare(chosen.scenes, chosen.steps, chosen.output, chosen.docs, chosen.threads)
     except SoftRobotTwinError as error:
         print(f"compare_solvers: {error}", file=sys.stderr)
         return 2

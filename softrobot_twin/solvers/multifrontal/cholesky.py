@@ -16,9 +16,13 @@ from softrobot_twin.solvers.factorization import (
 from softrobot_twin.solvers.multifrontal import condensation
 from softrobot_twin.solvers.multifrontal.condensation import ConstraintColumns
 from softrobot_twin.solvers.multifrontal.dense_kernels import WIDE
+from softrobot_twin.solvers.multifrontal.forward_tasks import (
+    ForwardTasks,
+    forward_by_tasks,
+    plan_forward,
+)
 from softrobot_twin.solvers.multifrontal.front_tasks import (
     TaskList,
-    begin_tasks,
     factorize_by_tasks,
     plan_tasks,
 )
@@ -28,10 +32,12 @@ from softrobot_twin.solvers.multifrontal.ordering import best_elimination
 from softrobot_twin.solvers.multifrontal.symbolic import NONE, node_graph, renumbered
 from softrobot_twin.solvers.multifrontal.vector_code import STRIP
 from softrobot_twin.traced_stage import TracedStages, clear
-from softrobot_twin.worker_threads import STATE_SIZE, Team, team_of
+from softrobot_twin.worker_threads import Team, team_of
 
 # W is given by its factor where its rank is at most this share of its rows.
 LOW_RANK = 0.5
+# What fronts of many rows H keep for several threads takes at most so many times the memory of L.
+MOST_KEPT = 2
 
 
 class Multifrontal:
@@ -87,7 +93,8 @@ class Multifrontal:
         self._triangles = aligned(self.layout.triangles_size)
         self._tasks: TaskList | None = None
         self._team: Team | None = None
-        self._state = self._done = np.zeros(0, np.int64)
+        self._forward: ForwardTasks | None = None
+        self._kept = self._kept_rows = aligned(0)
         self._tallest = STRIP * int(self.layout.fronts["strips"].max(initial=1))
         self._nowhere = np.full(node_count, NONE)
         self._take_no_rows(True)
@@ -140,10 +147,14 @@ class Multifrontal:
             fronts["update"], size = plan_updates(update_sizes(fronts), fronts, children, has_tasks)
             self.layout = self.layout._replace(updates_size=size)
             self._updates = aligned(size)
+        self._forward = None
         if has_tasks:
             self._team = team_of(self._tasks.thread_count)
-            self._state = np.zeros(STATE_SIZE, np.int64)
-            self._done = np.zeros(len(self._tasks.tasks), np.int64)
+            self._forward = plan_forward(self.elimination, self.layout, self.thread_count)
+        if self._forward is not None:
+            self._kept = aligned(3 * len(self.layout.rows))
+            # A stage that is traced runs on one thread.
+            self.stages = TracedStages(False, self._condense, self._is_placed)
 
     @property
     def thread_count(self) -> int:
@@ -159,10 +170,8 @@ class Multifrontal:
         )  # fmt: skip
         if tasks is None:
             return factorize(*arguments) == SUCCESS
-        begin_tasks(self._state, self._done)
         return self._team.run(
-            self._state, factorize_by_tasks, tasks.tasks, tasks.waits, self._state, self._done,
-            *arguments,
+            len(tasks.tasks), factorize_by_tasks, tasks.tasks, tasks.waits, *arguments
         ) == SUCCESS  # fmt: skip
 
     def prepare_rows(self, node_index: np.ndarray, row_count: int = 0) -> None:
@@ -255,9 +264,22 @@ class Multifrontal:
         )  # fmt: skip
         b = np.ascontiguousarray(b, dtype=np.float64).reshape(self._node_count, 3)
         condensation.by_rank(self.elimination_rank, b, self._y)
-        condensation.forward(
-            layout.fronts, layout.rows, self._panels, self._triangles, columns.places, columns.tree,
-            columns.trees, columns.strips, self._y, self.Y, self.work,
+        widest, forward = columns.work_size, self._forward
+        kept_size = 3 * len(layout.rows) * widest
+        if forward is None or kept_size > MOST_KEPT * layout.panels_size:
+            condensation.forward(
+                layout.fronts, layout.rows, self._panels, self._triangles, columns.places,
+                columns.tree, columns.trees, columns.strips, self._y, self.Y, self.work,
+            )  # fmt: skip
+            return
+        if kept_size > len(self._kept_rows):
+            self._kept_rows = aligned(kept_size)
+        tasks = forward.tasks
+        self._team.run(
+            len(tasks.tasks), forward_by_tasks, tasks.tasks, tasks.waits, layout.fronts, layout.rows,
+            forward.segments, forward.segment_start, self._panels, self._triangles,
+            columns.places, columns.tree, columns.trees, columns.strips, self._y, self.Y,
+            self._kept, self._kept_rows, widest, self._tallest,
         )  # fmt: skip
 
     def expand(self, multipliers: np.ndarray) -> np.ndarray:

@@ -26,6 +26,13 @@ Everything follows from the rows of the step, of which there may be none or hund
 one buffer that only grows.
 
 Arguments of the kernels here:
+    front: Layout of one front.
+    panel, triangle: Addresses of its L and of its diagonal blocks.
+    place: Row of Y at which its first node begins.
+    stride: Doubles between rows of Y.
+    first_strip, end_strip: Columns of Y, in strips of eight.
+    target, target_stride: Where the result goes, and doubles between its rows.
+    work: Memory for the rows of a front.
     rank: Place of each node in the elimination order, shape (node_count,).
     result: What is written.
 """
@@ -67,7 +74,7 @@ TREE = np.dtype([
     ("start", np.int64),      # offset of its part of Y
     ("entry_end", np.int64),  # in the list of entries by tree
 ])  # fmt: skip
-_NODE_BYTES = 24
+NODE_BYTES = 24
 
 
 class ConstraintColumns:
@@ -559,10 +566,20 @@ def forward(fronts, rows, panels, triangles, places, tree, trees, ranges, y, Y, 
 @njit(**INNER)
 def _forward_single(front, rows, panel, triangle, y, work):
     """A front with the one right-hand side at address y."""
+    solve_single(front, panel, triangle, y, work)
+    entry = address(work) + 8 * (front.padding + front.columns)
+    for p in range(front.row_start, front.row_end):
+        add_node(y + NODE_BYTES * rows[p], entry)
+        entry += NODE_BYTES
+
+
+@njit(**INNER)
+def solve_single(front, panel, triangle, y, work):
+    """The front's own rows of y, and in `work` what its rows below are to lose."""
     for i in range(front.padding + front.columns, STRIP * front.strips):
         work[i] = 0.0
     work_at = address(work)
-    own = y + _NODE_BYTES * front.first_rank
+    own = y + NODE_BYTES * front.first_rank
     entry = work_at + 8 * front.padding
     for i in range(0, front.columns, NARROW):
         copy_node(entry + 8 * i, own + 8 * i)
@@ -581,10 +598,6 @@ def _forward_single(front, rows, panel, triangle, y, work):
         )  # fmt: skip
         start += width
         triangle += 8 * TRIANGLE
-    entry += 8 * front.columns
-    for p in range(front.row_start, front.row_end):
-        add_node(y + _NODE_BYTES * rows[p], entry)
-        entry += _NODE_BYTES
 
 
 @njit(**INNER)
@@ -593,8 +606,27 @@ def _forward_columns(
 ):
     """A reached front, a range of strips of Y at once; Y and work are addresses."""
     strips = end_strip - first_strip
+    solve_columns(
+        front, panel, triangle, Y, stride, place, first_strip, end_strip, work, STRIP * strips
+    )
     Y += STRIP_BYTES * first_strip
-    own = Y + 8 * stride * place
+    for p in range(front.row_start, front.row_end):
+        target = Y + 8 * stride * places[rows[p]]
+        if STRIP * strips == stride:
+            add_strips(target, work, NARROW * strips)
+        else:
+            for i in range(NARROW):
+                add_strips(target + 8 * stride * i, work + STRIP_BYTES * strips * i, strips)
+        work += NARROW * STRIP_BYTES * strips
+
+
+@njit(**INNER)
+def solve_columns(
+    front, panel, triangle, Y, stride, place, first_strip, end_strip, target, target_stride
+):
+    """The front's own rows of Y, and at `target` what its rows below are to lose."""
+    strips = end_strip - first_strip
+    own = Y + STRIP_BYTES * first_strip + 8 * stride * place
     entry = panel + 8 * front.padding
     start = 0
     while start < front.columns:
@@ -605,23 +637,14 @@ def _forward_columns(
         )  # fmt: skip
         start += width
         triangle += 8 * TRIANGLE
-    target = work
     while start < front.rows:
         width = bar_width(start, front.rows)
         negate_product(
             width, strips, front.columns, own, stride, entry + 8 * start, front.stride,
-            target, STRIP * strips,
+            target, target_stride,
         )  # fmt: skip
         start += width
-        target += STRIP_BYTES * strips * width
-    for p in range(front.row_start, front.row_end):
-        target = Y + 8 * stride * places[rows[p]]
-        if STRIP * strips == stride:
-            add_strips(target, work, NARROW * strips)
-        else:
-            for i in range(NARROW):
-                add_strips(target + 8 * stride * i, work + STRIP_BYTES * strips * i, strips)
-        work += NARROW * STRIP_BYTES * strips
+        target += 8 * target_stride * width
 
 
 @njit(**KERNEL)
@@ -643,9 +666,9 @@ def backward(fronts, rows, panels, triangles, x, work):
         entry = work_at + 8 * front.padding
         target = entry + 8 * front.columns
         for p in range(front.row_start, front.row_end):
-            copy_node(target, x_at + _NODE_BYTES * rows[p])
-            target += _NODE_BYTES
-        own = x_at + _NODE_BYTES * front.first_rank
+            copy_node(target, x_at + NODE_BYTES * rows[p])
+            target += NODE_BYTES
+        own = x_at + NODE_BYTES * front.first_rank
         triangle = address(triangles) + 8 * front.triangles
         start = WIDE * ((front.columns - 1) // WIDE)
         while start >= 0:

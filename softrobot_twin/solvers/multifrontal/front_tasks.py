@@ -54,7 +54,7 @@ from softrobot_twin.solvers.multifrontal.symbolic import (
     front_cost,
 )
 from softrobot_twin.solvers.multifrontal.vector_code import STRIP, STRIP_BYTES, address
-from softrobot_twin.worker_threads import begin_list, finish, take, wait_for
+from softrobot_twin.worker_threads import NOTED, finish, take, wait_for
 
 # Cycles until a helper that waits in Python works, and those that a task costs besides its work.
 WAKE, OVERHEAD = 1.2e5, 1.0e3
@@ -66,8 +66,6 @@ PARTS, GRAIN = 16, 1.5e5
 # Columns of a block column: multiples of a bar and of a strip; of fronts of more columns than told.
 BLOCK, LARGE_BLOCK, LARGE_FRONT = 48, 96, 384
 FRONTS, FILL, DIAGONAL, TILE, UPDATE = range(5)
-# Place of the first front that is not positive definite in the state of a list.
-FAILED = 1
 
 # One task. `first` and `end` are fronts, or columns of one front; a tile has strips of rows, too.
 TASK = np.dtype([
@@ -105,15 +103,42 @@ def plan_tasks(elimination: Elimination, layout: Layout, thread_count: int) -> T
     """
     if thread_count < 2 or elimination.cost < LEAST_COST:
         return None
-    best, best_cost = None, (1.0 - LEAST_GAIN) * elimination.cost
-    for count in range(2, thread_count + 1):
-        tasks, waits, costs = _cut(elimination, layout, count)
-        order, length = list_schedule(costs, waits, count)
-        if length + WAKE < best_cost:
-            best, best_cost = (order, tasks, waits, count), length + WAKE
-    if best is None:
-        return None
-    order, tasks, waits, count = best
+    fronts = layout.fronts
+    own = np.array([
+        front_cost(columns // 3, (rows - columns) // 3)
+        for columns, rows in zip(fronts["columns"], fronts["rows"])
+    ])  # fmt: skip
+    lists = (
+        _scheduled(own, elimination, layout, count, True) for count in range(2, thread_count + 1)
+    )
+    best = min(lists, key=lambda one: one.cost)
+    return best if best.cost < (1.0 - LEAST_GAIN) * elimination.cost else None
+
+
+def plan_whole_fronts(
+    costs: np.ndarray, elimination: Elimination, layout: Layout, thread_count: int
+) -> TaskList | None:
+    """Tasks of work on fronts that is not cut, children before parents.
+
+    Args:
+        costs: What the work on each front costs [cycles], shape (front_count,).
+        elimination: The fronts.
+        layout: Where they lie in memory.
+        thread_count: How many threads.
+
+    Returns:
+        The tasks; None where one thread is as good.
+    """
+    found = _scheduled(costs, elimination, layout, thread_count, False)
+    return found if found.cost < (1.0 - LEAST_GAIN) * costs.sum() else None
+
+
+def _scheduled(
+    own: np.ndarray, elimination: Elimination, layout: Layout, count: int, cuts_fronts: bool
+) -> TaskList:
+    """Tasks in the order in which so many threads take them, and what they cost."""
+    tasks, waits, costs = _cut(own, elimination, layout, count, cuts_fronts)
+    order, length = list_schedule(costs, waits, count)
     place = np.empty(len(order), np.int64)
     place[order] = np.arange(len(order))
     found = np.zeros(len(order), TASK)
@@ -123,7 +148,7 @@ def plan_tasks(elimination: Elimination, layout: Layout, thread_count: int) -> T
     found["wait_end"] = np.cumsum(lengths)
     found["wait_start"] = found["wait_end"] - lengths
     flat = np.array([place[one] for task in order for one in waits[task]], np.int64)
-    return TaskList(found, flat, count, best_cost)
+    return TaskList(found, flat, count, length + WAKE)
 
 
 def list_schedule(
@@ -165,17 +190,16 @@ def list_schedule(
 
 
 def _cut(
-    elimination: Elimination, layout: Layout, thread_count: int
+    own: np.ndarray, elimination: Elimination, layout: Layout, thread_count: int, cuts_fronts: bool
 ) -> tuple[list[tuple], list[list[int]], list[float]]:
     """Tasks, which earlier ones each waits for, and their costs."""
     fronts, parent, children = layout.fronts, elimination.parent, layout.children
-    own = [front_cost(c // 3, (r - c) // 3) for c, r in zip(fronts["columns"], fronts["rows"])]
     whole, sizes = list(own), [1] * len(own)
     for s, above in enumerate(parent):
         if above != NONE:
             whole[above] += whole[s]
             sizes[above] += sizes[s]
-    grain = max(GRAIN, elimination.cost / (PARTS * thread_count))
+    grain = max(GRAIN if cuts_fronts else 0.0, own.sum() / (PARTS * thread_count))
     tasks: list[tuple] = []
     waits: list[list[int]] = []
     costs: list[float] = []
@@ -209,7 +233,7 @@ def _cut(
         begin, gathered = s + 1, 0.0
         below = children[fronts[s]["child_start"] : fronts[s]["child_end"]]
         waited = sorted({task for child in below for task in ends[child]})
-        if own[s] <= grain:
+        if own[s] <= grain or not cuts_fronts:
             ends[s] = [add(FRONTS, s, s, s + 1, own[s], waited)]
         else:
             ends[s] = _cut_front(s, fronts[s], waited, add)
@@ -276,17 +300,17 @@ def _factor_tile(front, first, end, strip, end_strip, panels_at, triangles_at):
 
 @njit(**KERNEL)
 def factorize_by_tasks(
-    waits_for_all, tasks, waits, state, done, fronts, children, runs, block_places, storage,
+    waits_for_all, state, done, tasks, waits, fronts, children, runs, block_places, storage,
     panels, updates, triangles,
 ):  # fmt: skip
     """A = L Lᵀ, by all threads that call this.
 
     Args:
         waits_for_all: Whether to return when all tasks are done, or when none is left to begin.
+        state: State of the list; notes one more than a front that is not positive definite.
+        done: Whether each task is done, shape (task_count,).
         tasks: `TASK` by `TASK`, shape (task_count,).
         waits: Tasks that a task waits for.
-        state: State of the list, see `begin_list`.
-        done: Whether each task is done, shape (task_count,).
         fronts, children, runs, block_places, storage, panels, updates, triangles: See `factorize`.
 
     Returns:
@@ -300,7 +324,7 @@ def factorize_by_tasks(
             if not wait_for(waits[k], state, done):
                 return SUCCESS
         front = fronts[task.front]
-        if state[FAILED] != SUCCESS:
+        if state[NOTED] != 0:
             pass
         elif task.kind == FRONTS:
             failed_at = factor_fronts(
@@ -308,7 +332,7 @@ def factorize_by_tasks(
                 updates, triangles,
             )  # fmt: skip
             if failed_at != SUCCESS:
-                state[FAILED] = failed_at
+                state[NOTED] = failed_at + 1
         elif task.kind == FILL:
             fill_columns(front, task.first, task.end, panels_at, storage, block_places)
             add_to_panel(
@@ -320,7 +344,7 @@ def factorize_by_tasks(
                 task.end_strip,
                 triangles_at + 8 * (front.triangles + TRIANGLE * (task.first // WIDE)),
             ):  # fmt: skip
-                state[FAILED] = task.front
+                state[NOTED] = task.front + 1
         elif task.kind == TILE:
             _factor_tile(
                 front, task.first, task.end, task.strip, task.end_strip, panels_at, triangles_at
@@ -335,16 +359,4 @@ def factorize_by_tasks(
         for number in range(len(tasks)):
             if not wait_for(number, state, done):
                 return SUCCESS
-    return state[FAILED]
-
-
-@njit(**KERNEL)
-def begin_tasks(state, done):
-    """Let threads begin; no task runs.
-
-    Args:
-        state: State of the list, see `begin_list`.
-        done: Whether each task is done, shape (task_count,).
-    """
-    state[FAILED] = SUCCESS
-    begin_list(state, done)
+    return state[NOTED] - 1

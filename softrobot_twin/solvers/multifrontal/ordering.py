@@ -31,8 +31,9 @@ from softrobot_twin.solvers.multifrontal.symbolic import (
     with_longer_runs,
 )
 
-# Initial numberings for minimum degree: ties between nodes are broken differently.
-MINIMUM_DEGREE_STARTS = 24
+# Initial numberings for minimum degree: ties between nodes are broken differently. Fewer of a large
+# mesh, whose nodes all starts together number at most as told, but so many of any.
+MINIMUM_DEGREE_STARTS, FEWEST_STARTS, STARTED_NODES = 24, 4, 60_000
 # Parts of this size or less are not cut any further.
 SMALLEST_PART = 40
 # Least share of the nodes on either side of a cut.
@@ -94,7 +95,8 @@ def candidate_orders(
     node_count = graph.shape[0]
     yield minimum_degree(graph)
     random = np.random.default_rng(0)
-    for _ in range(MINIMUM_DEGREE_STARTS - 1):
+    fitting = STARTED_NODES // max(node_count, 1)
+    for _ in range(min(max(fitting, FEWEST_STARTS), MINIMUM_DEGREE_STARTS) - 1):
         start = random.permutation(node_count)
         yield start[_minimum_degree(*renumbered(graph, start))]
     level = dissection_levels(graph, coordinates)

@@ -44,6 +44,22 @@ def test_results_are_the_same_bits_for_any_number_of_threads(name, threads_pay):
                 np.testing.assert_array_equal(found, value)
 
 
+def test_a_late_helper_does_not_touch_what_comes_later(threads_pay):
+    """Rows, and the memory for them, change between two runs of the same list."""
+    system = System(PATTERNS["slab"])
+    b, solver = system.rng.standard_normal((system.count, 3)), system.solver
+    assert solver.factor()
+    rows = [system.constraint_rows(count) for count in (2, 30, 9, 17)]
+    expected = [solver.condense(H, b) for H in rows]
+    solver.use_threads(4)
+    for _ in range(50):
+        assert solver.factor()
+        for H, value in zip(rows, expected, strict=True):
+            found = (solver if len(H.row_index) < 50 else solver.with_other_rows()).condense(H, b)
+            np.testing.assert_array_equal(found.W, value.W)
+            np.testing.assert_array_equal(found.free, value.free)
+
+
 def test_all_kinds_of_tasks_are_tried(threads_pay):
     solver = System(PATTERNS["grid"]).solver
     tasks = plan_tasks(solver.elimination, solver.layout, 2).tasks
