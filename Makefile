@@ -86,7 +86,8 @@ build: setup ## build the ROS 2 package into install/ with colcon
 	$(VENV)/bin/python -m colcon build
 
 # The wheel is made from the source archive: what the archive lacks, the wheel cannot have.
-dist: setup ## build the archives of a release into dist/: sources, and a wheel
+dist: setup ## build the archives of a release into dist/, with compiled kernels: sources, and a wheel
+	$(VENV)/bin/python tools/compile_kernels.py --ship
 	$(VENV)/bin/python -m build --no-isolation --outdir dist
 
 clean: ## remove environments and build results; out/ stays

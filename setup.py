@@ -36,7 +36,9 @@ setup(
         *shared_files("launch", {".py"}),
         *shared_files("meshes"),
     ],
-    package_data={PACKAGE: ["py.typed", "scene/material_presets.json", "study/first_scene.yaml"]},
+    package_data={PACKAGE: [
+        "py.typed", "kernels.zip", "kernels_of_scenes.xz", "scene/material_presets.json",
+        "study/first_scene.yaml"]},
     python_requires=">=3.12",
     # Each lower bound is installed and tested: requirements/oldest.txt.
     install_requires=[

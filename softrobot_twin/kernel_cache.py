@@ -8,13 +8,18 @@ parameters. So the closures of the modules that define the types of the argument
 
 Neither the place of the package nor the times of its files count: checkouts and installed packages
 of the same sources share entries. An entry is one file that is moved into its place as a whole, and
-its name says all that it depends on. So processes may compile the same kernel at the same time.
+its name says all that it depends on. Of several processes that need the same kernel, one compiles it
+and the others wait for the entry.
+
+A release brings the entries of its scenes in one archive, `SHIPPED`, which is looked at first. Where
+kernels must be compiled, other processes help: see `kernels_ahead.py`.
 
 Kernels and types from outside of this package are not kept: what they import is not known.
 """
 
 from __future__ import annotations
 
+import fcntl
 import logging
 import os
 import pickle
@@ -22,21 +27,28 @@ import re
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 from uuid import uuid4
 
 import llvmlite.binding
 import numba
-from numba.core import sigutils, types
+from numba.core import event, sigutils, types
 from numba.core.caching import _Cache
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 
+if TYPE_CHECKING:
+    from zipfile import ZipFile
+
 _ROOT = Path(__file__).parent
+SHIPPED = _ROOT / "kernels.zip"
+"""Archive of entries that came with the package; a clone has none until `make dist`."""
 _PACKAGE = __name__.split(".")[0]
 # It begins with a line break, which is found faster than the begin of a line.
 _IMPORT = re.compile(rf"\n(?:from|import) ({_PACKAGE}[\w.]*)(?: import (\([^)]*\)|.*))?")
@@ -134,14 +146,75 @@ def _delete_unused(folder: Path) -> None:
             pass
 
 
-_modules_with_kernels: set[str] = set()
+def _content(entry: Path) -> bytes | None:
+    """Code of an entry, of the package or on disk; None where there is none or it is damaged."""
+    shipped = _shipped_entries(os.getpid())
+    if shipped is not None and entry.name in shipped.NameToInfo:
+        content = shipped.read(entry.name)
+    elif entry.is_file():
+        content = entry.read_bytes()
+        if time.time() - entry.stat().st_mtime > _DAY:
+            entry.touch()
+    else:
+        return None
+    digest, code = content[:_DIGEST], content[_DIGEST:]
+    return code if sha256(code).digest() == digest else None
 
 
-def count_kept() -> int:
-    """Number of entries that are of use today: of the modules with kernels imported so far."""
-    present = {closure_hash(module)[:_SHORT] for module in _modules_with_kernels}
-    entries = (entry.stem.split("-") for entry in kernel_folder().glob("*.nbc"))
-    return sum(len(parts) > 2 and parts[-2] in present for parts in entries)
+@cache
+def _shipped_entries(process: int) -> ZipFile | None:
+    """The archive of the package, opened by each process: they must not share a place in it."""
+    if not SHIPPED.is_file():
+        return None
+    from zipfile import ZipFile
+
+    return ZipFile(SHIPPED)
+
+
+@cache
+def _lock_file(process: int) -> Any:
+    """A file of which each byte locks an entry. The system frees them when the process ends."""
+    return (kernel_folder() / "lock").open("ab")
+
+
+def lock(place: int, waits: bool = True) -> bool:
+    """Locks a place for this process against others.
+
+    Args:
+        place: A number; those of entries are large.
+        waits: Whether it waits while another process has it.
+
+    Returns:
+        Whether this process has it now. Without a lock, two processes may do the same.
+    """
+    try:
+        fcntl.lockf(_lock_file(os.getpid()), fcntl.LOCK_EX | (0 if waits else fcntl.LOCK_NB), 1, place)
+    except OSError:
+        return False
+    return True
+
+
+def _free(place: int) -> None:
+    with suppress(OSError):
+        fcntl.lockf(_lock_file(os.getpid()), fcntl.LOCK_UN, 1, place)
+
+
+used: dict[str, tuple[str, str, tuple[types.Type, ...]]] = {}
+"""What this process has asked for: module, name and types of arguments, by name of the entry."""
+_before_compilation: list[Callable[[], None]] = []
+# So many kernels are compiled before it pays to start other processes.
+_FEW = 5
+_missed: set[str] = set()
+
+
+def before_compilation(begin: Callable[[], None]) -> None:
+    """Calls a function once, when this process has to compile more than a few kernels from now on.
+
+    Args:
+        begin: The function.
+    """
+    _before_compilation[:] = [begin]
+    _missed.clear()
 
 
 def _modules_of_types(type_: types.Type) -> Iterator[str]:
@@ -182,6 +255,11 @@ def _prepare(target_context) -> None:
     target_context.refresh()
 
 
+def _place(entry: Path) -> int:
+    """Where the lock of an entry is."""
+    return int(entry.stem[-_SHORT:], 16) >> 2
+
+
 class KernelCache(_Cache):
     """The entries of one kernel, in place of numba's cache.
 
@@ -194,7 +272,7 @@ class KernelCache(_Cache):
         self._function = function
         # Read now: a file that changes while this process runs is not the source of its kernels.
         self._own = closure_hash(function.__module__)
-        _modules_with_kernels.add(function.__module__)
+        self._locked: list[int] = []
 
     @property
     def cache_path(self) -> str:
@@ -228,14 +306,21 @@ class KernelCache(_Cache):
         """
         _prepare(target_context)
         entry = self._entry(sig, target_context.codegen())
-        if entry is None or not entry.is_file():
+        if entry is None:
             return None
-        content = entry.read_bytes()
-        digest, code = content[:_DIGEST], content[_DIGEST:]
-        if sha256(code).digest() != digest:
-            return None
-        if time.time() - entry.stat().st_mtime > _DAY:
-            entry.touch()
+        used[entry.name] = self._function.__module__, self._function.__qualname__, sig
+        code = _content(entry)
+        if code is None:
+            _missed.add(entry.name)
+            if len(_missed) > _FEW and _before_compilation:
+                _before_compilation.pop()()
+            place = _place(entry)
+            lock(place)
+            code = _content(entry)
+            if code is None:
+                self._locked.append(place)  # Until it is compiled, or that fails.
+                return None
+            _free(place)
         state, fndesc, own, signature, _, lifted, annotation, begins, others = pickle.loads(code)
         for begin in begins:
             begin()
@@ -262,6 +347,12 @@ class KernelCache(_Cache):
         entry = self._entry(sig, data.codegen)
         if entry is None:
             return
+        try:
+            self._save(entry, data)
+        finally:
+            self.free()
+
+    def _save(self, entry: Path, data) -> None:
         if data.lifted or data.library.has_dynamic_globals:
             raise TypeError(f"{entry.stem} holds addresses of this process and cannot be kept")
         code = dumps(data._reduce())
@@ -273,6 +364,11 @@ class KernelCache(_Cache):
             unfinished.unlink(missing_ok=True)
             logging.getLogger(_PACKAGE).warning("a compiled kernel is not kept: %s", error)
 
+    def free(self) -> None:
+        """Lets other processes have the entry that this one has compiled, or has not."""
+        if self._locked:
+            _free(self._locked.pop())
+
     def enable(self) -> None:
         """Does nothing: it is always on."""
 
@@ -283,3 +379,19 @@ class KernelCache(_Cache):
     def flush(self) -> None:
         """Refuses; numba never asks for it."""
         raise NotImplementedError
+
+
+class _FreeAfterFailure(event.Listener):
+    """Frees the lock of a kernel that could not be compiled, which is not saved."""
+
+    def on_start(self, event: event.Event) -> None:
+        """Before a kernel is compiled."""
+
+    def on_end(self, event: event.Event) -> None:
+        """After it, or after it failed."""
+        kernel = event.data["dispatcher"]
+        if isinstance(kernel._cache, KernelCache) and event.data["args"] not in kernel.overloads:
+            kernel._cache.free()
+
+
+event.register("numba:compile", _FreeAfterFailure())

@@ -11,7 +11,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from compile_kernels import compile_each_kernel_once
 
 import softrobot_twin  # noqa: F401  chooses threads; before numpy
 
@@ -67,10 +66,6 @@ def pytest_collection_modifyitems(items):
     for item in items:
         if is_left_out(item, drawn):
             item.add_marker(pytest.mark.exhaustive)
-
-
-if "PYTEST_XDIST_WORKER" in os.environ:
-    compile_each_kernel_once()
 
 
 # Processor time [s] that a case of `make test` may take, with its own fixtures and processes.

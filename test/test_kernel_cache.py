@@ -10,10 +10,11 @@ from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 from types import CodeType
+from zipfile import ZipFile
 
 import pytest
 
-from softrobot_twin import kernel_cache
+from softrobot_twin import kernel_cache, kernels_ahead
 
 PACKAGE = Path(__file__).resolve().parents[1] / "softrobot_twin"
 MODULES = sorted(
@@ -136,7 +137,7 @@ def test_another_checkout_of_the_same_sources_compiles_nothing(small_package):
 
 
 @pytest.mark.exhaustive
-def test_processes_that_compile_at_once_agree_and_keep_one_entry_each(small_package):
+def test_of_processes_that_need_a_kernel_at_once_one_compiles_it(small_package):
     processes = [
         subprocess.Popen([sys.executable, "-c", RUN, "wait"], env=environment(small_package),
                          cwd=small_package.parent, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
@@ -147,11 +148,88 @@ def test_processes_that_compile_at_once_agree_and_keep_one_entry_each(small_pack
         assert process.stdout.readline() == "begun\n"
     for process in processes:
         process.stdin.close()
-    results = [process.stdout.read().split()[0] for process in processes]
-    assert [process.wait() for process in processes] == [0, 0, 0] and results == ["16.0"] * 3
+    results = sorted(process.stdout.read().split() for process in processes)
+    assert [process.wait() for process in processes] == [0, 0, 0]
+    assert results == [["16.0", "0"], ["16.0", "0"], ["16.0", "1"]]
     kept = sorted(entry.name.split("-")[0] for entry in entries(small_package))
     assert kept == ["inner.scale", "law.own_response", "outer.outer"]
     assert run(small_package) == (16.0, 0)
+
+
+@pytest.mark.exhaustive
+def test_nobody_waits_for_a_kernel_that_could_not_be_compiled(small_package):
+    code = RUN.replace("print(outer.outer(law.Law(1.0), 3.0)", """
+try:
+    outer.outer(law.Law(1.0), "text")
+except Exception:
+    print("failed", flush=True)
+sys.stdin.read()
+print(1.0""")
+    processes = []
+    for _ in range(2):
+        processes.append(subprocess.Popen(
+            [sys.executable, "-c", code], env=environment(small_package), cwd=small_package.parent,
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True))  # fmt: skip
+        assert processes[-1].stdout.readline() == "failed\n"
+    for process in processes:
+        process.communicate()
+
+
+def test_kernels_that_came_with_the_package_are_not_compiled(small_package):
+    run(small_package)
+    with ZipFile(small_package / "kernels.zip", "w") as archive:
+        for entry in entries(small_package):
+            archive.write(entry, entry.name)
+    installed = small_package.parents[1] / "elsewhere" / "two" / "softrobot_twin"
+    shutil.copytree(small_package, installed)
+    assert run(installed) == (16.0, 0) and not entries(installed)
+
+
+WRITE_LIST = """
+import lzma, pickle
+from softrobot_twin import kernel_cache, kernels_ahead, law, outer
+outer.outer(law.Law(1.0), 3.0)
+calls = [(module, name, pickle.dumps(types))
+         for module, name, types in kernel_cache.used.values() if name == "outer"]
+calls += [("softrobot_twin.law", "renamed", calls[0][2])]
+kernels_ahead.LIST.write_bytes(
+    lzma.compress(pickle.dumps([kernels_ahead.SceneKernels(frozenset(), tuple(calls))])))
+"""
+AHEAD = """
+import os
+from softrobot_twin.kernels_ahead import compile_ahead
+compile_ahead(0, 0, 1, os.getppid())
+"""
+
+
+@pytest.mark.exhaustive
+def test_another_process_compiles_what_a_list_names(small_package):
+    shutil.copy(PACKAGE / "kernels_ahead.py", small_package)
+    run(small_package, WRITE_LIST)
+    for entry in entries(small_package):
+        entry.unlink()
+    run(small_package, AHEAD.replace("getppid", "getpid"))
+    assert not entries(small_package)  # Its parent has ended.
+    run(small_package, AHEAD)
+    assert run(small_package) == (16.0, 0)
+
+
+def test_scenes_are_compared_by_their_words():
+    scene = {"body": {"element": "smoothed", "fixed": [{"box": {"minimum": [0.0, 1.0]}}]}}
+    assert kernels_ahead.words(scene) == {"body", "element", "smoothed", "fixed", "box", "minimum"}
+
+
+def test_most_kernels_of_the_list_exist():
+    """The list is written for a release: `python tools/compile_kernels.py --ship`."""
+    named = {
+        (module, name) for scene in kernels_ahead.scenes_of_list()
+        for module, name, _ in scene.kernels
+    }  # fmt: skip
+    paths = {module: PACKAGE.parent.joinpath(*module.split(".")).with_suffix(".py")
+             for module, _ in named}  # fmt: skip
+    found = [paths[module].is_file() and f"def {name}(" in paths[module].read_text()
+             for module, name in named]  # fmt: skip
+    assert len(found) > 50 and sum(found) > 0.8 * len(found)
 
 
 @pytest.mark.exhaustive

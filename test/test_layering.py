@@ -42,7 +42,7 @@ VOCABULARY = {"command", "contact_forces", "result", "state"}
 # The files at the top besides commands, which put rooms together and end in "_command".
 ENTRANCE = {
     "__init__.py", "__main__.py", "blas_threads.py", "compilation.py", "errors.py",
-    "instruction_set.py", "kernel_cache.py", "shared_files.py", "traced_stage.py",
+    "instruction_set.py", "kernel_cache.py", "kernels_ahead.py", "shared_files.py", "traced_stage.py",
     "worker_threads.py"}
 # Where a library may be imported; gmsh only in the process that meshes CAD files.
 HOMES = {

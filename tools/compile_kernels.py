@@ -1,75 +1,145 @@
 """Compiles the kernels of all scenes of this package, in two processes:
 
     python tools/compile_kernels.py
+    python tools/compile_kernels.py --ship [SCENE...]
 
-Those that are kept on disk already are only read.
+Those that are kept on disk already are only read. With `--ship`, for a release, also those of the
+usual elements, laws and ways to move in time and of the Python of the README; then all entries that
+Python calls are put into the package as `kernels.zip`, and what the scenes called as the list by
+which processes compile ahead. Names of scenes limit the archive to these and the README.
 """
 
 from __future__ import annotations
 
-import fcntl
 import logging
+import lzma
+import os
+import pickle
+import sys
+import tempfile
 import time
+import warnings
+from collections.abc import Sequence
+from itertools import product
 from multiprocessing import get_context
 from pathlib import Path
+from zipfile import ZIP_LZMA, ZipFile, ZipInfo
 
-SCENES = Path(__file__).resolve().parents[1] / "config" / "scenes"
+ROOT = Path(__file__).resolve().parents[1]
+SCENES = ROOT / "config" / "scenes"
+README = "README"
 # These have the most kernels in common with others, and few with each other.
 FIRST = ("bar", "trunk_device")
+MODULI = "young_modulus: 200000.0"
+LAWS = {
+    **dict.fromkeys(("corotational", "linear", "neo_hookean", "saint_venant_kirchhoff"), MODULI),
+    "mooney_rivlin": "constants: {c10: 30000.0, c01: 5000.0}",
+    "ogden": "constants: {shear_moduli: [30000.0], exponents: [2.0]}",
+    "yeoh": "constants: {c1: 30000.0, c2: 1000.0, c3: 0.0}",
+}
+ELEMENTS = {"bar": ("linear", "smoothed", "quadratic"), "bar_hexahedra": ("hexahedral",)}
+MOTIONS = ("quasi_static", "dynamic")
+
+Job = tuple[str, tuple[str, ...]]
 
 
-def compile_each_kernel_once() -> None:
-    """Lets only one of several processes compile a kernel; the others load the result.
-
-    numba looks for a kernel on disk at the beginning of `Dispatcher.compile`, so whoever waited
-    for the lock finds it there. Kernels call each other without a circle: no two processes can
-    wait for each other.
-    """
-    from numba.core.compiler_lock import global_compiler_lock
-    from numba.core.dispatcher import Dispatcher
-
-    from softrobot_twin.kernel_cache import kernel_folder
-
-    compile_or_load = Dispatcher.compile
-    folder = kernel_folder() / "locks"
-    folder.mkdir(parents=True, exist_ok=True)
-    held = set()
-
-    def compile_or_wait(dispatcher, signature):
-        name = f"{dispatcher.py_func.__module__}.{dispatcher.py_func.__qualname__}"
-        # Every thread takes numba's own lock first, so that no deadlock is possible.
-        with global_compiler_lock, open(folder / name, "w") as lock:
-            if name in held:
-                return compile_or_load(dispatcher, signature)
-            fcntl.flock(lock, fcntl.LOCK_EX)
-            held.add(name)
-            try:
-                return compile_or_load(dispatcher, signature)
-            finally:
-                held.discard(name)
-
-    Dispatcher.compile = compile_or_wait
+def jobs(names: Sequence[str]) -> list[Job]:
+    """Scenes with changes of entries: those of these names, else all, and the usual combinations."""
+    scenes = sorted((path.stem for path in SCENES.glob("*.yaml")), key=lambda name: name not in FIRST)
+    found: list[Job] = [(name, ()) for name in names or scenes]
+    if not names:
+        found += [
+            (scene, (f"body.element={element}", f"integration={motion}",
+                     f"body.material={{law: {law}, {constants}, poisson_ratio: 0.45, density: 1070.0}}"))
+            for motion, (law, constants), scene in product(MOTIONS, LAWS.items(), ELEMENTS)
+            for element in ELEMENTS[scene]
+        ]  # fmt: skip
+    return [*found, (README, ())]
 
 
-def warm_up(scene: Path) -> None:
-    """Builds a scene and takes every path of a step."""
+def run(job: Job):
+    """Builds a scene and takes every path of a step; what it called, if it compiled nothing."""
+    from softrobot_twin import kernel_cache, kernels_ahead
+    from softrobot_twin.control.loop_settings import LoopSettings
+    from softrobot_twin.control.twin_loop import TwinLoop
     from softrobot_twin.scene import load_scene
+    from softrobot_twin.shared_files import ScenePath
     from softrobot_twin.simulation import Simulation
 
     logging.disable(logging.WARNING)
-    Simulation(load_scene(scene)).warm_up()
+    warnings.simplefilter("ignore")
+    name, changes = job
+    if name == README:
+        return run_readme()
+    scene = load_scene(ScenePath(SCENES / f"{name}.yaml", changes))
+    simulation = Simulation(scene)
+    simulation.warm_up()
+    TwinLoop(simulation, LoopSettings()).tick(0.0, 0)
+    calls = tuple(
+        (module, kernel, pickle.dumps(signature))
+        for module, kernel, signature in kernel_cache.used.values() if "<locals>" not in kernel
+    )  # fmt: skip
+    return list(kernel_cache.used), kernels_ahead.SceneKernels(kernels_ahead.words_of(scene), calls)
 
 
-def main() -> None:
-    """Warms up all scenes."""
+def run_readme():
+    """Runs the Python of the README, and what a twin computes in idle time; see `run`."""
+    from softrobot_twin import kernel_cache
+    from softrobot_twin.scene import load_scene
+    from softrobot_twin.simulation.mesh_error import MeshErrorEstimator
+
+    MeshErrorEstimator(load_scene(SCENES / "finger.yaml")).at_rest()
+    code = (ROOT / "README.md").read_text(encoding="utf-8").partition("```python\n")[2]
+    os.environ["MPLBACKEND"] = "agg"
+    with tempfile.TemporaryDirectory() as folder:
+        os.chdir(folder)
+        exec(code.partition("```")[0], {})
+        os.chdir(ROOT)
+    return list(kernel_cache.used), None
+
+
+def in_two_processes(work: Sequence[Job], **options):
+    """What `run` returns for each job, in order, and how far it is, as text."""
     began = time.monotonic()
-    scenes = sorted(SCENES.glob("*.yaml"), key=lambda scene: scene.stem not in FIRST)
-    with get_context("spawn").Pool(2, compile_each_kernel_once) as pool:
-        for number, _ in enumerate(pool.imap_unordered(warm_up, scenes), start=1):
-            print(f"\rkernels of {number} of {len(scenes)} scenes are compiled, "
+    with get_context("spawn").Pool(2, **options) as pool:
+        for number, found in enumerate(pool.imap(run, work, chunksize=1), start=1):
+            print(f"\rkernels of {number} of {len(work)} scenes, "
                   f"{time.monotonic() - began:.0f} s", end="", flush=True)  # fmt: skip
+            yield found
     print()
 
 
+def ship(work: Sequence[Job]) -> None:
+    """Puts the entries that Python calls, which are all on disk, and their list into the package."""
+    from softrobot_twin.kernel_cache import SHIPPED, kernel_folder
+    from softrobot_twin.kernels_ahead import LIST
+
+    # A process that compiles nothing asks for what Python calls, and for nothing else.
+    found = list(in_two_processes(work, maxtasksperchild=1))
+    with ZipFile(SHIPPED, "w", ZIP_LZMA) as archive:
+        for name in sorted({name for names, _ in found for name in names}):
+            # The same entries make the same archive.
+            archive.writestr(ZipInfo(name), (kernel_folder() / name).read_bytes(), ZIP_LZMA)
+    scenes = [kernels for _, kernels in found if kernels is not None]
+    LIST.write_bytes(lzma.compress(pickle.dumps(scenes)))
+    for path in (SHIPPED, LIST):
+        print(f"wrote {path.relative_to(ROOT)}, {path.stat().st_size / 1e6:.1f} MB")
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Warms up all scenes."""
+    if arguments[:1] == ["--ship"]:
+        from softrobot_twin.kernel_cache import SHIPPED
+
+        SHIPPED.unlink(missing_ok=True)
+        work = jobs(arguments[1:])
+        for _ in in_two_processes(work):
+            pass
+        ship(work)
+    else:
+        for _ in in_two_processes([job for job in jobs(()) if not job[1] and job[0] != README]):
+            pass
+
+
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from softrobot_twin.errors import CommandError
+from softrobot_twin.kernels_ahead import help_with
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.simulation.build import build_model
 from softrobot_twin.simulation.building.model import Model
@@ -51,7 +52,7 @@ from softrobot_twin.simulation.step.step_report import (
 from softrobot_twin.simulation.step.target_trust import NO_LOADS, Approach
 from softrobot_twin.simulation.step.time_budget import StageClock, TimeBudget
 from softrobot_twin.simulation.step.time_integration import Dynamics, GeneralizedAlpha, Statics
-from softrobot_twin.simulation.warm_up import run_every_path, tell_of_compilation
+from softrobot_twin.simulation.warm_up import run_every_path
 from softrobot_twin.solvers.factorization import Factorization
 
 # Shares of a move towards targets that are tried, where a whole one folds the body or leads away
@@ -170,7 +171,7 @@ class Simulation(Readouts):
             SceneError: An entry does not fit the mesh.
             MeshError: The mesh cannot be used.
         """
-        tell_of_compilation()
+        help_with(scene)
         self.mounted = mount(scene, type(self), mounted) if scene.mounting else None
         rest = None if self.mounted is None else self.mounted.positions
         self._take(build_model(scene, factorization_type, with_warnings, rest))

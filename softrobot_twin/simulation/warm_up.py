@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import logging
-from functools import cache
-
 import numpy as np
 
-from softrobot_twin.kernel_cache import count_kept
 from softrobot_twin.simulation.command import CommandEfforts, CommandSetpoints, FollowTargets, Hold
 from softrobot_twin.simulation.step.interpretation import why_not_followed
 
@@ -15,17 +11,6 @@ from softrobot_twin.simulation.step.interpretation import why_not_followed
 TIME_STEP = 1.0e-3
 # Share of a large displacement by which actuators are moved so that they bear.
 TAUT = 1.0e-6
-
-# A simulation needs more compiled kernels than these.
-_FEW_KERNELS = 50
-
-
-@cache
-def tell_of_compilation() -> None:
-    """Say once, before a long silence, that this machine has few compiled kernels yet."""
-    if count_kept() < _FEW_KERNELS:
-        logging.getLogger("softrobot_twin").warning(
-            "softrobot_twin: kernels are compiled for this machine, once: a minute or two")
 
 
 def run_every_path(simulation) -> None:
