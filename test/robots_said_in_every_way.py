@@ -29,7 +29,7 @@ _OWN_WEIGHT = 0.05
 _BALANCED = 1.0e-6
 # How much less and how much more than the first way of a robot another way may answer.
 _CLOSED_FORM, _BEAM = (0.01, 0.01), (0.06, 0.06)
-# The bar of hexahedra between bonded faces in large compression (docs/limits.md).
+# The bar of hexahedra between bonded faces in large compression; those that are too coarse say so.
 _PRESSED = (0.25, 0.25)
 _SOLID = {"quadratic": (0.15, 0.06), "hexahedral": (0.15, 0.15), "smoothed": (0.35, 0.15),
           "linear": (0.95, 0.06)}  # fmt: skip
@@ -382,7 +382,7 @@ def block(draw: Random, _: Path) -> DrawnRobot:
         error = _PRESSED if element == "hexahedral" else _SOLID[element]
         return Way(f"{element} {cells}", error, answer)
 
-    flat = [draw.randint(2, 4), draw.randint(2, 6), draw.randint(4, 8)]
+    flat = [draw.randint(2, 4), draw.randint(2, 6), draw.randint(2, 8)]
     ways = [way("quadratic", [4, 4, 4]), way("hexahedral", flat), way("hexahedral", [4, 4, 4]),
             way("smoothed", [5, 5, 5])]  # fmt: skip
     return DrawnRobot(
