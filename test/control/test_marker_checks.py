@@ -29,7 +29,7 @@ class Frames:
         self.judge = MarkerPlausibility(simulation)
         self.random = np.random.default_rng(seed)
         self.noise, self.time = noise, 1000.0
-        places = simulation.marker_positions()
+        self.places = places = simulation.marker_positions()
         # The model is wrong by a shift of the tip and a turn about it, the less the further away.
         near = np.exp(-np.linalg.norm(places - places[4:].mean(axis=0), axis=1) / 0.05)
         turn = np.cross([0.05, -0.1, 0.15], places - places[4:].mean(axis=0))
@@ -126,6 +126,29 @@ def test_a_common_displacement_is_accepted_once_the_robot_could_have_made_it(sim
     assert frames.show(1, added=moved) == {4, 5, 6, 7}
     frames.show(5, added=moved)
     assert frames.show(50, added=moved) == set()
+
+
+def snap(frames, sign):
+    """Changes of misfits where a robot snaps: of the tip as of a body, of each leg by something else."""
+    tip, turn = sign * frames.random.uniform(0.01, 0.02, 3), frames.random.uniform(-0.1, 0.1, 3)
+    places = frames.places - frames.places[4:].mean(axis=0)
+    added = tip + np.cross(turn, places)
+    added[:4] = frames.random.uniform(0.5, 1.0, (4, 1)) * tip
+    return added
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_where_most_markers_jump_together_the_model_is_elsewhere(simulation, seed):
+    """One that is wrong is left out of such a frame, too."""
+    frames = Frames(simulation, seed)
+    frames.show(20)
+    for k in range(20):
+        assert frames.show(1, added=snap(frames, (-1) ** k)) <= {0, 1, 2, 3}
+    wrong = int(frames.random.integers(4, 8))
+    for k in range(20):
+        off = shift(wrong, by=0.03 * frames.random.choice([-1.0, 1.0], 3))
+        left_out = frames.show(1, added=snap(frames, (-1) ** k) + off)
+        assert wrong in left_out and left_out <= {0, 1, 2, 3, wrong}
 
 
 def test_a_displacement_that_no_model_error_explains_is_never_accepted(simulation):
