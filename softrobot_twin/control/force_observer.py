@@ -138,7 +138,7 @@ class ForceObserver:
         self.by_loads = np.zeros((3 * count, len(self._arms)))
         self._by_actuators = np.zeros((3 * count, 0))
         self.belief, self._blind_for = 0.0, 0.0
-        self._loads = self._next = np.zeros(len(self._arms))
+        self._loads = np.zeros(len(self._arms))
         self._covariance = self._prior
         self.stamp, self._moved, self.faded = 0, 0.0, np.zeros((count, 3))
         self.settled: State | None = None
@@ -375,8 +375,7 @@ class ForceObserver:
             after, spread, self._counts[:] = borne_next, self._prior, 0.0
         self._moved = moved
         self._loads, self._covariance = after, spread
-        self._next = borne_next
-        self._tell(self.by_loads, sum(R), weights)
+        self._tell(borne_next, sum(R), weights)
         self._mean -= (self.by_loads @ self.loads - borne).reshape(-1, 3)
         return has_moved
 
@@ -394,26 +393,12 @@ class ForceObserver:
             since: Time that has passed since the last measurement [s].
             limit: Forces that are not certain move no effector further [m].
         """
-        far = np.sort(np.linalg.norm(y.reshape(-1, 3), axis=1)[seen > 0.0])
         own = (self._entry.marker_noise or noise) ** 2 + self._entry.systematic_error**2
+        far = np.sort(np.linalg.norm(y.reshape(-1, 3), axis=1)[seen > 0.0])
         R, G = own + (DOUBT * far[len(far) // 2]) ** 2, self.by_loads
-        by_noise = 3.0 * seen.sum() * own / R
-        free, _, _ = estimate(np.zeros(len(loads)), self._prior, y, G, R, seen)
-        left, none = _squares(y - G @ free, R, seen), _squares(y, R, seen)
-        explained, left = none - left, max(left - by_noise, 0.0)
-        A = self._by_actuators
-        A = A / np.maximum(np.abs(A).max(axis=0, initial=0.0), np.finfo(float).tiny)
-        wide = self._size**2 * np.eye(A.shape[1])
-        moves, _, _ = estimate(np.zeros(A.shape[1]), wide, y, A, R, seen)
-        elsewhere = max(_squares(y - A @ moves, R, seen) - by_noise, 0.0)
-        belief, most = 0.0, GREATEST_MISFIT * self._size
-        by_marker_noise = greatest_square(len(loads)) * (self._entry.marker_noise or noise) ** 2 / R
-        if explained > max(left, by_marker_noise) and left <= elsewhere + NEARER:
-            belief = min(2.0 - 2.0 * left / explained, 1.0)
-        count = 3 * int(seen.sum())
-        by_luck = NEARER + (greatest_square(count) - count) * own / R
-        if elsewhere <= SURER * left + by_luck:
-            most = min(limit, most)
+        belief, is_certain = self._support(y, noise, own, R, seen)
+        most = GREATEST_MISFIT * self._size
+        most = most if is_certain else min(limit, most)
         moved = self._means @ (G @ loads).reshape(-1, 3)
         furthest = np.linalg.norm(moved, axis=1).max(initial=0.0)
         allowed = min(belief, most / max(furthest, np.finfo(float).tiny)) * loads
@@ -423,6 +408,35 @@ class ForceObserver:
             allowed = allowed + kept * (given - allowed)
         self.belief = max(belief, belief + kept * (self.belief - belief))
         return allowed
+
+    def _support(
+        self, y: np.ndarray, noise: float, own: float, R: float, seen: np.ndarray
+    ) -> tuple[float, bool]:
+        """How far markers support loads, and whether no motion by the actuators explains them as well.
+
+        Args:
+            y: Displacements of the markers by all loads [m], shape (3 marker_count,).
+            noise: Standard deviation of a coordinate [m].
+            own: Variance of a coordinate by noise and the model's error [m²].
+            R: The same with what a linearization may be wrong by [m²].
+            seen: 1 for each marker that is seen, else 0, shape (marker_count,).
+
+        Returns:
+            The share, 0 to 1, and whether loads of any size may move the effectors.
+        """
+        A, count = self._by_actuators, 3 * int(seen.sum())
+        A = A / np.maximum(np.abs(A).max(axis=0, initial=0.0), np.finfo(float).tiny)
+        none, by_noise = _squares(y, R, seen), count * own / R
+        unexplained = _unexplained(y, self.by_loads, self._prior, R, seen)
+        explained, left = none - unexplained, max(unexplained - by_noise, 0.0)
+        wide = self._size**2 * np.eye(A.shape[1])
+        elsewhere = max(_unexplained(y, A, wide, R, seen) - by_noise, 0.0)
+        belief, loads = 0.0, len(self._arms)
+        by_marker_noise = greatest_square(loads) * (self._entry.marker_noise or noise) ** 2 / R
+        if explained > max(left, by_marker_noise) and left <= elsewhere + NEARER:
+            belief = min(2.0 - 2.0 * left / explained, 1.0)
+        by_luck = NEARER + (greatest_square(count) - count) * own / R
+        return belief, elsewhere > SURER * left + by_luck
 
     def _notice(self, y: np.ndarray, R: float, seen: np.ndarray) -> bool:
         """Begins anew with each force that changed at once; whether one did."""
@@ -438,11 +452,10 @@ class ForceObserver:
                 has_changed = True
         return has_changed
 
-    def _tell(self, G: np.ndarray, R: float, weights: np.ndarray) -> None:
+    def _tell(self, allowed: np.ndarray, R: float, weights: np.ndarray) -> None:
         """Says what the model is to bear of what is allowed, and how sure it is."""
-        allowed = self._next
-        weighted, lag = G.T * (weights.repeat(3) / R), self.lag.ravel()
-        gain = np.linalg.solve(self._known + weighted @ G, weighted)
+        weighted, lag = self.by_loads.T * (weights.repeat(3) / R), self.lag.ravel()
+        gain = np.linalg.solve(self._known + weighted @ self.by_loads, weighted)
         off, square = self._entry.systematic_error**2 + UNSETTLED**2 * (lag @ lag) / lag.size, gain @ gain.T
         deviations = np.sqrt((self._covariance + off * square).diagonal())
         # What noise and the model's own error alone would make of no force.
@@ -589,3 +602,11 @@ def _squares(off: np.ndarray, R: float, seen: np.ndarray) -> float:
     """
     squares = (off.reshape(-1, 3) ** 2).sum(axis=1) / R
     return float(seen @ np.minimum(squares, HUBER**2))
+
+
+def _unexplained(
+    y: np.ndarray, G: np.ndarray, covariance: np.ndarray, R: float, seen: np.ndarray
+) -> float:
+    """Sum of the squares of deviations of markers that motions G of a covariance leave; see `estimate`."""
+    found, _, _ = estimate(np.zeros(G.shape[1]), covariance, y, G, R, seen)
+    return _squares(y - G @ found, R, seen)
