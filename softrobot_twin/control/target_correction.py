@@ -94,6 +94,17 @@ def approach(positions: np.ndarray, aims: np.ndarray, reach: float) -> np.ndarra
     return np.where(far, positions + shares * differences, aims)
 
 
+def shortened(vectors: np.ndarray, longest: float) -> np.ndarray:
+    """Vectors, those that are longer made as long as a limit.
+
+    Args:
+        vectors: The vectors, NaN rows stay NaN, shape (n, 3).
+        longest: Greatest length.
+    """
+    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return vectors * np.minimum(1.0, longest / np.maximum(lengths, np.finfo(float).tiny))
+
+
 def approach_poses(
     positions: np.ndarray, aims: np.ndarray, quaternions: np.ndarray, turns: np.ndarray,
     lengths: np.ndarray, reach: float,
@@ -403,11 +414,10 @@ class TargetCorrection:
         for corrections, misfits in pairs:
             seen = np.isfinite(misfits).all(axis=1)
             corrections[seen] += self._calm * share * (-misfits[seen] - corrections[seen])
-        tiny = np.finfo(float).tiny
-        lengths = np.linalg.norm(self.offsets, axis=1, keepdims=True)
-        self.offsets *= np.minimum(1.0, limit / np.maximum(lengths, tiny))
+        self.offsets[:] = shortened(self.offsets, limit)
         if misfit.turns is not None and self._lengths_per_radian is not None:
             angles = np.linalg.norm(self.turns, axis=1) * self._lengths_per_radian
+            tiny = np.finfo(float).tiny
             self.turns *= np.minimum(1.0, limit / np.maximum(angles, tiny))[:, np.newaxis]
 
     def update(

@@ -52,6 +52,7 @@ from softrobot_twin.control.target_correction import (
     TargetCorrection,
     approach,
     approach_poses,
+    shortened,
 )
 from softrobot_twin.control.target_lead import TargetLead
 from softrobot_twin.control.voices import CONTESTED_TIME, NOISE_SHARE
@@ -892,7 +893,9 @@ class TwinLoop:
             self.dynamic.measure(self.simulation.effector_positions(), late)
         elif stamp != self._measured_stamp and self._history.is_any:
             model = self._history.at(stamp)
-            found = model.effectors + self.measurement.misfit(accepted, model).positions
+            misfit = self.measurement.misfit(accepted, model).positions
+            # Markers may lie: as far as they correct a robot that stands, they move one that vibrates.
+            found = model.effectors + shortened(misfit, self.settings.correction_limit)
             self.dynamic.measure(found, (ros_time - stamp) / NANOSECONDS)
         self._measured_stamp = stamp
 

@@ -95,7 +95,7 @@ class Fast:
         stand(twin)
         self.loop.continue_from(twin.state.setpoints, twin.state.efforts, {})
         self.rng, self.tick, self.seen, self.waiting = np.random.default_rng(seed), 0, [], []
-        self.whys = []
+        self.whys, self.lie = [], lambda markers: markers
 
     @property
     def time(self):
@@ -106,7 +106,7 @@ class Fast:
         return Arrival("base_link", now - round(age * PERIOD * NANOSECONDS), now, self.time)
 
     def measure(self, age):
-        markers = self.robot.marker_positions()
+        markers = self.lie(self.robot.marker_positions())
         self.seen.append((markers + self.rng.normal(0.0, 1e-4, markers.shape), self.robot.state.setpoints))
         if len(self.seen) > age:
             found, setpoints = self.seen[-1 - age]
@@ -234,6 +234,18 @@ def test_a_robot_that_stands_is_where_it_should_be(twin, softer, curve):
     drive.run(lambda time: curve[6], 120, knows_ahead=False)
     apart = drive.run(lambda time: curve[6], 40, knows_ahead=False)
     assert np.abs(apart.mean()) < 2e-4 and set(drive.whys) == {""}
+
+
+def test_markers_that_lie_lead_a_robot_no_further_than_the_limit_of_corrections(twin, softer, curve):
+    """Mirrored about where they rest, they drive it away from its target, until they are honest again."""
+    rest, limit = softer.marker_positions(), 0.005
+    drive = Fast(twin, softer, correction_limit=limit)
+    drive.run(lambda time: curve[6], 60, knows_ahead=False)
+    drive.lie = lambda markers: 2.0 * rest - markers
+    assert drive.run(lambda time: curve[6], 60, knows_ahead=False).max() < 1.2 * limit
+    drive.lie = lambda markers: markers
+    apart = drive.run(lambda time: curve[6], 100, knows_ahead=False)
+    assert apart[-10:].max() < 5e-4
 
 
 def test_a_model_far_from_the_robot_is_told_and_statics_stand_in(twin, path):
