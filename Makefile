@@ -62,7 +62,7 @@ docs: setup ## build the documentation as a site; writes out/site
 types: setup ## check the types of the Python interface
 	$(VENV)/bin/python -m mypy
 
-kernels: setup ## compile the kernels of all scenes, on two cores
+kernels: setup ## compile the kernels of all scenes and of usual combinations, on two cores
 	$(VENV)/bin/python tools/compile_kernels.py
 
 # Of the oldest versions: all that the package names exists and takes its arguments, kernels are

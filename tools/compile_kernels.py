@@ -1,12 +1,13 @@
-"""Compiles the kernels of all scenes of this package, in two processes:
+"""Compiles the kernels of all scenes of this package and of the usual combinations, in two processes:
 
     python tools/compile_kernels.py
     python tools/compile_kernels.py --ship [SCENE...]
 
-Those that are kept on disk already are only read. With `--ship`, for a release, also those of the
-usual elements, laws and ways to move in time and of the Python of the README; then all entries that
-Python calls are put into the package as `kernels.zip`, and what the scenes called as the list by
-which processes compile ahead. Names of scenes limit the archive to these and the README.
+Combinations are those of elements, laws and ways to move in time. Kernels that are kept on disk are
+only read, and where nothing changed since the last time, nothing is done. With `--ship`, for a
+release, also those of the Python of the README; then all entries that Python calls are put into the
+package as `kernels.zip`, and what the scenes called as the list by which processes compile ahead.
+Names of scenes limit the archive to these and the README.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import tempfile
 import time
 import warnings
 from collections.abc import Sequence
+from hashlib import sha256
 from itertools import product
 from multiprocessing import get_context
 from pathlib import Path
@@ -39,6 +41,8 @@ LAWS = {
 }
 ELEMENTS = {"bar": ("linear", "smoothed", "quadratic"), "bar_hexahedra": ("hexahedral",)}
 MOTIONS = ("quasi_static", "dynamic")
+# Kernels that nobody uses for a week are deleted [s].
+KEPT = 5 * 24 * 3600
 
 Job = tuple[str, tuple[str, ...]]
 
@@ -126,6 +130,19 @@ def ship(work: Sequence[Job]) -> None:
         print(f"wrote {path.relative_to(ROOT)}, {path.stat().st_size / 1e6:.1f} MB")
 
 
+def stamp() -> Path:
+    """The file that says for some days that these sources have been here and all is compiled."""
+    import numba
+
+    from softrobot_twin.kernel_cache import kernel_folder
+
+    state = sha256(repr((sys.version, numba.__version__, numba.config.CPU_NAME)).encode())
+    for path in (Path(__file__), *sorted(SCENES.glob("*.yaml")),
+                 *sorted((ROOT / "softrobot_twin").rglob("*.py"))):  # fmt: skip
+        state.update(path.read_bytes())
+    return kernel_folder() / f"all-{state.hexdigest()[:16]}.nbc"
+
+
 def main(arguments: Sequence[str]) -> None:
     """Warms up all scenes."""
     if arguments[:1] == ["--ship"]:
@@ -136,9 +153,10 @@ def main(arguments: Sequence[str]) -> None:
         for _ in in_two_processes(work):
             pass
         ship(work)
-    else:
-        for _ in in_two_processes([job for job in jobs(()) if not job[1] and job[0] != README]):
+    elif not (done := stamp()).exists() or time.time() - done.stat().st_mtime > KEPT:
+        for _ in in_two_processes([job for job in jobs(()) if job[0] != README]):
             pass
+        done.touch()
 
 
 if __name__ == "__main__":
