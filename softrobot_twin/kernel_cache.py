@@ -384,13 +384,13 @@ class KernelCache(_Cache):
 class _FreeAfterFailure(event.Listener):
     """Frees the lock of a kernel that could not be compiled, which is not saved."""
 
-    def on_start(self, event: event.Event) -> None:
+    def on_start(self, began: event.Event) -> None:
         """Before a kernel is compiled."""
 
-    def on_end(self, event: event.Event) -> None:
+    def on_end(self, ended: event.Event) -> None:
         """After it, or after it failed."""
-        kernel = event.data["dispatcher"]
-        if isinstance(kernel._cache, KernelCache) and event.data["args"] not in kernel.overloads:
+        kernel = ended.data["dispatcher"]
+        if isinstance(kernel._cache, KernelCache) and ended.data["args"] not in kernel.overloads:
             kernel._cache.free()
 
 
