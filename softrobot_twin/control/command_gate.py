@@ -180,7 +180,7 @@ class CommandGate:
         """
         command = ActuatorCommand(np.array(setpoints, float), np.array(efforts, float))
         limits = self._limits
-        if any(part.shape != self.home.shape for part in command):
+        if not command.setpoints.shape == command.efforts.shape == self.home.shape:
             violated = ("wrong_size",)
         elif pass_command(
             *command, self.last.setpoints, self.reach(time_step), self._lowest, self._highest,

@@ -15,17 +15,12 @@ _SEVERITY = {status: place for place, status in enumerate(Status)}
 """Statuses are told in the order of their severity."""
 
 
-def _largest(before: float, now: float) -> float:
-    """The larger of two numbers; NaN where one of them is, unlike what `max` gives."""
-    return float(before if before >= now or math.isnan(before) else now)
-
-
 _LARGEST = {
-    "residual": _largest, "iterations": max, "contact_count": max, "contact_sweeps": max,
-    "contact_residual": _largest, "contact_force_residual": _largest,
-    "linearization_error": max,  # A NaN is not larger: it tells that there are no effectors.
+    "residual": True, "iterations": False, "contact_count": False, "contact_sweeps": False,
+    "contact_residual": True, "contact_force_residual": True,
+    "linearization_error": False,  # A NaN tells that there are no effectors.
 }  # fmt: skip
-"""Fields of the reports of steps whose largest value is told, and which of two is the larger."""
+"""Fields of the reports of steps whose largest value is told, and whether NaN is larger than all."""
 
 
 class DiagnosticsWindow:
@@ -90,8 +85,10 @@ class DiagnosticsWindow:
         self.add_again(outcome)
         result, report = outcome.result, outcome.result.report
         self.worst = max(self.worst, result.status, key=_SEVERITY.__getitem__)
-        for field, larger in _LARGEST.items():
-            self.largest[field] = larger(self.largest[field], getattr(report, field))
+        for field, before in self.largest.items():
+            value = getattr(report, field)
+            if value > before or (value != value and _LARGEST[field]):
+                self.largest[field] = value
         self.overloaded += report.is_overloaded
         self.late += report.is_late
         self.projected += report.projected_tangent
@@ -100,15 +97,17 @@ class DiagnosticsWindow:
         for stage, time in report.stage_times.items():
             self.stage_maxima[stage] = max(time, self.stage_maxima[stage])
         self.limits.update(report.active_limits)
-        self.strains.update({outside.key: outside for outside in report.strains})
+        if report.strains:
+            self.strains |= {outside.key: outside for outside in report.strains}
         self.violated.update(outcome.violated)
         self.blocked += bool(outcome.violated)
         if result.contacts is not None:
             self._add_contacts(result)
-        self.tracking_error_max = float(
-            np.fmax.reduce(outcome.tracking_errors, initial=self.tracking_error_max)
-        )
-        self.left_out.update(outcome.left_out)
+        for error in outcome.tracking_errors.tolist():
+            if not error <= self.tracking_error_max and not math.isnan(error):
+                self.tracking_error_max = error
+        if outcome.left_out:
+            self.left_out.update(outcome.left_out)
 
     def add_again(self, outcome: TickOutcome) -> None:
         """Adds a tick that repeats one of this window: only what is counted changes.

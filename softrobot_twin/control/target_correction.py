@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.control.inputs import Misfit
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.loop_timing import NANOSECONDS
@@ -70,6 +71,53 @@ class EffectorMisfit(NamedTuple):
     turns: np.ndarray | None = None
 
 
+@njit(**KERNEL)
+def shorten_ways(positions, aims, reach, near):
+    """Write points on the lines from positions to aims that are within reach; see `approach`.
+
+    Args:
+        positions: Positions [m], shape (effector_count, 3).
+        aims: Positions to reach [m], same shape; NaN rows stay NaN.
+        reach: Greatest distance [m].
+        near: Takes the points [m], same shape.
+
+    Returns:
+        Whether any aim is out of reach.
+    """
+    is_any_far = False
+    for e in range(len(aims)):
+        squared = 0.0
+        for axis in range(3):
+            squared += (aims[e, axis] - positions[e, axis]) ** 2
+        distance = np.sqrt(squared)
+        is_far = distance > reach
+        is_any_far |= is_far
+        for axis in range(3):
+            start, end = positions[e, axis], aims[e, axis]
+            near[e, axis] = start + reach / distance * (end - start) if is_far else end
+    return is_any_far
+
+
+@njit(**KERNEL)
+def write_distances(is_controlled, targets, predicted, measured, distances):
+    """Write the distances of effectors from their targets; see `EffectorMeasurement.errors`.
+
+    Args:
+        is_controlled: Whether each direction is controlled, shape (effector_count, 3).
+        targets, predicted, measured: Positions [m], same shape.
+        distances: Takes the distances [m], shape (effector_count,).
+    """
+    for e in range(len(targets)):
+        is_seen, squared = True, 0.0
+        for axis in range(3):
+            is_seen &= np.isfinite(measured[e, axis])
+        for axis in range(3):
+            if is_controlled[e, axis]:
+                place = measured[e, axis] if is_seen else predicted[e, axis]
+                squared += (targets[e, axis] - place) ** 2
+        distances[e] = np.sqrt(squared)
+
+
 def approach(positions: np.ndarray, aims: np.ndarray, reach: float) -> np.ndarray:
     """The points nearest to the aims that are within reach of the positions.
 
@@ -85,13 +133,8 @@ def approach(positions: np.ndarray, aims: np.ndarray, reach: float) -> np.ndarra
     Returns:
         Points on the lines to the aims [m], same shape.
     """
-    differences = aims - positions
-    distances = np.sqrt((differences * differences).sum(axis=1, keepdims=True))
-    far = distances > reach
-    if not far.any():
-        return aims
-    shares = np.divide(reach, distances, out=np.ones_like(distances), where=far)
-    return np.where(far, positions + shares * differences, aims)
+    near = np.empty_like(aims)
+    return near if shorten_ways(positions, aims, reach, near) else aims
 
 
 def shortened(vectors: np.ndarray, longest: float) -> np.ndarray:
@@ -155,6 +198,9 @@ class EffectorMeasurement:
             [axis in effector.directions for effector in simulation.scene.effectors for axis in "xyz"],
             bool,
         ).reshape(-1, 3)
+        self._nowhere = nowhere = np.full(self._controlled.shape, np.nan)
+        # The kernels are loaded before the first tick.
+        self.errors(nowhere, nowhere, approach(nowhere, nowhere, math.inf))
 
     def is_complete(self, measured: np.ndarray) -> bool:
         """True when at least one marker of every effector that has markers is visible.
@@ -172,8 +218,10 @@ class EffectorMeasurement:
             predicted: Effectors of the model [m], shape (effector_count, 3).
             misfit: Measured minus predicted markers, at the same state of the model.
         """
+        if not misfit.visible:
+            return self._nowhere
         measured = np.full_like(predicted, np.nan)
-        for effector, indices in enumerate(self._markers if misfit.visible else ()):
+        for effector, indices in enumerate(self._markers):
             vectors = misfit.vectors[indices]
             vectors = vectors[np.isfinite(vectors).all(axis=1)]
             if len(vectors):
@@ -243,9 +291,9 @@ class EffectorMeasurement:
             predicted: Effectors of the model [m], same shape.
             measured: Measured effectors [m], same shape; for NaN rows the model's are used.
         """
-        seen = np.isfinite(measured).all(axis=1, keepdims=True)
-        differences = self.differences(targets, np.where(seen, measured, predicted))
-        return np.sqrt((differences * differences).sum(axis=1))
+        distances = np.empty(len(targets))
+        write_distances(self._controlled, targets, predicted, measured, distances)
+        return distances
 
 
 def _rotation(before: np.ndarray, after: np.ndarray, least_spread: float) -> Rotation | None:

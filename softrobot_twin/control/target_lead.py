@@ -140,13 +140,14 @@ class TargetLead:
     """
 
     def __init__(self, effector_count: int):
-        self.ways = np.zeros((effector_count, 3))
+        self.ways, self._is_led = np.zeros((effector_count, 3)), False
         self.reset()
 
     def reset(self) -> None:
         """Forgets the delay and leads no target."""
-        self.ways[:], self.delay, self._stamp = 0.0, 0.0, 0
-        self._is_led = False
+        self.delay, self._stamp = 0.0, 0
+        if self._is_led:
+            self.ways[:], self._is_led = 0.0, False
 
     def follow(self, leads: np.ndarray) -> None:
         """Takes the leads of a tick.

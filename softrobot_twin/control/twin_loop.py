@@ -175,11 +175,10 @@ class Aims(NamedTuple):
     def is_approaching(self) -> bool:
         """True when an effector is sent to a point on the line to its target."""
         turns, wanted = self.turns, self.reading.orientations
-        if turns is not None and (~np.isclose(turns, wanted, equal_nan=True)).any():
-            return True
-        return self.aims is not self.wanted and bool(
-            (~self.arrived & np.isfinite(self.wanted)).any()
-        )
+        if turns is None:
+            return self.aims is not self.wanted
+        return bool((~np.isclose(turns, wanted, equal_nan=True)).any()
+                    or (~self.arrived & np.isfinite(self.wanted)).any())  # fmt: skip
 
 
 MOST_FAILURES = 3
@@ -402,6 +401,7 @@ class TwinLoop:
         self._plausibility = MarkerPlausibility(simulation)
         self._is_lost = False
         self._aimed = self._no_targets.targets
+        self._last: StepResult | None = None
         self._ticked = self._released = -math.inf
         self._measured_stamp = 0
         self._contested: dict[str, tuple[str, float]] = {}
@@ -618,6 +618,8 @@ class TwinLoop:
         """Which input two publishers send on; empty where none."""
         if self.use_device and self.device.places.is_contested(now):
             return CONTESTED
+        if not self._contested:
+            return ""
         self._contested = {
             topic: one for topic, one in self._contested.items() if now < one[1]
         }  # fmt: skip
@@ -689,7 +691,7 @@ class TwinLoop:
             self.observer.balance(() if felt is None else (felt,))
         if self.dynamic is not None:
             self.dynamic.end(self.simulation.state, activity is Activity.FOLLOWING, now)
-        predicted = self.simulation.marker_positions()
+        self._last, predicted = result, self.simulation.marker_positions()
         self._remember(ros_time, predicted, result)
         measured, misfit = self._compare(seen, activity)
         effectors = self.measurement.effectors(result.effector_positions, misfit)
@@ -791,8 +793,12 @@ class TwinLoop:
 
     def _aims(self, now: float, time_step: float) -> Aims:
         """The targets of this tick and the aims that follow from them."""
-        positions = self.simulation.effector_positions()
-        orientations, reading = self.simulation.effector_orientations(), self._no_targets
+        last, orientations = self._last, self.simulation.effector_orientations()
+        if last is not None and last.state is self.simulation.state:
+            positions = last.effector_positions
+        else:
+            positions = self.simulation.effector_positions()
+        reading = self._no_targets
         if self.targets is not None:
             reading = self.targets.read(now, time_step, positions, orientations)
             if self.correction.law is Law.MISFIT:
@@ -825,18 +831,18 @@ class TwinLoop:
             return engagement.activity, engagement.reason
         if engagement.gate.is_outside:
             return Activity.HOLDING, "measured outside the limits, returning inside"
-        loss = self._loss(now, measured)
+        loss, is_led = self._loss(now, measured), self._is_led(reading)
         self._is_lost = bool(loss)
-        cause = loss if self._contested else self._nothing_to_do(now, reading) or loss
+        cause = loss if self._contested else self._nothing_to_do(now, reading, is_led) or loss
         if cause:
             return Activity.HOLDING, cause
-        return Activity.FOLLOWING if self._is_led(reading) else Activity.COMMANDED, ""
+        return Activity.FOLLOWING if is_led else Activity.COMMANDED, ""
 
     def _is_led(self, reading: TargetReading) -> bool:
         """Whether there are targets, of places or of stiffness."""
         has_stiffness = self.stiffness is not None and self.stiffness.is_given
         return self.mode is Mode.INVERSE and (
-            has_stiffness or bool(np.isfinite(reading.targets).any())
+            has_stiffness or any(map(math.isfinite, reading.targets.flat))
         )
 
     def _loss(self, now: float, measured: np.ndarray) -> str:
@@ -850,10 +856,10 @@ class TwinLoop:
             return "markers lost"
         return ""
 
-    def _nothing_to_do(self, now: float, reading: TargetReading) -> str:
+    def _nothing_to_do(self, now: float, reading: TargetReading, is_led: bool) -> str:
         """Why there is nothing to follow; empty when there is."""
         if self.mode is Mode.INVERSE:
-            if not self._is_led(reading) and self.selected.setpoints is None:
+            if not is_led and self.selected.setpoints is None:
                 return "no target yet"
             if self.selected.is_too_old(now, self.settings.target_timeout):
                 return "no command for target_timeout"
@@ -1061,10 +1067,10 @@ class TwinLoop:
                 misfit = self.measurement.misfit(markers, model)
         targets, before = aims.reading.targets, self._aimed
         self._aimed = targets
-        stands = result.status.is_success and np.array_equal(targets, before, equal_nan=True)
+        stands = targets is before or targets.tobytes() == before.tobytes()
         loaded = None if self.observer is None else self.measurement.moved(self.observer.shifts)
         self.correction.tick(self.settings, stamp, errors, misfit, result.status,
-                             self._plausibility.noise, stands, loaded)  # fmt: skip
+                             self._plausibility.noise, stands and result.status.is_success, loaded)  # fmt: skip
 
 
 def _commands_same(result: StepResult, before: StepResult) -> bool:

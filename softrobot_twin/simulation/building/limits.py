@@ -10,7 +10,7 @@ Limits that are out of scale are warned of: a wrong unit is a factor of a thousa
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -458,13 +458,18 @@ class ActuatorLimits:
         return (np.where(by_effort, bounds.effort_min, bounds.displacement_min),
                 np.where(by_effort, bounds.effort_max, bounds.displacement_max))  # fmt: skip
 
-    def binding(self, displacements: np.ndarray, efforts: np.ndarray, bounds: Bounds) -> list[str]:
+    def binding(
+        self, displacements: np.ndarray, efforts: np.ndarray, bounds: Bounds,
+        is_slack: Callable[[], np.ndarray] | None = None,
+    ) -> list[str]:  # fmt: skip
         """Names of the active limits.
 
         Args:
             displacements: Displacements, shape (actuator_count,).
             efforts: Efforts, shape (actuator_count,).
             bounds: Bounds of this step.
+            is_slack: Tells which displacements hold nothing back, shape (actuator_count,); asked where a
+                limit is active.
 
         Returns:
             Such as ``north.shortening_max``, ``east.rate``; empty if none is active.
@@ -475,19 +480,20 @@ class ActuatorLimits:
             self._low_efforts(bounds), self._high_efforts(bounds), found,
         ):  # fmt: skip
             return []
-        sides = (found > 0).astype(int)
-        is_own = np.stack([
-            np.where(sides[:, 0], bounds.displacement_max >= self.displacement_max - margins,
-                     bounds.displacement_min <= self.displacement_min + margins),
-            np.where(sides[:, 1], bounds.effort_max >= self._most_efforts,
-                     bounds.effort_min <= self.effort_min) | ~self.is_effort_driven,
-        ], axis=1)  # fmt: skip
-        names = zip(self.limit_names, self.effort_names, strict=True)
-        return [
-            f"{name}.{words[k][sides[i, k]] if is_own[i, k] else 'rate'}"
-            for i, (name, words) in enumerate(zip(self.names, names, strict=True))
-            for k in np.flatnonzero(found[i])
-        ]
+        if is_slack is not None:
+            found[is_slack(), 0] = 0
+        names, places = [], found.nonzero()
+        for i, k, side in zip(*(one.tolist() for one in (*places, found[places] > 0))):
+            if k == 0:
+                words = self.limit_names[i]
+                is_own = (bounds.displacement_max[i] >= self.displacement_max[i] - margins[i] if side
+                          else bounds.displacement_min[i] <= self.displacement_min[i] + margins[i])
+            else:
+                words, is_own = self.effort_names[i], not self.is_effort_driven[i] or (
+                    bounds.effort_max[i] >= self._most_efforts[i] if side
+                    else bounds.effort_min[i] <= self.effort_min[i])
+            names.append(f"{self.names[i]}.{words[side] if is_own else 'rate'}")
+        return names
 
     def _high_efforts(self, bounds: Bounds) -> np.ndarray:
         """Efforts from which on the greatest one of this step counts as reached."""

@@ -45,8 +45,8 @@ class CoordinateRange(NamedTuple):
         Args:
             positions: Node positions [m], shape (node_count, 3).
         """
-        shares = (positions[self.nodes] * self.scales).ravel()
-        return math.sqrt(shares @ shares)
+        shares = positions[self.nodes] * self.scales
+        return math.sqrt(np.vdot(shares, shares))
 
 
 class SampledRanges(StepPart):
@@ -69,8 +69,10 @@ class SampledRanges(StepPart):
         """See `StepPart`."""
         shares = {name: one.ranges.max() for name, one in self._superelements.items()}
         shares |= {one.name: one.share(state.positions) for one in self._coordinates}
-        outside = (f"{name}.{SAMPLED}" for name, share in shares.items() if share > 1.0)
-        return PartReport(tuple(outside), entries={"sampled_range": max(shares.values())})
+        most, outside = max(shares.values()), ()
+        if most > 1.0:
+            outside = tuple(f"{name}.{SAMPLED}" for name, share in shares.items() if share > 1.0)
+        return PartReport(outside, entries={"sampled_range": most})
 
 
 def sampled_ranges_of(model: Model) -> Iterator[StepPart]:

@@ -389,18 +389,15 @@ class StepResults:
         On the way to targets, a cable that is not commanded and has no tension holds nothing back:
         its winch may be at a limit, which binds nothing.
         """
-        actuators, displacements = self._model.actuators, actuation.displacements
-        names = actuators.limits.binding(displacements, actuation.efforts, asked.reach)
-        if not names or not isinstance(command, FollowTargets):
-            return names
-        efforts = actuation.efforts
-        is_slack = actuators.one_sided & (efforts <= NO_EFFORT * efforts.max(initial=0.0))
-        if asked.commanded is not None:
-            is_slack &= np.isnan(asked.commanded)
-        if not is_slack.any():
-            return names
+        actuators, efforts = self._model.actuators, actuation.efforts
+
+        def is_slack() -> np.ndarray:
+            slack = actuators.one_sided & (efforts <= NO_EFFORT * efforts.max(initial=0.0))
+            return slack if asked.commanded is None else slack & np.isnan(asked.commanded)
+
+        follows = isinstance(command, FollowTargets)
         return actuators.limits.binding(
-            np.where(is_slack, np.nan, displacements), efforts, asked.reach
+            actuation.displacements, efforts, asked.reach, is_slack if follows else None
         )
 
     def _missed(self, command: Command, positions: np.ndarray) -> np.ndarray:
