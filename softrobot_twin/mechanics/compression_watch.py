@@ -31,6 +31,7 @@ import numpy as np
 from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.geometry.matrix3 import determinant, inner, trace, transposed_product
 from softrobot_twin.mechanics.element_batches import BATCH, at, matrix_at
+from softrobot_twin.mechanics.material import LameParameters
 from softrobot_twin.mechanics.strain_watch import extreme_eigenvalues
 
 SEEN = 0.95
@@ -105,10 +106,12 @@ class CompressionWatch(NamedTuple):
     Attributes:
         elements: The term.
         body: Name of their body.
+        lame: Of their material at small strains.
     """
 
     elements: object
     body: str
+    lame: LameParameters
 
     def is_too_coarse(self, positions: np.ndarray) -> bool:
         """Whether the force may be more than 25 % too high.
@@ -116,4 +119,4 @@ class CompressionWatch(NamedTuple):
         Args:
             positions: Node positions [m], shape (node_count, 3).
         """
-        return self.elements.coarseness(positions) > 1.0
+        return self.elements.coarseness(positions, self.lame) > 1.0

@@ -342,18 +342,19 @@ class Elements(ForceTerm):
         """Whether its strain varies in cells beside what the law sees, and may be large."""
         return self.mesh.shape_functions is MEAN_HEXAHEDRON and not law_of(self.law).is_linear
 
-    def coarseness(self, positions: np.ndarray) -> float:
+    def coarseness(self, positions: np.ndarray, lame: LameParameters) -> float:
         """How coarse hexahedra are for their compression, too much above 1; see `compression_watch.py`.
 
         Args:
             positions: Node positions [m], shape (node_count, 3).
+            lame: Of its material at small strains, patches of volume included.
         """
         hourglass = self.hourglass
         if self._is_stored(positions):
             F, y = hourglass.deformations, hourglass.strains
         else:
             F, _, y = hourglass.measured_at(positions)
-        return coarseness(F, self._weights[:, 0], hourglass.moduli, y, *hourglass.lame)
+        return coarseness(F, self._weights[:, 0], hourglass.moduli, y, *lame)
 
     def energy(self, positions: np.ndarray) -> float:
         """Stored elastic energy [J].

@@ -431,7 +431,6 @@ class Hourglass:
         pull: b [N], same shape; so.
         strains: y at the state that was taken last [m], same shape.
         moduli: M - m 1 [N/m], shape (batch_count, 144 × BATCH).
-        lame: Lamé's constants of small strains [Pa].
         deformations: F at that state, shape (batch_count, 9 × BATCH).
     """
 
@@ -453,7 +452,6 @@ class Hourglass:
         self._gammas = flat_batches(gammas.transpose(0, 2, 1))
         moduli, floor = divided_moduli(hourglass_moduli(fields, lame), has_floor)
         self.moduli, self._floor = flat_batches(moduli), flat_batches(floor)
-        self.lame = lame
         self._is_linear, self._rest = is_linear, node_positions
         self._cells, self._free = batches.cells, batches.free
         self._gradients = np.ascontiguousarray(batches.gradients[:, 0])

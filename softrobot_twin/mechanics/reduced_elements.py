@@ -675,16 +675,17 @@ class ReducedElements(ForceTerm):
         """See `Elements.has_varied_strain`."""
         return self._hourglass is not None and not law_of(self.law).is_linear
 
-    def coarseness(self, positions: np.ndarray) -> float:
+    def coarseness(self, positions: np.ndarray, lame: LameParameters) -> float:
         """See `Elements.coarseness`; of the sampled hexahedra.
 
         Args:
             positions: Node positions [m], shape (node_count, 3).
+            lame: See there.
         """
         if not self.knows(positions):
             self._evaluate(positions)
         own = self._hourglass
-        return coarseness(self.deformations, self._weights, own.moduli, own.strains, *own.lame)
+        return coarseness(self.deformations, self._weights, own.moduli, own.strains, *lame)
 
     def energy(self, positions: np.ndarray) -> float:
         """Stored elastic energy [J]; see `ForceTerm.energy`."""

@@ -170,7 +170,6 @@ class ReducedHourglass:
         start: See there.
         strains: y at the state that was taken last [m], shape (batch_count, 12 × BATCH).
         moduli: See there.
-        lame: See there.
     """
 
     def __init__(
@@ -195,7 +194,6 @@ class ReducedHourglass:
         moduli = own.weights[:, None, None] * hourglass_moduli(own.fields, lame)
         self.moduli = np.zeros((batch_count, ROWS_OF_MODULI * BATCH))
         self._floor = np.zeros((batch_count, BATCH))
-        self.lame = lame
         if count:
             self.moduli[:], self._floor[:] = map(flat_batches, divided_moduli(moduli, has_floor))
         self._is_linear = is_linear

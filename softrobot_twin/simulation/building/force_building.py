@@ -280,7 +280,7 @@ def _elastic_terms(layout: Layout, body: Body) -> Iterator[ForceTerm]:
             if part.strain_range is not None and not isinstance(term, PatchVolumes):
                 term.strain_watch = StrainWatch(term, part.key, body.name, part.strain_range)
             if not isinstance(term, PatchVolumes) and term.has_varied_strain:
-                term.compression_watch = CompressionWatch(term, body.name)
+                term.compression_watch = CompressionWatch(term, body.name, part.lame_parameters)
             yield term
 
 
