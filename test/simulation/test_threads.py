@@ -1,5 +1,6 @@
 """Threads of a step: the same bits for any number, and none where they would gain nothing."""
 
+import gc
 import threading
 
 import numpy as np
@@ -31,6 +32,21 @@ def test_a_run_has_the_same_bits_for_any_number_of_threads(diamond, monkeypatch)
         state = _run(simulation)
         np.testing.assert_array_equal(state.positions, one.positions)
         np.testing.assert_array_equal(state.efforts, one.efforts)
+
+
+def test_helpers_end_with_the_simulation(diamond, monkeypatch):
+    for name, value in (("LEAST_COST", 0.0), ("LEAST_GAIN", -10.0), ("GRAIN", 1e4), ("WAKE", 0.0)):
+        monkeypatch.setattr(front_tasks, name, value)
+    gc.collect()
+    before = _helpers()
+    simulation = diamond({"solver.threads": 2})
+    _run(simulation)
+    assert simulation.model.factorization.thread_count == 2
+    del simulation
+    gc.collect()
+    for helper in _helpers() - before:
+        helper.join(30.0)
+    assert not _helpers() - before
 
 
 def test_a_small_robot_starts_no_thread(diamond):

@@ -67,7 +67,8 @@ PARTS, GRAIN = 16, 1.5e5
 BLOCK, LARGE_BLOCK, LARGE_FRONT = 48, 96, 384
 FRONTS, FILL, DIAGONAL, TILE, UPDATE = range(5)
 
-# One task. `first` and `end` are fronts, or columns of one front; a tile has strips of rows, too.
+# One task. `first` and `end` are fronts, or columns of one front. `strip` and `end_strip` are rows of
+# a tile, and where a block column is filled, the matrix's blocks in it.
 TASK = np.dtype([
     (name, np.int64)
     for name in ("kind", "front", "first", "end", "strip", "end_strip", "wait_start", "wait_end")
@@ -236,12 +237,14 @@ def _cut(
         if own[s] <= grain or not cuts_fronts:
             ends[s] = [add(FRONTS, s, s, s + 1, own[s], waited)]
         else:
-            ends[s] = _cut_front(s, fronts[s], waited, add)
+            ends[s] = _cut_front(s, fronts[s], layout.block_places, waited, add)
     gather(begin, len(own), gathered)
     return tasks, waits, costs
 
 
-def _cut_front(s: int, front: np.void, waited: Sequence[int], add) -> list[int]:
+def _cut_front(
+    s: int, front: np.void, block_places: np.ndarray, waited: Sequence[int], add
+) -> list[int]:
     """Add the tasks of one front; the ones after which its update is complete."""
     columns, rows, padding, strips = (
         int(front[name]) for name in ("columns", "rows", "padding", "strips")
@@ -251,12 +254,19 @@ def _cut_front(s: int, front: np.void, waited: Sequence[int], add) -> list[int]:
     bounds = [-(-(padding + min(first + width, columns)) // STRIP) for first in firsts]
     while bounds[-1] < strips:
         bounds.append(min(bounds[-1] + width // STRIP, strips))
+    # The matrix's blocks are sorted by columns.
+    places = block_places[front["block_start"] : front["block_end"]]
+    column_of_block = (places - front["panel"]) // front["stride"]
     left: list[int] = []  # the tiles of the block column before, by rows
     last = NONE
     for j, first in enumerate(firsts):
         end = min(first + width, columns)
         size = end - first
-        fill = add(FILL, s, first, end, FRONT + STORE * size * (strips - (padding + first) // STRIP), waited)
+        blocks = int(front["block_start"]) + np.searchsorted(column_of_block, [first, end])
+        fill = add(
+            FILL, s, first, end, FRONT + STORE * size * (strips - (padding + first) // STRIP),
+            waited, *blocks,
+        )  # fmt: skip
         height = bounds[j] - (padding + first) // STRIP
         depth = 0.5 * (first + end)
         cost = BAR * size / WIDE + size * height * (STORE + MULTIPLY * depth)
@@ -334,9 +344,12 @@ def factorize_by_tasks(
             if failed_at != SUCCESS:
                 state[NOTED] = failed_at + 1
         elif task.kind == FILL:
-            fill_columns(front, task.first, task.end, panels_at, storage, block_places)
+            fill_columns(
+                front, task.first, task.end, task.strip, task.end_strip, panels_at, storage,
+                block_places,
+            )  # fmt: skip
             add_to_panel(
-                front, task.first, task.end, fronts, children, runs, panels_at, updates_at
+                front, True, task.first, task.end, fronts, children, runs, panels_at, updates_at
             )
         elif task.kind == DIAGONAL:
             if not factor_panel(
@@ -351,7 +364,7 @@ def factorize_by_tasks(
             )
         else:
             make_update_columns(
-                front, task.first, task.end, fronts, children, runs, panels_at, updates_at
+                front, True, task.first, task.end, fronts, children, runs, panels_at, updates_at
             )
         finish(number, done)
         number = take(state)

@@ -15,6 +15,8 @@ there are never read by anything else.
 Arguments of the kernels here:
     front: Layout of one front.
     first, start, end: Fronts, or columns of one front.
+    are_some: Whether the columns are not all; a constant, so that all need no code for it.
+    first_block, end_block: The matrix's blocks in these columns.
     panels_at, updates_at: Addresses of the panels and of the updates.
     fronts, children, runs, block_places, storage, panels, updates, triangles: See `factorize`.
 """
@@ -146,8 +148,13 @@ def factor_fronts(
     for s in range(first, end):
         front = fronts[s]
         panel = panels_at + 8 * front.panel
-        fill_columns(front, 0, front.columns, panels_at, storage, block_places)
-        add_to_panel(front, 0, front.columns, fronts, children, runs, panels_at, updates_at)
+        fill_columns(
+            front, 0, front.columns, front.block_start, front.block_end, panels_at, storage,
+            block_places,
+        )  # fmt: skip
+        add_to_panel(
+            front, False, 0, front.columns, fronts, children, runs, panels_at, updates_at
+        )
         if not factor_panel(
             panel, front.stride, front.padding, 0, front.columns, front.strips,
             triangles_at + 8 * front.triangles,
@@ -155,13 +162,14 @@ def factor_fronts(
             return s
         if front.rows > front.columns:
             make_update_columns(
-                front, front.columns, front.rows, fronts, children, runs, panels_at, updates_at
-            )
+                front, False, front.columns, front.rows, fronts, children, runs, panels_at,
+                updates_at,
+            )  # fmt: skip
     return SUCCESS
 
 
 @njit(**INNER)
-def make_update_columns(front, start, end, fronts, children, runs, panels_at, updates_at):
+def make_update_columns(front, are_some, start, end, fronts, children, runs, panels_at, updates_at):
     """Columns of a front's update, those of its children's updates included."""
     update = updates_at + 8 * front.update
     make_update(
@@ -173,40 +181,40 @@ def make_update_columns(front, start, end, fronts, children, runs, panels_at, up
     for k in range(front.child_start, front.child_end):
         child = fronts[children[k]]
         _add_update(
-            updates_at, child, runs, child.run_split, child.run_end, start, end, entry,
+            updates_at, child, runs, child.run_split, child.run_end, are_some, start, end, entry,
             front.update_stride,
         )  # fmt: skip
 
 
 @njit(**INNER)
-def fill_columns(front, start, end, panels_at, storage, block_places):
+def fill_columns(front, start, end, first_block, end_block, panels_at, storage, block_places):
     """Clear the lower part of columns of the panel, and copy the matrix's blocks into them."""
     panel, storage_at = panels_at + 8 * front.panel, address(storage)
     for column in range(start, end):
         strip = (front.padding + column) // STRIP
         clear_strips(panel + 8 * column * front.stride + STRIP_BYTES * strip, front.strips - strip)
-    first, last = front.panel + start * front.stride, front.panel + end * front.stride
-    for p in range(front.block_start, front.block_end):
-        if first <= block_places[p] < last:
-            place_block(
-                panels_at + 8 * block_places[p], front.stride, storage_at + _BLOCK_BYTES * p
-            )
+    for p in range(first_block, end_block):
+        place_block(
+            panels_at + 8 * block_places[p], front.stride, storage_at + _BLOCK_BYTES * p
+        )
 
 
 @njit(**INNER)
-def add_to_panel(front, start, end, fronts, children, runs, panels_at, updates_at):
+def add_to_panel(front, are_some, start, end, fronts, children, runs, panels_at, updates_at):
     """Add the updates of a front's children to columns of its panel."""
     entry = panels_at + 8 * (front.panel + front.padding)
     for k in range(front.child_start, front.child_end):
         child = fronts[children[k]]
         _add_update(
-            updates_at, child, runs, child.run_start, child.run_split, start, end, entry,
+            updates_at, child, runs, child.run_start, child.run_split, are_some, start, end, entry,
             front.stride,
         )  # fmt: skip
 
 
 @njit(**INNER)
-def _add_update(updates_at, child, runs, first_run, end_run, start, end, entry, stride):
+def _add_update(
+    updates_at, child, runs, first_run, end_run, are_some, start, end, entry, stride
+):
     """Add those columns of a child's update that certain runs hold (extend-add).
 
     Args:
@@ -215,6 +223,7 @@ def _add_update(updates_at, child, runs, first_run, end_run, start, end, entry, 
         runs: Where updates go.
         first_run: First of the runs.
         end_run: End of the runs; the rows continue to the child's last run.
+        are_some: Whether not all of these columns are added to, but those from `start` to `end`.
         start: First column of the parent's front that is added to.
         end: End of these columns.
         entry: Address of entry (0, 0) of the parent's front.
@@ -224,7 +233,10 @@ def _add_update(updates_at, child, runs, first_run, end_run, start, end, entry, 
     source_step, step = 8 * (1 + child.update_stride), 8 * (1 + stride)
     for k in range(first_run, end_run):
         run = runs[k]
-        for column in range(max(0, start - run.target), min(run.count, end - run.target), 3):
+        first, last = 0, run.count
+        if are_some:
+            first, last = max(first, start - run.target), min(last, end - run.target)
+        for column in range(first, last, 3):
             source_column, column_there = run.source + column, run.target + column
             source = source_entry + source_step * source_column
             target = entry + step * column_there
