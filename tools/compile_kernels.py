@@ -21,6 +21,7 @@ import tempfile
 import time
 import warnings
 from collections.abc import Sequence
+from contextlib import suppress
 from hashlib import sha256
 from itertools import product
 from multiprocessing import get_context
@@ -62,23 +63,38 @@ def jobs(names: Sequence[str]) -> list[Job]:
 
 
 def run(job: Job):
-    """Builds a scene and takes every path of a step; what it called, if it compiled nothing."""
-    from softrobot_twin import kernel_cache, kernels_ahead
-    from softrobot_twin.control.loop_settings import LoopSettings
-    from softrobot_twin.control.twin_loop import TwinLoop
-    from softrobot_twin.scene import load_scene
-    from softrobot_twin.shared_files import ScenePath
-    from softrobot_twin.simulation import Simulation
+    """What a job called from Python, if nothing had to be compiled.
+
+    Raises:
+        RuntimeError: The scene cannot be built; other errors do not pass from process to process.
+    """
+    from softrobot_twin.errors import SoftRobotTwinError
 
     logging.disable(logging.WARNING)
     warnings.simplefilter("ignore")
     name, changes = job
-    if name == README:
-        return run_readme()
+    try:
+        return run_readme() if name == README else run_scene(name, changes)
+    except SoftRobotTwinError as error:
+        raise RuntimeError(f"{name} {' '.join(changes)}: {error}") from None
+
+
+def run_scene(name: str, changes: Sequence[str]):
+    """Builds a scene and takes every path of a step and a tick; see `run`."""
+    from softrobot_twin import kernel_cache, kernels_ahead
+    from softrobot_twin.control.loop_settings import LoopSettings, Mode
+    from softrobot_twin.control.twin_loop import TwinLoop
+    from softrobot_twin.errors import ParameterError
+    from softrobot_twin.scene import load_scene
+    from softrobot_twin.shared_files import ScenePath
+    from softrobot_twin.simulation import Simulation
+
     scene = load_scene(ScenePath(SCENES / f"{name}.yaml", changes))
     simulation = Simulation(scene)
     simulation.warm_up()
-    TwinLoop(simulation, LoopSettings()).tick(0.0, 0)
+    for mode in Mode:
+        with suppress(ParameterError):  # Not every scene has all modes.
+            TwinLoop(simulation, LoopSettings(), mode).tick(0.0, 0)
     calls = tuple(
         (module, kernel, pickle.dumps(signature))
         for module, kernel, signature in kernel_cache.used.values() if "<locals>" not in kernel
