@@ -13,7 +13,10 @@ from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.simulation import Simulation
 
 GREATEST_MISFIT = 0.25
-"""A marker further from the model than this share of the robot's size is never accepted."""
+"""A marker further from the model than this share of the robot's size is not accepted."""
+FARTHEST_MISFIT = 1.0
+"""Nor is one further than this, where most markers are elsewhere and others show that the robot is still
+held: a camera that has moved displaces all of them."""
 STRAIN = 0.35
 """Greatest difference of the misfits of two markers, relative to their distance."""
 JUMP_SHARE = 0.01
@@ -44,12 +47,13 @@ class MarkerPlausibility:
     most markers around it, no faster than the robot moves. This common change is the median over
     the markers around; one wrong marker of four does not change the median, nor do two markers with
     swapped ids. Where that leaves out more than half of the markers that are seen, those that changed
-    together are accepted at any speed: a robot, or its model, snaps to another equilibrium in one frame.
+    together are accepted at any speed, and further from the model as long as others are near it: a
+    robot, or its model, snaps to another equilibrium in one frame.
 
     When most markers around share a displacement, it is accepted as soon as a robot that moves one
     size per second could have made it. The displacement of a single marker is accepted after
     `ACCEPT_AFTER` if a rotation of the body explains its difference from the others, otherwise
-    never. A misfit of more than `GREATEST_MISFIT` of the size is never accepted. Markers that are
+    never. Otherwise a misfit of more than `GREATEST_MISFIT` of the size is not accepted. Markers that are
     not accepted are reported.
 
     Args:
@@ -141,9 +145,7 @@ class MarkerPlausibility:
         noise = NOISE_FACTOR * self.noise
         tolerance = noise + JUMP_SHARE * self._size
         with np.errstate(invalid="ignore"):
-            possible = self._is_possible(misfits, medians[:, 3:6], noise)
-            if bare is not None:
-                possible |= self._is_possible(bare, medians[:, 6:], noise)
+            possible = self._is_possible(GREATEST_MISFIT, noise, misfits, bare, medians[:, 3:])
             as_before = as_seen <= tolerance
             speed = SPEED_SHARE * self._size * (now - self._accepted_at)
             together = apart <= tolerance + STRAIN * shared
@@ -152,6 +154,8 @@ class MarkerPlausibility:
         accepted = seen & possible & (~known | as_before | as_others | for_long)
         if 2 * accepted.sum() < seen.sum():
             # Not so many are wrong: the robot or its model has snapped.
+            if np.nanmin(np.linalg.norm(misfits, axis=1)) <= GREATEST_MISFIT * self._size:
+                possible = self._is_possible(FARTHEST_MISFIT, noise, misfits, bare, medians[:, 3:])
             accepted |= seen & possible & in_company & together
         self._out = seen & ~accepted
         self.left_out = tuple(self._ids[self._out].tolist())
@@ -162,11 +166,26 @@ class MarkerPlausibility:
         self._seen_at[seen] = now
         self._learn(misfits, accepted, known, now)
 
-    def _is_possible(self, misfits, typical, noise: float) -> np.ndarray:
-        """Whether each marker is near enough to the model, and no further bent than others."""
-        bent = np.linalg.norm(misfits - typical, axis=1)
-        near = np.linalg.norm(misfits, axis=1) <= GREATEST_MISFIT * self._size + noise
-        return near & (bent <= self._bend + STRAIN * np.linalg.norm(typical, axis=1) + noise)
+    def _is_possible(
+        self, farthest: float, noise: float, misfits: np.ndarray, bare: np.ndarray | None,
+        typical: np.ndarray,
+    ) -> np.ndarray:  # fmt: skip
+        """Whether each marker is near enough to either model, and no further bent than others.
+
+        Args:
+            farthest: How far it may be from the model, as a share of the robot's size.
+            noise: What is allowed for noise [m].
+            misfits: See `judge`.
+            bare: See `judge`.
+            typical: Medians of these two over the markers around, shape (marker_count, 3 or 6).
+        """
+        possible = np.zeros(len(misfits), bool)
+        for index, one in enumerate([misfits] if bare is None else [misfits, bare]):
+            common = typical[:, 3 * index : 3 * index + 3]
+            bent = np.linalg.norm(one - common, axis=1)
+            near = np.linalg.norm(one, axis=1) <= farthest * self._size + noise
+            possible |= near & (bent <= self._bend + STRAIN * np.linalg.norm(common, axis=1) + noise)
+        return possible
 
     def _learn(self, misfits, accepted, known, now: float) -> None:
         fresh = accepted & (~known | (now - self._accepted_at >= ACCEPT_AFTER))

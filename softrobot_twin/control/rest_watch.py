@@ -226,7 +226,7 @@ def _middle(values: np.ndarray) -> np.ndarray:
 def sample_of(
     loop: TwinLoop, now: float, time: float, command: np.ndarray | None, forces: np.ndarray | None
 ) -> Sample:
-    """What a loop commands and measures.
+    """What a loop commands, and measures as far as it is plausible.
 
     Args:
         loop: The loop.
@@ -241,7 +241,7 @@ def sample_of(
     setpoints = np.array(device.setpoints) if is_fresh else none
     efforts = np.array(device.efforts) if is_fresh and device.efforts is not None else none
     commanded = setpoints if command is None else command
-    markers = simulation.scene.marker_frame.of_cameras(np.array(loop.markers.measured(now)))
+    markers = simulation.scene.marker_frame.of_cameras(np.array(loop.plausible_markers(now)))
     effectors = np.full((len(simulation.effector_names), 3), np.nan)
     felt = np.zeros((len(simulation.touch_names), 3)) if forces is None else np.nan_to_num(forces)
     return Sample(time, np.array(commanded), RestPose(setpoints, markers, effectors, efforts, felt))

@@ -658,6 +658,14 @@ class TwinLoop:
         closed = self.settings.closed_loop and self.mode is Mode.INVERSE
         return closed and not self.measurement.is_complete(measured)
 
+    def plausible_markers(self, now: float) -> np.ndarray:
+        """Measured markers [m], shape (marker_count, 3); NaN for hidden and implausible ones.
+
+        Args:
+            now: Time on the clock of `Arrival.time` [s].
+        """
+        return self._plausibility.without_left_out(self.markers.measured(now))
+
     def tick(self, now: float, ros_time: int) -> TickOutcome:
         """One tick.
 

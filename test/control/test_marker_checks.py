@@ -10,6 +10,7 @@ from softrobot_twin.control.engagement import Activity
 from softrobot_twin.control.loop_settings import WhenLost
 from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.control.marker_checks import ACCEPT_AFTER, MarkerPlausibility
+from softrobot_twin.control.rest_watch import sample_of
 from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
 from softrobot_twin.control.target_path import Circle
 
@@ -151,6 +152,21 @@ def test_where_most_markers_jump_together_the_model_is_elsewhere(simulation, see
         assert wrong in left_out and left_out <= {0, 1, 2, 3, wrong}
 
 
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_body_that_snaps_further_than_a_quarter_of_the_robot_is_seen_where_some_markers_stay(
+    simulation, seed
+):
+    """Of a camera that has moved, none does; so it is told by one marker near the clamps."""
+    frames = Frames(simulation, seed)
+    frames.show(20)
+    far = np.tile([0.06, 0.04, -0.04], (8, 1)) + frames.random.uniform(-2e-3, 2e-3, (8, 3))
+    assert frames.show(10, added=far) == set(range(8))
+    far[:2] *= 0.1
+    assert frames.show(10, added=far) <= {0, 1}
+    frames.show(60)
+    assert frames.show(10) == set()
+
+
 def test_a_displacement_that_no_model_error_explains_is_never_accepted(simulation):
     frames = Frames(simulation)
     frames.show(50)
@@ -258,6 +274,14 @@ def test_a_permanently_wrong_marker_does_not_move_the_tip_and_is_named(drive, si
         assert set(window.left_out) == wrong and min(window.left_out.values()) == 150
         assert np.isnan(driver.outcomes[-1].measured_markers[sorted(wrong)]).all()
         closed.tick(100)
+
+
+def test_a_marker_that_is_left_out_is_hidden_in_poses_for_calibration(drive):
+    closed = ClosedLoop(drive(**CLOSED))
+    closed.tick(50)
+    closed.tick(2, shift(5, by=[0.02, 0.0, 0.0]))
+    sample = sample_of(closed.driver.loop, closed.driver.time, 0.0, None, None)
+    assert np.isnan(sample.seen.markers).all(axis=1).tolist() == [k == 5 for k in range(8)]
 
 
 def test_an_effector_whose_markers_are_all_implausible_is_lost(drive):
