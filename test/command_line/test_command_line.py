@@ -112,7 +112,7 @@ def test_one_blas_thread_is_chosen_before_numpy_is_imported():
             "import softrobot_twin.mechanics.gravity")
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=environment,
                           capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["1"]
+    assert set(done.stdout.split()) == {"1"}  # Whether it is there is asked before, too.
 
 
 def test_products_take_one_thread_also_where_numpy_was_imported_before_the_package():
