@@ -16,11 +16,14 @@ import time
 from collections.abc import Callable
 
 import numba
-from numba.core import config
+from numba import types
+from numba.core import config, sigutils
 from numba.core import event as events
+from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher, cpu_target
 
 from softrobot_twin.kernel_cache import KernelCache
+from softrobot_twin.machine_code import Codegen
 
 # Where numba was imported before this package, it has begun to compile for another processor.
 config.reload_config()
@@ -41,6 +44,9 @@ INNER = {**KERNEL, "only_kernels_call": True, "forceinline": True}
 INLINED = {**INNER, "forceinline": True}
 """Options of a small kernel that becomes a part of each kernel that calls it."""
 
+ONCE = {**INNER, "inline": "always"}
+"""Options of a kernel that is called at one place: numba reads it there, as a part of its caller."""
+
 UNCACHED = {**KERNEL, "cache": False}
 """Options of a kernel that takes laws from outside this package; it is not kept on disk."""
 
@@ -51,11 +57,97 @@ GENERIC = {**INLINED, "cache": False}
 """As `INNER_UNCACHED`, inlined."""
 
 
-class Kernel(CPUDispatcher):
+def _codegen() -> Codegen:
+    return cpu_target.target_context.codegen()
+
+
+_codegen().__class__ = Codegen
+
+
+def kind_of(argument: types.Type) -> types.Type:
+    """The type for which a kernel is compiled that is called with a type.
+
+    Args:
+        argument: The type of an argument.
+    """
+    kind = types.unliteral(argument)
+    if isinstance(kind, types.Array):
+        return kind.copy(readonly=False)
+    if isinstance(kind, types.BaseTuple):
+        return types.BaseTuple.from_types(
+            tuple(map(kind_of, kind)), getattr(kind, "instance_class", None))  # fmt: skip
+    return kind
+
+
+class _AnyKernel(CPUDispatcher):
+    """A kernel that is compiled once for all numbers, and for arrays whether read-only or not.
+
+    numba compiles a kernel anew for each number that is written where it is called, though LLVM
+    finds the number when it inlines the kernel; and for arrays that are read-only, to refuse
+    kernels that write them. Here a kernel may write only what its docstring says.
+
+    Attributes:
+        ready: Types of arguments with which Python can call it.
+    """
+
+    ready: set[tuple]
+
+    def get_call_template(self, args: tuple, kws: dict) -> tuple:
+        """Finds, or compiles, what a call in another kernel needs.
+
+        Args:
+            args: Types of the arguments.
+            kws: Types of those that are named.
+        """
+        kws = {name: kind_of(argument) for name, argument in kws.items()}
+        codegen = _codegen()
+        was, codegen.is_for_kernels = codegen.is_for_kernels, True
+        try:
+            return super().get_call_template(tuple(map(kind_of, args)), kws)
+        finally:
+            codegen.is_for_kernels = was
+
+    def add_overload(self, cres) -> None:
+        """Takes what was compiled, or read from disk.
+
+        Args:
+            cres: numba's result.
+        """
+        self.overloads[tuple(cres.signature.args)] = cres
+
+    def compile(self, sig: tuple) -> object:
+        """Finds, or compiles, what a call needs.
+
+        Args:
+            sig: Types of the arguments.
+        """
+        arguments, _ = sigutils.normalize_signature(sig)
+        kinds = tuple(map(kind_of, arguments))
+        with global_compiler_lock:
+            compiled = super().compile(kinds)
+            if _codegen().is_for_kernels:
+                return compiled
+            result = self.overloads[kinds]
+            if not result.library.is_machine_code:
+                # So far only kernels called it.
+                compiled = self.targetctx.get_executable(
+                    result.library, result.fndesc, result.environment)  # fmt: skip
+                self.targetctx.insert_user_function(compiled, result.fndesc, [result.library])
+                self.overloads[kinds] = result._replace(entry_point=compiled)
+            if result.library.is_unsaved:
+                self._cache.save_overload(kinds, result)
+            # numba takes none of two that are the same.
+            if arguments not in self.ready:
+                self.ready.add(arguments)
+                self._insert([argument._code for argument in arguments], compiled, False)
+            return compiled
+
+
+class Kernel(_AnyKernel):
     """A kernel that Python calls. `traced_stage` gives it another `__call__` while it records."""
 
 
-class InnerKernel(CPUDispatcher):
+class InnerKernel(_AnyKernel):
     """A kernel that only kernels call. numba crashes where Python calls such a kernel."""
 
     def __call__(self, *arguments):
@@ -64,7 +156,7 @@ class InnerKernel(CPUDispatcher):
         Raises:
             TypeError: Always.
         """
-        raise TypeError(f"{self.py_func.__name__} is called by kernels only (INNER, INLINED)")
+        raise TypeError(f"{self.py_func.__name__} is called by kernels only (INNER, INLINED, ONCE)")
 
 
 def njit(**options: object) -> Callable[[Callable], CPUDispatcher]:
@@ -84,6 +176,7 @@ def njit(**options: object) -> Callable[[Callable], CPUDispatcher]:
         if is_kept and function.__module__.startswith(_PACKAGE):
             kernel._cache = KernelCache(function)
         kernel.__class__ = InnerKernel if is_inner else Kernel
+        kernel.ready = set()
         _progress.known += 1
         return kernel
 

@@ -43,6 +43,8 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 
+from softrobot_twin.machine_code import Library
+
 if TYPE_CHECKING:
     from zipfile import ZipFile
 
@@ -226,23 +228,32 @@ def _modules_of_types(type_: types.Type) -> Iterator[str]:
             yield from _modules_of_types(part)
 
 
-class KeptLibrary(JITCodeLibrary):
+class KeptLibrary(Library):
     """Machine code from the disk. Its bitcode is parsed when a kernel is compiled that calls it."""
 
-    def __init__(self, codegen, state, names) -> None:
-        """Load the machine code.
+    def __init__(self, codegen, state, names, environments) -> None:
+        """Take the machine code.
 
         Args:
-            codegen: numba's, of the machine that the code is for.
+            codegen: That of `machine_code`, of the machine that the code is for.
             state: As `serialize_using_object_code` gives it.
             names: Functions that Python or a driver may call.
+            environments: Names of the places of its objects of Python.
         """
         name, _, (code, self._bitcode) = state
         super().__init__(codegen, name)
+        self._code, self._environments, self._finalized = code, environments, True
+        self._names = {one for one in names if one.encode() in code}
+
+    def _has(self, name):
+        return name in self._names
+
+    def _make_machine_code(self):
         self.enable_object_caching()
-        self._set_compiled_object(code)
-        self._finalize_final_module()
-        codegen._engine._defined_symbols |= {one for one in names if one.encode() in code}
+        self._set_compiled_object(self._code)
+        JITCodeLibrary._finalize_final_module(self)
+        self._codegen._engine._defined_symbols |= {*self._names, *self._environments}
+        self._codegen.set_environments(self._environments)
 
     def _get_module_for_linking(self):
         self._shared_module = self._shared_module or llvmlite.binding.parse_bitcode(self._bitcode)
@@ -324,8 +335,13 @@ class KernelCache(_Cache):
         state, fndesc, own, signature, _, lifted, annotation, begins, others = pickle.loads(code)
         for begin in begins:
             begin()
-        names = fndesc.llvm_func_name, fndesc.llvm_cpython_wrapper_name
-        library = KeptLibrary(target_context.codegen(), state, names)
+        codegen = target_context.codegen()
+        if state[1] == "object":
+            names = fndesc.llvm_func_name, fndesc.llvm_cpython_wrapper_name
+            places = [environment.env_name for environment in (own, *others)]
+            library = KeptLibrary(codegen, state, names, places)
+        else:
+            library = codegen.unserialize_library(state)
         result = CompileResult(
             target_context=target_context, typing_context=target_context.typing_context,
             entry_point=target_context.get_executable(library, fndesc, own), library=library,
@@ -333,8 +349,6 @@ class KernelCache(_Cache):
             lifted=lifted, reload_init=begins, referenced_envs=others, objectmode=False,
             typing_error=None, call_helper=None, metadata=None,
         )  # fmt: skip
-        for environment in others:
-            library.codegen.set_env(environment.env_name, environment)
         return result
 
     def save_overload(self, sig, data) -> None:

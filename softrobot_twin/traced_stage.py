@@ -30,7 +30,7 @@ from numba.core import cgutils
 from numba.core.registry import cpu_target
 from numba.extending import intrinsic
 
-from softrobot_twin.compilation import KERNEL, Kernel, njit
+from softrobot_twin.compilation import KERNEL, Kernel, kind_of, njit
 
 # Traces that may differ from the one before; after as many a stage runs in Python as often
 # as told here, and twice as often each time, up to the last number. So many runs by the driver make
@@ -335,7 +335,7 @@ def _laid_out(trace: Trace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
     calls, words = [], []
     for (kernel, given, _), own in zip(trace.calls, trace.words):
-        address, is_float = _entry(kernel, tuple(map(typeof, given)))
+        address, is_float = _entry(kernel, tuple(kind_of(typeof(one)) for one in given))
         loaded, stack = _loaded(own[RETURNED:], is_float)
         calls.append((address, len(words), stack))
         words += own[:RETURNED] + loaded

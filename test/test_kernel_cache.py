@@ -81,7 +81,7 @@ def small_package(tmp_path) -> Path:
     folder.mkdir(parents=True)
     for name, content in SMALL_PACKAGE.items():
         (folder / f"{name}.py").write_text(content)
-    for name in ("compilation.py", "kernel_cache.py"):
+    for name in ("compilation.py", "kernel_cache.py", "machine_code.py"):
         shutil.copy(PACKAGE / name, folder)
     return folder
 

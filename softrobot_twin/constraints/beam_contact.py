@@ -20,7 +20,6 @@ from softrobot_twin.geometry.round_axes import (
 )
 from softrobot_twin.geometry.shapes.distance_kernels import place_frame
 from softrobot_twin.geometry.vector3 import row, subtract
-from softrobot_twin.mechanics.barycentric import writable
 
 
 @njit(**KERNEL)
@@ -127,7 +126,7 @@ class RoundBeam:
             positions: Node positions [m], shape (node_count, 3).
         """
         write_axis(
-            writable(positions), self._frames, self._local_places, self._local_tangents,
+            positions, self._frames, self._local_places, self._local_tangents,
             self._axis.places, self._axis.tangents,
         )  # fmt: skip
         return self._axis
@@ -138,7 +137,6 @@ class RoundBeam:
 
     def carry(self, positions, points, weights, places, *where) -> None:
         """See `DeformableSurface.carry`; points are elements, weights shares along them."""
-        positions = writable(positions)
         carry_by_axis(
             positions, self.axis(positions), self._frames, self._local_places,
             self._local_tangents, points, weights, places, *where,

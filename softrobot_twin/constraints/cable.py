@@ -43,7 +43,7 @@ from softrobot_twin.geometry.matrix3 import (
     set_rows,
 )
 from softrobot_twin.geometry.vector3 import divided, dot, negated, norm, row, scaled, set_row
-from softrobot_twin.mechanics.barycentric import BarycentricMapping, writable
+from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.force_term import DenseRows
 from softrobot_twin.mechanics.kinematics import (
     CarriedPoints,
@@ -391,7 +391,7 @@ class Cables(ConstraintTerm):
 
         Projected, it omits the second-order rotation of points on free rigid bodies.
         """
-        tensions = writable(multipliers)
+        tensions = multipliers
         if self._bound is not None:
             add_stiffness_kernel(
                 positions, self._nodes, self._coefficients, self._constants, self._least,

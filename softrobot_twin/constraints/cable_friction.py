@@ -45,7 +45,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, njit
+from softrobot_twin.compilation import INNER, KERNEL, ONCE, njit
 from softrobot_twin.constraints.cable import CablePath, add_stiffness_kernel
 from softrobot_twin.constraints.elastic_cable import ElasticCables
 from softrobot_twin.constraints.row_stack import add_row_forces
@@ -131,7 +131,7 @@ def write_beyond(lengths, strains, beyond):
         beyond[s] = total
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def write_slopes(lengths, angles, tensions, flexibility, friction, presliding, slopes):
     """∂F/∂z of one cable, F = s_0 (z - z_begin) - u: s_0 + K D; its first segment has no point.
 
@@ -157,7 +157,7 @@ def write_slopes(lengths, angles, tensions, flexibility, friction, presliding, s
         slopes[s, s] += presliding
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def write_misses(shares, begin_shares, beyond, begin_beyond, presliding, misses):
     """F of each point of one cable.
 
@@ -208,7 +208,7 @@ def potential(winch, lengths, turns, flexibility, presliding, begin_shares, begi
     return total, size
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def bounded_change(shares, misses, slopes, turns, round_off, change):
     """Newton's change of the shares of one cable within their bounds, by a primal active set.
 
@@ -271,7 +271,7 @@ def bounded_change(shares, misses, slopes, turns, round_off, change):
         held[released] = False
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def solve_shares(
     winch, lengths, angles, friction, flexibility, presliding, begin_shares, begin_beyond, shares,
     tensions, strains, beyond,
@@ -338,7 +338,7 @@ def solve_shares(
     shares[0] = 0.0
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def write_rates(
     winch, lengths, angles, friction, flexibility, presliding, shares, tensions, strains,
     force_slopes, length_slopes, stick,
@@ -412,7 +412,7 @@ def write_rates(
     return compliance
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def ratio_at(segment, friction, angles, shares):
     """T_s / λ of one segment.
 

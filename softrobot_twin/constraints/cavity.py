@@ -12,7 +12,6 @@ import numpy as np
 
 from softrobot_twin.constraints.constraint_term import ConstraintTerm
 from softrobot_twin.constraints.row_stack import add_row_forces
-from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.cavity_surfaces import CavitySurface, CavitySurfaces
 from softrobot_twin.mechanics.kinematics import CarriedPoints, FoldedStiffness
 from softrobot_twin.mechanics.stencil import bind_stencils
@@ -85,7 +84,7 @@ class Cavities(ConstraintTerm):
         """
         if projected or not multipliers.any():
             return
-        folded, pressures = self._folded, writable(multipliers)
+        folded, pressures = self._folded, multipliers
         if folded is None:
             self.walls.add_stiffness(positions, pressures, storage)
             return

@@ -20,7 +20,6 @@ from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.constraints.constraint_term import VaryingTerm
 from softrobot_twin.constraints.contact_pairs import NO_NODE, RigidSurface
 from softrobot_twin.geometry.proximities import empty_proximities
-from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.traced_stage import TracedStages
 
 FIRST_ROOM = 64
@@ -41,7 +40,7 @@ SLIPS = 1.0 - 1.0e-6
 STEEP = 0.617
 
 
-@njit(**KERNEL)
+@njit(**KERNEL, inline="always")
 def put_tangents(normals, count, directions):
     """Normal and two tangents of each contact, the same for the same normal.
 
@@ -91,7 +90,7 @@ def apart(x, nodes, coefficients, c):
     return r0, r1, r2
 
 
-@njit(**KERNEL)
+@njit(**KERNEL, inline="always")
 def anchor(x, start, nodes, coefficients, directions, gaps, count, anchors, begins):
     """Reference of each contact's gap and of its displacement.
 
@@ -162,7 +161,7 @@ def write_values(
             out[row + i] = d[i, 0] * r0 + d[i, 1] * r1 + d[i, 2] * r2 - begins[c, i]
 
 
-@njit(**KERNEL)
+@njit(**KERNEL, inline="always")
 def write_layout(free_index, nodes, row_starts, row_index, node_index):
     """Row and unknown of every entry of H, row by row; returns the number of entries.
 
@@ -618,7 +617,7 @@ class Contacts(VaryingTerm):
         self._allowed = self._push_out_speed * time_step if time_step > 0.0 else np.inf
         self._largest[0] = 0.0
         if len(velocities):
-            self._write_largest(writable(velocities), False, self._largest)
+            self._write_largest(velocities, False, self._largest)
         self._reach[0] = self._alarm + LOOK_AHEAD * float(self._largest[0]) * time_step
         self._longest_move[0] = self._free_reach = float(self._reach[0])
         self._move = Prescribed.NONE
@@ -852,7 +851,7 @@ class Contacts(VaryingTerm):
         """
         gaps = np.empty(self.count)
         write_gaps(
-            writable(positions), self.nodes, self.coefficients, self.directions, self._anchors,
+            positions, self.nodes, self.coefficients, self.directions, self._anchors,
             gaps,
         )  # fmt: skip
         return gaps

@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, njit
+from softrobot_twin.compilation import KERNEL, ONCE, njit
 from softrobot_twin.mechanics.kinematics import CarriedPoints, clique_slots
 
 # A facet along a straight side would be infinitely stiff: its curvature is at least this share of
@@ -36,7 +36,7 @@ LEAST_CURVATURE = 1.0e-6
 ON_SIDE = 1.0e-3
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def inverse_along(u, curvature, count, out):
     """S⁻¹ of one facet, bounded by `LEAST_CURVATURE`.
 
@@ -65,7 +65,7 @@ def inverse_along(u, curvature, count, out):
     out[0, 1] = out[1, 0] = -scale * S[0, 1]
 
 
-@njit(**KERNEL)
+@njit(**KERNEL, inline="always")
 def write_facet_stiffness(x, nodes, weights, curvature, normal, force, slides, whole, out):
     """λ Vᵀ S⁻¹ V of one facet, or -λ ∂²gap/∂x², in blocks of its corners.
 
@@ -121,7 +121,7 @@ def write_facet_stiffness(x, nodes, weights, curvature, normal, force, slides, w
     return count
 
 
-@njit(**KERNEL)
+@njit(**KERNEL, inline="always")
 def write_curvature(normal, radius, axis, is_straight, has_round_ends, out):
     """D_xx where a round shape is touched; False where it is flat, and its curvature zero.
 
@@ -224,7 +224,7 @@ def add_facets(nodes, facets, stiffness, node_count, keys, offsets, strides, low
                     offset += strides[place]
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def fold_facet(stiffness, points, derivatives, half, offsets, strides, storage):
     """Add Eᵀ K E of one facet to the system matrix, E = [D_a; D_b; D_c].
 

@@ -29,7 +29,7 @@ from softrobot_twin.geometry.proximities import Proximities, found_by, put_pairs
 from softrobot_twin.geometry.shapes.distance_kernels import CAPSULE
 from softrobot_twin.geometry.surface_shape import PARALLEL_FACE, RIM_POINTS
 from softrobot_twin.geometry.vector_arrays import gather_vectors
-from softrobot_twin.mechanics.barycentric import BarycentricMapping, writable, write_points
+from softrobot_twin.mechanics.barycentric import BarycentricMapping, write_points
 
 NO_NODE = -1
 
@@ -144,7 +144,7 @@ class DeformableSurface:
         Args:
             positions: Node positions [m], shape (node_count, 3).
         """
-        gather_vectors(writable(positions), self.point_nodes, self._points)
+        gather_vectors(positions, self.point_nodes, self._points)
         return self._points
 
     def outline(self, positions: np.ndarray) -> np.ndarray:
@@ -195,7 +195,7 @@ class CarriedSurface:
         Args:
             positions: Node positions [m], shape (node_count, 3).
         """
-        write_points(writable(positions), self._nodes, self._weights, self._points)
+        write_points(positions, self._nodes, self._weights, self._points)
         return self._points
 
     def outline(self, positions: np.ndarray) -> np.ndarray:
@@ -242,7 +242,7 @@ class RigidSurface:
         Args:
             positions: Node positions [m], shape (node_count, 3).
         """
-        read_pose(writable(positions), self._frame, *self._pose)
+        read_pose(positions, self._frame, *self._pose)
         return self._pose
 
     def points(self, positions: np.ndarray) -> np.ndarray:
@@ -260,7 +260,7 @@ class RigidSurface:
 
     def carry(self, positions, points, weights, places, *where) -> None:
         """See `DeformableSurface.carry`."""
-        carry_by_frame(writable(positions), self._frame, places, *where)
+        carry_by_frame(positions, self._frame, places, *where)
 
 
 class StandingSurface:

@@ -9,7 +9,7 @@ import numpy as np
 from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.constraints.constraint_term import ConstraintTerm
 from softrobot_twin.geometry.vector3 import add, add_scaled, divided, row, set_row
-from softrobot_twin.mechanics.barycentric import BarycentricMapping, writable
+from softrobot_twin.mechanics.barycentric import BarycentricMapping
 
 AXES = {"x": 0, "y": 1, "z": 2}
 
@@ -36,7 +36,7 @@ def write_means(x, nodes, weights, point_ends, effector_ends, out):
                 node += 1
             total = add(total, position)
             point += 1
-        set_row(out, e, divided(total, point - first))
+        set_row(out, e, divided(total, float(point - first)))
 
 
 @njit(**KERNEL)
@@ -147,7 +147,7 @@ class Effectors(ConstraintTerm):
         """
         means = np.empty((len(self.effectors), 3))
         write_means(
-            writable(node_positions), self._nodes, self._weights, self._point_ends,
+            node_positions, self._nodes, self._weights, self._point_ends,
             self._effector_ends, means,
         )  # fmt: skip
         return means
@@ -155,7 +155,7 @@ class Effectors(ConstraintTerm):
     def evaluate(self, positions: np.ndarray, blocks: np.ndarray, values: np.ndarray) -> None:
         """Write H and the controlled coordinates x [m]; the caller subtracts the target."""
         write_rows(
-            writable(positions), self._nodes, self._weights, self._point_ends,
+            positions, self._nodes, self._weights, self._point_ends,
             self._effector_ends, self._row_place, self._blocks, blocks, values,
         )  # fmt: skip
 

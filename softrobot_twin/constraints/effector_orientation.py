@@ -30,7 +30,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, njit
+from softrobot_twin.compilation import KERNEL, ONCE, njit
 from softrobot_twin.constraints.effector import EffectorPoints, Effectors
 from softrobot_twin.errors import CommandError
 from softrobot_twin.geometry.matrix3 import rows, transform
@@ -44,7 +44,7 @@ from softrobot_twin.geometry.vector3 import (
     set_row,
     subtract,
 )
-from softrobot_twin.mechanics.barycentric import BarycentricMapping, writable
+from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.rotation import (
     inverse_jacobian,
     quaternion_from_rotation,
@@ -139,7 +139,7 @@ def spans_a_plane(places: np.ndarray) -> bool:
     return len(extents) > 1 and bool(extents[1] > LEAST_EXTENT * extents[0] > 0.0)
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def fit_rotation(F, is_rigid, R, turning):
     """Write the proper rotation nearest to F, and (tr V - V)⁻¹.
 
@@ -372,7 +372,7 @@ class PosedEffectors(Effectors):
         count = len(self.orientations)
         rotations, turnings = np.empty((count, 3, 3)), np.empty((count, 3, 3))
         write_rotations(
-            writable(positions), self._patch_nodes, self._arms, self._patch_ends, self._are_rigid,
+            positions, self._patch_nodes, self._arms, self._patch_ends, self._are_rigid,
             rotations, turnings,
         )  # fmt: skip
         return rotations, turnings

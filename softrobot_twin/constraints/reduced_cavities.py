@@ -31,7 +31,7 @@ from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.constraints.constraint_term import ConstraintTerm
 from softrobot_twin.geometry.vector3 import row
 from softrobot_twin.geometry.vector_arrays import are_same
-from softrobot_twin.mechanics.barycentric import BarycentricMapping, writable
+from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.cavity_surfaces import (
     CavitySurface,
     add_volume_gradients,
@@ -356,7 +356,7 @@ class BodyVolumes:
         if self._cubic is None:
             self._sum_coefficients()
         bound = bind_stencils(self.unknowns[None], elimination_rank, slots)
-        self._bound = tuple(writable(field[0]) for field in bound)
+        self._bound = tuple(field[0] for field in bound)
 
     def add_stiffness(
         self, positions: np.ndarray, multipliers: np.ndarray, storage: np.ndarray

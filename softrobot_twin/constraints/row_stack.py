@@ -16,7 +16,6 @@ import numpy as np
 from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.constraints.constraint_term import ConstraintTerm
 from softrobot_twin.geometry.vector_arrays import are_same, copy_vectors
-from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.kinematics import CarriedPoints, CarriedRows
 
 
@@ -238,7 +237,6 @@ class RowStack:
         Args:
             positions: Node positions [m], shape (node_count, 3).
         """
-        positions = writable(positions)
         if self.may_know:
             if self._at is None:
                 self._at = np.empty_like(positions)
@@ -258,7 +256,7 @@ class RowStack:
         Args:
             positions: Node positions [m], shape (node_count, 3).
         """
-        return self._at is not None and are_same(writable(positions), self._at)
+        return self._at is not None and are_same(positions, self._at)
 
     def actuator_blocks_at(self, positions: np.ndarray) -> np.ndarray:
         """Entries of the actuators' rows at another state, which come first in `blocks`.
@@ -405,7 +403,6 @@ class RowStack:
             storage: The factorization's storage [N/m]; added to.
             projected: True for a part of it that is never negative.
         """
-        positions = writable(positions)
         for term, _, rows in self._parts:
             term.add_stiffness(positions, multipliers[rows], storage, projected)
 

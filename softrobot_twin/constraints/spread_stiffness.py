@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, njit
+from softrobot_twin.compilation import KERNEL, ONCE, njit
 from softrobot_twin.mechanics.force_term import DenseRows
 from softrobot_twin.mechanics.stencil import add_weighted_matrices, bind_stencils
 from softrobot_twin.traced_stage import clear
@@ -31,7 +31,7 @@ HEAVIEST, HEAVIER = 4, 2.0
 NO_ROOT = 1.0e-12
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _roots(M, left, q):
     """Vectors q of M = Σ q qᵀ, one in each line of `q`, by a Cholesky factorization with pivots.
 

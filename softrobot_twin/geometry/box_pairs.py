@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, njit
+from softrobot_twin.compilation import INNER, KERNEL, ONCE, njit
 from softrobot_twin.geometry.proximities import Proximities, empty_proximities
 from softrobot_twin.geometry.shapes.box import Box
 from softrobot_twin.geometry.shapes.distance_kernels import place_frame
@@ -66,7 +66,7 @@ def _normal(axes, face):
     return scaled(row(axes, face // 2), 1.0 - 2.0 * (face % 2))
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _best_edges(first_axes, first_half, second_axes, second_half, offset):
     """Largest separation along the cross products of the edges of both boxes [m]."""
     best = -np.inf
@@ -91,7 +91,7 @@ def _across(axes, half, other_axes, other_half, offset, normal):
     return best
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _facing(axes, normal):
     """Face whose outward normal is most opposed to a normal."""
     best, face = -np.inf, 0
@@ -117,7 +117,7 @@ def _corners(centre, axes, half, face, polygon, labels):
     return 4
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _clip(polygon, labels, count, n, limit, label, clipped, clipped_labels):
     """Clip a polygon at a plane; returns the number of corners left.
 

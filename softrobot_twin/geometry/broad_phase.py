@@ -39,7 +39,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import INLINED, INNER, njit
+from softrobot_twin.compilation import INLINED, INNER, ONCE, njit
 from softrobot_twin.geometry.vector3 import lower, row, upper
 
 # Largest number of cells along one axis: clearing more costs more time than they save.
@@ -135,7 +135,7 @@ def cell_at(frame, counts, p):
     ) * counts[2] + cell_of(frame, counts, 2, p[2])
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def fill_boxes(x, corners, width, reach, region, keep, grid):
     """Compute the boxes of all items, and choose those that meet the region.
 
@@ -175,7 +175,7 @@ def fill_boxes(x, corners, width, reach, region, keep, grid):
     return count
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _divide_into_cells(grid, chosen_count, region):
     """Divide the region into cells of about the mean size of the boxes; returns their number."""
     cells = 1

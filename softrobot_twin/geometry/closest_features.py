@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import INLINED, INNER, KERNEL, njit
+from softrobot_twin.compilation import INLINED, INNER, KERNEL, ONCE, njit
 from softrobot_twin.geometry.closed_surface import (
     ACROSS,
     EDGES,
@@ -140,7 +140,7 @@ def closest_weights(p, a, b, c):
     return (1.0 - (vb + vc) * scale, vb * scale, vc * scale)
 
 
-@njit(**INLINED)
+@njit(**ONCE)
 def _without_round_off(w):
     """Weights with the negligible ones set to zero, and the number of the others."""
     a = w[0] if w[0] > NO_WEIGHT else 0.0
@@ -162,7 +162,7 @@ def _neighbour_is_nearer(start, along, corner, away):
     return dot(away, into) > _NEIGHBOUR_MARGIN * dot(into, into)
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _corner_is_nearest(x, fans, v, away):
     """Whether no edge at vertex v leads nearer to the query point, which lies `away` from v."""
     p = row(x, v)

@@ -29,7 +29,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import INLINED, INNER, KERNEL, njit
+from softrobot_twin.compilation import INLINED, INNER, KERNEL, ONCE, njit
 from softrobot_twin.geometry.proximities import write_row
 from softrobot_twin.geometry.shapes.distance_kernels import (
     CAPSULE,
@@ -153,7 +153,7 @@ def _shape_gap(axis, e, s, kind, extents, placed):
     return distance
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _least_dip(axis, e, kind, extents):
     """By how much a place of element e is nearer to a shape than both ends where it touches [m]."""
     dip = DIP * axis.radius
@@ -166,7 +166,7 @@ def _least_dip(axis, e, kind, extents):
     return dip
 
 
-@njit(**KERNEL)
+@njit(**KERNEL, inline="always")
 def nearest_share(axis, e, kind, extents, placed):
     """Share of element e that is nearest to a convex shape."""
     evenness = EVENNESS * norm(subtract(at_end(axis.places, e, 1), at_end(axis.places, e, 0)))
@@ -267,7 +267,7 @@ def _along_edge(h, g, low, high):
     return min(max(-g / h, low), high)
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _step_in_square(h, m, k, a, b, s, t):
     """Step (u, v) that minimises (h u² + 2m uv + k v²)/2 + a u + b v, within 0 to 1 of s and t."""
     det = h * k - m * m

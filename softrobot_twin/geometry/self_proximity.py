@@ -26,7 +26,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from softrobot_twin.compilation import INNER, KERNEL, njit
+from softrobot_twin.compilation import KERNEL, ONCE, njit
 from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.broad_phase import (
     CellGrid,
@@ -75,7 +75,7 @@ _BEGIN_OF_WAY = 1.0e-3
 _CHUNK = 256
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _begins_inside(x, links, fans, normals, grid, reach, foot, away):
     """Whether the way from a point of the surface begins inside the body.
 

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import INLINED, INNER, KERNEL, njit
+from softrobot_twin.compilation import INLINED, INNER, KERNEL, ONCE, njit
 from softrobot_twin.geometry.closed_surface import (
     apply_region_planes,
     closed_surface,
@@ -62,7 +62,7 @@ from softrobot_twin.geometry.vector3 import dot, row, scaled
 ROUND_CONE, CAP_CONE = 1.0e-4, 0.02
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def keep_within_rigid_cones(x, fans, edges, crests, ridges, cone, count, found):
     """Keep the candidates at crests and ridges whose direction lies in the cone of their feature.
 
@@ -125,7 +125,7 @@ def _face_key(first_key, kind, feature, triangle_count, edge_count, point):
     return first_key + KEY_STRIDE * number + point
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def search_ball(p, radius, end, x, links, edges, fans, normals, margin, first_key, found, count):
     """Find the candidates of a ball of the shape against the planes of the surface.
 
@@ -174,7 +174,7 @@ def search_ball(p, radius, end, x, links, edges, fans, normals, margin, first_ke
     return count
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _search_rim_point(
     kind, extents, p, point, x, links, edges, fans, normals, t, margin, first_key, found, count
 ):
@@ -193,7 +193,7 @@ def _search_rim_point(
     return add_candidate(found, count, key, corners, w, gap, scaled(n, -1.0))
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _search_rims(kind, extents, x, links, edges, fans, normals, margin, first_key, found, count):
     """Find the rim points nearest to each plane, or points all around a cap parallel to it."""
     radius, half = extents[0], extents[1]

@@ -64,7 +64,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import INLINED, INNER, KERNEL, njit
+from softrobot_twin.compilation import INLINED, INNER, KERNEL, ONCE, njit
 from softrobot_twin.geometry.broad_phase import Clusters, bounding_box, cluster_triangles
 from softrobot_twin.geometry.closed_surface import is_outside_cone, steepest_descent, triangle_fans
 from softrobot_twin.geometry.closest_features import (
@@ -227,7 +227,7 @@ def is_far(kind, extents, points, vertices, placed, margin):
     return shape_distance(kind, extents, in_frame(placed, centre))[0] - radius >= margin
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _is_cluster_far(kind, extents, x, vertices, margin):
     """Whether the bounding ball of a cluster, in the frame of the shape, is beyond the margin."""
     centre, radius = _bounding_ball(x, vertices)
@@ -340,7 +340,7 @@ def slope_crossing(kind, extents, x, a, b, level, low, f_low, high, f_high):
     return low, high
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _minimum_in_bracket(kind, extents, x, a, b, low, high):
     """Fraction, gap [m] and unit normal at the minimum within a bracket.
 
@@ -360,7 +360,7 @@ def _minimum_in_bracket(kind, extents, x, a, b, low, high):
     return t, gap / size if gap < 0.0 else gap, divided(g, size)
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _against_outward_normals(kind, extents, x, edge, sides, triangles, t):
     """Normal where the shape determines none: opposite to the normals of the edge's triangles."""
     n = (0.0, 0.0, 0.0)
@@ -415,7 +415,7 @@ def flat_end(kind, extents, x, a, b, short, bottom, end, s_end):
     return end, gradient
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _is_curved(kind, extents, x, a, b, low, high):
     """Whether the distance on an interval of almost zero slope has its minimum at one point."""
     s_low = _at_fraction(kind, extents, x, a, b, 0.75 * low + 0.25 * high)[0]
@@ -430,7 +430,7 @@ def _add_edge_point(found, count, key, a, b, t, margin, gap, normal):
     return add_candidate(found, count, key, (a, b, a), (1.0 - t, t, 0.0), gap, normal)
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _search_edge(
     kind, extents, x, edge, short, s_a, s_b, sides, triangles, margin, first_key, found, count
 ):
@@ -471,7 +471,7 @@ def _search_edge(
     return count
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def lowest_on_edge(distance_a, distance_b, s_a, s_b):
     """Lower bound of the distance on an edge [m], from the tangents at its ends.
 
@@ -565,7 +565,7 @@ def meet(one, other):
     return False
 
 
-@njit(**KERNEL)
+@njit(**KERNEL, inline="always")
 def is_nearest_way_out(kind, extents, x, triangles, chosen, p, distance):
     """Whether a point p of the shape behind a triangle is behind no nearer one.
 
@@ -699,7 +699,7 @@ def _add_axis_crossing(extents, half, x, triangle, normal, margin, key, found, c
     return add_candidate(found, count, key, (a, b, c), weights, -radius, across)
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _search_capsule(extents, x, triangle, normal, margin, key, found, count):
     """Find the candidates of a triangle against a capsule or a sphere.
 
@@ -742,7 +742,7 @@ def rim_point(extents, normal, across, up, i):
     return (radius * np.cos(angle), radius * np.sin(angle), height)
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _search_cylinder(extents, x, triangles, t, normal, margin, key, found, count):
     """Find the candidates of a triangle against a cylinder.
 
@@ -774,7 +774,7 @@ def _search_cylinder(extents, x, triangles, t, normal, margin, key, found, count
     )
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _search_box(extents, x, triangles, t, normal, margin, key, found, count):
     """Find the corners of a box that face a triangle: several if an edge or face is parallel."""
     a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
@@ -803,7 +803,7 @@ def _lower_bound(x, distances, gradients, a, b, c):
     return distances[a] + min(0.0, to_b, to_c)
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _search_triangles(
     kind, extents, x, distances, gradients, triangles, margin, longest, first_key, found, count
 ):
@@ -836,7 +836,7 @@ def _search_triangles(
 # Normal cones against a box
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _area_normal(x, fans, v):
     """Area-weighted unit normal at a vertex."""
     total, p = (0.0, 0.0, 0.0), row(x, v)
@@ -847,7 +847,7 @@ def _area_normal(x, fans, v):
     return unit(total)
 
 
-@njit(**INLINED)
+@njit(**ONCE)
 def _axes_outside(extents, x, v):
     """Number of axes along which a vertex lies outside the box."""
     count = 0
@@ -865,7 +865,7 @@ def _crosses_surface(x, fans, v, normal, direction):
     )
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _redirect_inside(extents, x, fans, v, normal, margin, i, found):
     """Give a vertex inside the box the shortest direction out that crosses the surface.
 
@@ -887,7 +887,7 @@ def _redirect_inside(extents, x, fans, v, normal, margin, i, found):
     found.gaps[i] = -best
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _vertex_fits(extents, x, fans, v, margin, i, found):
     """Whether the direction at a vertex fits its cone; inside the box it is corrected instead."""
     outside = _axes_outside(extents, x, v)
@@ -905,7 +905,7 @@ def _vertex_fits(extents, x, fans, v, margin, i, found):
     return rise > FOLD and dot(direction, normal) <= -SAME_SIDE_COSINE
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _edge_fits(x, edges, triangles, e, i, found):
     """Whether the direction at an edge fits its cone."""
     n = row(found.normals, i)
@@ -929,7 +929,7 @@ def _edge_fits(x, edges, triangles, e, i, found):
     return fold and dot(outward, unit(normal)) >= SAME_SIDE_COSINE
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def keep_within_cones(extents, x, fans, edges, triangles, margin, count, found):
     """Keep of the vertices and edges found against a box those whose direction fits their cone.
 

@@ -35,7 +35,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import INLINED, INNER, njit
+from softrobot_twin.compilation import INLINED, INNER, ONCE, njit
 from softrobot_twin.geometry.broad_phase import CellGrid, cell_at, cell_of, holds
 from softrobot_twin.geometry.closed_surface import (
     ClosedSurface,
@@ -198,7 +198,7 @@ def _bearing_points(links, t, w):
     )
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _pair_outside(a, b, v, outward, near, margin, rest, swap, first_key, rows, count):
     """Pair a vertex outside b with the features of b near it; returns the rows written.
 
@@ -356,7 +356,7 @@ _OVERLAP_TOLERANCE = 0.02
 FACING_SINE = 0.3
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def find_ridges(x, edges, normals, ridges):
     """Mark the convex edges, except nearly flat ones.
 
@@ -431,7 +431,7 @@ def is_inside(side, start, end):
     )
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _face_across_air(rest, edges, e, f):
     """Whether two edges of one surface are far apart, or face each other across air."""
     x, normals = rest.points, rest.normals
@@ -448,7 +448,7 @@ def _face_across_air(rest, edges, e, f):
     )
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def pair_edges(a, b, edge_grid, margin, depth, rest, first_key, rows, count):
     """Pair ridges of surface a with ridges of surface b.
 
@@ -507,7 +507,7 @@ def pair_edges(a, b, edge_grid, margin, depth, rest, first_key, rows, count):
     return count
 
 
-@njit(**INLINED)
+@njit(**ONCE)
 def _cells_of_edge(x, edges, e, frame, counts, low, high):
     """Find the first and last cell of an edge along each axis; false if it is outside the grid."""
     for axis in range(3):
@@ -519,7 +519,7 @@ def _cells_of_edge(x, edges, e, frame, counts, low, high):
     return True
 
 
-@njit(**INLINED)
+@njit(**ONCE)
 def _first_shared_cell(frame, counts, boxes, f, low, i, j, k):
     """Whether cell (i, j, k) is the first that item f shares with a box: pairs count once."""
     return (
@@ -529,7 +529,7 @@ def _first_shared_cell(frame, counts, boxes, f, low, i, j, k):
     )
 
 
-@njit(**INLINED)
+@njit(**ONCE)
 def _boxes_meet(x, edges, e, boxes, f):
     """Whether the box of edge e intersects that of item f."""
     for axis in range(3):
@@ -539,7 +539,7 @@ def _boxes_meet(x, edges, e, boxes, f):
     return True
 
 
-@njit(**INLINED)
+@njit(**ONCE)
 def _share_a_point(edges, e, f):
     """Whether two edges of one surface have a common end."""
     return (
@@ -548,7 +548,7 @@ def _share_a_point(edges, e, f):
     )  # fmt: skip
 
 
-@njit(**INLINED)
+@njit(**ONCE)
 def _cross_edges(x, edges, normals, e, y, others, other_normals, f, margin, depth):
     """Whether edges e and f cross near each other; fractions along them, normal and gap [m]."""
     inside, s, t, n = crossing(x, edges, e, y, others, f)
@@ -573,7 +573,7 @@ def _is_behind(normals, edges, e, away, most):
     return dot(away, row(normals, edges[e, 2])) <= most and dot(away, row(normals, edges[e, 3])) <= most
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def overlap(a, b, e, s, f, t):
     """Whether the foot point on e is inside b and that on f inside a, neither too deep."""
     p, q = _point_at(a.x, a.surface.edges, e, s), _point_at(b.x, b.surface.edges, f, t)
@@ -589,7 +589,7 @@ def overlap(a, b, e, s, f, t):
     )
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _write_edges(x, edges, e, s, y, others, f, t, n, gap, key, rows, place):
     """Write a pair of edges as a row."""
     start, end = edges[e, 0], edges[e, 1]

@@ -19,15 +19,6 @@ NO_WEIGHT = 1.0e-6
 NO_LEVER = 1.0e-12
 
 
-def writable(array: np.ndarray) -> np.ndarray:
-    """The array, or a copy if it is read-only: a kernel is compiled again for read-only arrays.
-
-    Args:
-        array: The array, of any shape.
-    """
-    return array if array.flags.writeable else array.copy()
-
-
 @njit(**KERNEL)
 def write_points(x, nodes, weights, out):
     """Σ w_a x_a of every point.
@@ -57,6 +48,10 @@ class BarycentricMapping:
     nodes: np.ndarray
     barycentric_weights: np.ndarray
 
+    def __post_init__(self) -> None:
+        for name in ("nodes", "barycentric_weights"):
+            object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name)))
+
     @property
     def point_count(self) -> int:
         """Number of points."""
@@ -72,7 +67,7 @@ class BarycentricMapping:
             Point positions [m], shape (point_count, 3).
         """
         points = np.empty((len(self.nodes), 3))
-        write_points(writable(node_positions), self.nodes, self.barycentric_weights, points)
+        write_points(node_positions, self.nodes, self.barycentric_weights, points)
         return points
 
     def followed_by(self, other: BarycentricMapping) -> BarycentricMapping:

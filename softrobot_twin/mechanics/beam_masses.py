@@ -47,10 +47,9 @@ import numpy as np
 from scipy.sparse import block_diag, bsr_array, coo_array
 from scipy.sparse.linalg import spsolve
 
-from softrobot_twin.compilation import INLINED, INNER, KERNEL, njit
+from softrobot_twin.compilation import INLINED, INNER, KERNEL, ONCE, njit
 from softrobot_twin.geometry.matrix3 import ZERO, add_outer, cross_matrix, plus_identity
 from softrobot_twin.geometry.vector3 import add, add_scaled, cross, dot, row, scaled, set_row, subtract
-from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.beam_sections import BeamSection
 from softrobot_twin.mechanics.beams import BeamElements
 from softrobot_twin.mechanics.force_term import ForceTerm, InertiaTerm
@@ -185,7 +184,7 @@ def _add_mass_forces(x, origins, unknowns, matrices, aims, factors, constants, f
         _fold_loads(z, loads, unknowns[e], forces)
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _write_element_stiffness(z, M, factor, out):
     """factor Dᵀ M D by the translations and rotations of both ends, shape (12, 12)."""
     for a in range(2):
@@ -262,7 +261,7 @@ class MassTerm(ForceTerm):
         """Add the forces [N] and torques [N m]; it inverts no element."""
         m = self.masses
         _add_mass_forces(
-            writable(positions), m.origins, m.unknowns, m.matrices, self.aims, self.factors,
+            positions, m.origins, m.unknowns, m.matrices, self.aims, self.factors,
             self.constants, forces,
         )  # fmt: skip
         return 0
@@ -271,7 +270,7 @@ class MassTerm(ForceTerm):
         """Add forces, and stiffness to the system matrix; see `ForceTerm.add`."""
         m, bound = self.masses, self._bound
         _add_mass_stiffness(
-            writable(positions), m.origins, m.unknowns, m.matrices, self.aims, self.factors,
+            positions, m.origins, m.unknowns, m.matrices, self.aims, self.factors,
             self.constants, projected, bound.order, bound.offsets, bound.strides, forces, storage,
         )  # fmt: skip
 
@@ -282,7 +281,7 @@ class MassTerm(ForceTerm):
             positions: Node positions [m], shape (node_count, 3).
         """
         ends = np.empty_like(self.aims)
-        _write_all_ends(writable(positions), self.masses.origins, ends)
+        _write_all_ends(positions, self.masses.origins, ends)
         return ends
 
 
@@ -322,7 +321,7 @@ class BeamDamping(MassTerm):
         self, positions: np.ndarray, velocities: np.ndarray, time_step: float
     ) -> None:
         """Remember where the step of h [s] begins; see `ForceTerm.begin_step`."""
-        _write_all_ends(writable(positions), self.masses.origins, self.aims)
+        _write_all_ends(positions, self.masses.origins, self.aims)
         np.divide(self.masses.damping, time_step, out=self.factors)
 
 

@@ -83,7 +83,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import INLINED, INNER, KERNEL, njit
+from softrobot_twin.compilation import INLINED, INNER, KERNEL, ONCE, njit
 from softrobot_twin.geometry.matrix3 import (
     IDENTITY,
     add_outer,
@@ -112,7 +112,6 @@ from softrobot_twin.geometry.vector3 import (
     subtract,
 )
 from softrobot_twin.geometry.vector_arrays import are_same, copy_vectors
-from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.rigid_bodies import rotation_at
 from softrobot_twin.mechanics.rotation import logarithm, skew_polynomial, turn_between
@@ -283,7 +282,7 @@ def _strain(t, w):
     return strain, length, u, h, turn, root
 
 
-@njit(**INLINED)
+@njit(**ONCE)
 def _helix_and_bend(x, origins, points, axes):
     """t and ψ of one element."""
     R, chord, psi = _relative_pose(x, origins, points, axes)
@@ -343,7 +342,7 @@ def _force_on_helix(t, stress, u, w, h, turn, root):
     return add(n, (0.0, h * stress[1], h * stress[2]))
 
 
-@njit(**INLINED)
+@njit(**ONCE)
 def _helix_stiffness(t, stress, length, u, w, h, turn, root, k, e):
     """∂²U/∂t²: that of constant stress, and Σ k ∂s ∂sᵀ.
 
@@ -364,7 +363,7 @@ def _helix_stiffness(t, stress, length, u, w, h, turn, root, k, e):
     return add_outer(add_outer(own, scaled(y, k[e, 1]), y), scaled(z, k[e, 2]), z)
 
 
-@njit(**INLINED)
+@njit(**ONCE)
 def _bend_gradient(psi, y, n, m, c, c_1):
     """p = ∂U/∂ψ at constant chord: m + Sᵀ n."""
     return add(m, transform(transposed(_slope_of_chord(psi, y, c, c_1)), n))
@@ -411,7 +410,7 @@ def _add_beam_forces(x, origins, unknowns, points, axes, w, k, pulls, forces):
     return folded
 
 
-@njit(**INLINED)
+@njit(**ONCE)
 def _chord_stiffness(psi, y, n, m, K_t, k, c, c_1, c_2):
     """∂²U by the chord y and the turn φ, X ← exp([φ]×) X: blocks yy, yφ and the symmetric φφ."""
     to_helix = skew_polynomial(psi, -0.5, c)
@@ -431,7 +430,7 @@ def _chord_stiffness(psi, y, n, m, K_t, k, c, c_1, c_2):
     return along_t, mixed, add_scaled_matrix(bending, symmetric(product(by_psi, to_helix)), 1.0)
 
 
-@njit(**INLINED)
+@njit(**ONCE)
 def _curvature_of_chord(psi, y, n, c, c_1, c_2):
     """∂(Sᵀ n)/∂ψ at constant n, the second derivative of n·J⁻¹(ψ) y."""
     across = dot(n, y)
@@ -460,7 +459,7 @@ def _put_block(out, first, second, block):
             out[3 * second + j, 3 * first + i] = block[i][j]
 
 
-@njit(**INLINED)
+@njit(**ONCE)
 def _write_end_stiffness(chord, f, moment, K_yy, K_yt, K_tt, out):
     """Stiffness of the moves (u_A, θ_A, u_B, θ_B) of the ends, from that of chord and turn.
 
@@ -691,7 +690,7 @@ class Beams(ForceTerm):
             Shape (element_count, 6).
         """
         e, out = self.elements, np.empty((self.element_count, 6))
-        write_deformations(writable(positions), e.origins, e.end_points, e.end_axes, out)
+        write_deformations(positions, e.origins, e.end_points, e.end_axes, out)
         return out
 
     def energy(self, positions: np.ndarray) -> float:
@@ -712,13 +711,13 @@ class Beams(ForceTerm):
         """
         e = self.elements
         return _add_beam_forces(
-            writable(positions), e.origins, e.unknowns, e.end_points, e.end_axes, self._w, self._k,
+            positions, e.origins, e.unknowns, e.end_points, e.end_axes, self._w, self._k,
             self._pulls, forces,
         )  # fmt: skip
 
     def add(self, positions, forces, storage, projected: bool) -> None:
         """Add forces, and stiffness to the system matrix; see `ForceTerm.add`."""
-        e, bound, x = self.elements, self._bound, writable(positions)
+        e, bound, x = self.elements, self._bound, positions
         self._make_room(x)
         # Another tangent of the same state is predicted from the same one before.
         if not are_same(self._linearized_at, x):
@@ -744,5 +743,5 @@ class Beams(ForceTerm):
         """Share of a move in which no element is bent by half a turn; see `ForceTerm`."""
         e = self.elements
         return _share_below_half_turn(
-            writable(before), writable(after), e.origins, e.end_points, e.end_axes, GREATEST_TURN
+            before, after, e.origins, e.end_points, e.end_axes, GREATEST_TURN
         )

@@ -55,6 +55,7 @@ from softrobot_twin.compilation import (
     INNER,
     INNER_UNCACHED,
     KERNEL,
+    ONCE,
     UNCACHED,
     njit,
 )
@@ -322,7 +323,7 @@ def find_negative(C, factor, negative):
                 factor[at(9 * i + j, e)] /= factor[at(10 * j, e)]
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _project_one(C, e):
     """Replaces C of one element by the nearest positive semidefinite matrix, by its eigenvalues."""
     whole = np.empty((9, 9))

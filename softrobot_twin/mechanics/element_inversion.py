@@ -35,7 +35,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, njit
+from softrobot_twin.compilation import INNER, KERNEL, ONCE, njit
 from softrobot_twin.geometry.matrix3 import (
     add_scaled_matrix,
     cofactor,
@@ -221,7 +221,7 @@ def find_folds(to_corners, F, corners, upright, sure):
     cut_the_unsure(corners, sure, upright)
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def mark_surely_upright(corners, sure):
     """Keep marked only the elements for which the first proof holds."""
     for e in range(BATCH):
@@ -251,7 +251,7 @@ def sum_of_corners(corners, e):
     return total
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def cut_the_unsure(corners, sure, upright):
     """Mark the elements that fold as not upright; only elements without a proof are examined.
 
@@ -291,11 +291,11 @@ def least_coefficient(F):
     for i in range(4):
         for j in range(i, 4):
             for k in range(j, 4):
-                least = min(least, mixed_determinant(F[i], F[j], F[k]))
+                least = min(least, mixed_determinant(rows(F[i]), rows(F[j]), rows(F[k])))
     return least
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def halve(F, first, second):
     """Cut at the edge along which F changes most; both parts may be where F was."""
     longest, a, b = -1.0, 0, 1
@@ -332,7 +332,7 @@ def is_folded(F):
         if least_coefficient(part) > 0.0:
             continue
         for i in range(4):
-            if not of_rows(part[i, 0], part[i, 1], part[i, 2]) > 0.0:
+            if not of_rows(row(part[i], 0), row(part[i], 1), row(part[i], 2)) > 0.0:
                 return True
         if depth == MOST_HALVINGS:
             return True

@@ -15,7 +15,6 @@ from softrobot_twin.geometry.vector_arrays import (
     make_unknown,
     write_differences,
 )
-from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.block_addition import are_contiguous
 from softrobot_twin.mechanics.compression_watch import CompressionWatch, coarseness
 from softrobot_twin.mechanics.element_assembly import assembly_of, deform_all
@@ -201,7 +200,7 @@ class Elements(ForceTerm):
         add_vectors(self._forces, forces)
         if len(self._corners.edges):
             return count_folded(
-                writable(positions), self.mesh.cells, *self._corners, self._uprights
+                positions, self.mesh.cells, *self._corners, self._uprights
             )
         return max(inverted_count, self._folded_count)
 
@@ -230,7 +229,7 @@ class Elements(ForceTerm):
     def _moved(self, positions: np.ndarray) -> np.ndarray:
         """Displacements from the reference [m], shape (node_count, 3); overwritten by the next call.
         """
-        write_differences(writable(positions), self._reference, self._moves)
+        write_differences(positions, self._reference, self._moves)
         return self._moves
 
     def knows(self, positions: np.ndarray) -> bool:
@@ -239,7 +238,7 @@ class Elements(ForceTerm):
 
     def _is_stored(self, positions: np.ndarray) -> bool:
         """Whether the stored state is that at node positions [m], to the bit."""
-        return are_same(writable(positions), self._known_at)
+        return are_same(positions, self._known_at)
 
     def _deformations_at(self, positions: np.ndarray) -> np.ndarray:
         """F at the points, shape (batch_count, point_count, 9 × BATCH), not to be changed.
@@ -318,7 +317,7 @@ class Elements(ForceTerm):
         if law_of(self.law).is_linear:
             return
         self._assembly.add_force_curvature(
-            self.law, positions - self._reference, writable(direction), self._cells, self._free,
+            self.law, positions - self._reference, direction, self._cells, self._free,
             self._gradients, self._weights, CURVATURE_STEP, curvature,
         )  # fmt: skip
         if self.hourglass is not None:

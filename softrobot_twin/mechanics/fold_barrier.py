@@ -42,7 +42,7 @@ from itertools import combinations, product as pairs_of
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, njit
+from softrobot_twin.compilation import INNER, KERNEL, ONCE, njit
 from softrobot_twin.geometry.matrix3 import (
     add_outer,
     add_scaled_matrix,
@@ -57,7 +57,6 @@ from softrobot_twin.geometry.matrix3 import (
     transposed,
 )
 from softrobot_twin.geometry.vector3 import add_scaled, cross, row, scaled, set_row
-from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.element_batches import (
     BATCH,
     ElementBatches,
@@ -146,7 +145,7 @@ def _gradients_at(gradients, triple, a, e):
     )
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _value_turning(F, gradients, triple, a, b, e):
     """v of ∂²J_t by nodes a and b, which is -[v]×."""
     first = _gradients_at(gradients, triple, a, e)
@@ -163,7 +162,7 @@ def _mixed_cross(a, b, c, d):
     return add_scaled(cross(a, d), cross(c, b), 1.0)
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _bound_values(corners, bounds):
     """A lower bound of all J_t of each element, from F at its corners; not positive for NaN."""
     for e in range(BATCH):
@@ -178,7 +177,7 @@ def _bound_values(corners, bounds):
         bounds[e] = volume * (2.0 - reach * reach * reach) if volume > 0.0 else -1.0
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _least_of_corners(corners, e):
     """The least Bernstein coefficient of element e as a whole."""
     F = np.empty((4, 3, 3))
@@ -221,7 +220,7 @@ def find_least_values(to_places, triples, weights, deformations, places, least):
     return crossed_count == 0 and lowest < BARRIER_VOLUME, crossed_count
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _least_value(triples, places, e, are_of_tetrahedra):
     """The least J_t of element e, or a lower bound of it where that is J₀ or more."""
     if are_of_tetrahedra:
@@ -329,7 +328,7 @@ def add_stiffness(
                         pair += 1
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def keeps_value(F, D, share):
     """Whether J_t stays above the kept share along F + s D for all s up to a share, from 0.
 
@@ -459,7 +458,7 @@ class FoldBarrier:
         )
 
     def _write_corners(self, positions: np.ndarray, places: np.ndarray) -> None:
-        write_corners(writable(positions), self._cells, *self._corners, places)
+        write_corners(positions, self._cells, *self._corners, places)
 
     def add_forces(self, stiffness: float, forces: np.ndarray) -> None:
         """Add the forces at the state that was taken last, where the barrier acts; see the kernel.

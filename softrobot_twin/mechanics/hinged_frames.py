@@ -58,7 +58,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import INLINED, KERNEL, njit
+from softrobot_twin.compilation import INLINED, KERNEL, ONCE, njit
 from softrobot_twin.geometry.matrix3 import (
     IDENTITY,
     add_outer,
@@ -84,7 +84,6 @@ from softrobot_twin.geometry.vector3 import (
     set_row,
     subtract,
 )
-from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.force_term import OwnBlocks
 from softrobot_twin.mechanics.kinematics import fold_own_forces
 from softrobot_twin.mechanics.rigid_bodies import (
@@ -139,7 +138,7 @@ def _angle_about(axis, Q):
     return np.arctan2(0.5 * dot(axis, twist), 0.5 * (trace(Q) - 1.0))
 
 
-@njit(**INLINED)
+@njit(**ONCE)
 def from_rest(R_parent, rest, R_own):
     """R₀ᵀ R_Aᵀ R_B: the rotation of a hinged frame since rest, in its own axes."""
     return transposed_product(product(R_parent, rest), R_own)
@@ -375,7 +374,7 @@ class HingedFrames(RigidFrames):
             positions: Node positions [m], shape (node_count, 3).
         """
         frames = copy(self)
-        frames.hinges = self.hinges._replace(rotations=self.relative(writable(positions)))
+        frames.hinges = self.hinges._replace(rotations=self.relative(positions))
         return frames
 
     def rest_poses(self, positions: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -403,7 +402,7 @@ class HingedFrames(RigidFrames):
         """
         joints, out = self.hinges, np.empty(self.hinge_count)
         _write_angles(
-            writable(positions), self.hinged_nodes, joints.parents, joints.rotations, joints.axes,
+            positions, self.hinged_nodes, joints.parents, joints.rotations, joints.axes,
             out,
         )  # fmt: skip
         return out
@@ -511,7 +510,7 @@ class HingedFrames(RigidFrames):
 
     def write_derivatives(self, positions: np.ndarray, out: np.ndarray) -> None:
         """Write D of every carried point, shape (carried_count, 3, 3, 3); see `UnknownKind`."""
-        x, rigid = writable(positions), self._rigid_points
+        x, rigid = positions, self._rigid_points
         write_levers(x, self._carried_nodes, self._carried_origins, out[:rigid])
         out[:rigid, 2] = 0.0
         joints = self.hinges
@@ -519,7 +518,7 @@ class HingedFrames(RigidFrames):
 
     def add_turning(self, positions: np.ndarray, forces: np.ndarray, out: np.ndarray) -> None:
         """Add the turning terms of all carried points; see `UnknownKind`."""
-        x, rigid, joints = writable(positions), self._rigid_points, self.hinges
+        x, rigid, joints = positions, self._rigid_points, self.hinges
         add_lever_turning(
             x, self._carried_nodes, self._carried_origins, self._carried_bodies, forces[:rigid],
             out,
@@ -607,7 +606,7 @@ class HingedTwists:
         """
         frames = self._frames
         _write_twist_maps(
-            writable(positions), frames.hinged_nodes, frames.hinges.parents, frames.hinges.axes,
+            positions, frames.hinged_nodes, frames.hinges.parents, frames.hinges.axes,
             self.derivatives,
         )  # fmt: skip
 
@@ -630,7 +629,7 @@ class HingedTwists:
         blocks = np.zeros((2 * len(own), 3, 3))
         pairs = np.ascontiguousarray(twists.reshape(-1, 2, 3)[own].reshape(-1, 3))
         _add_twist_turning(
-            writable(positions), frames.hinged_nodes[own], frames.hinges.parents[own],
+            positions, frames.hinged_nodes[own], frames.hinges.parents[own],
             frames.hinges.axes[own], pairs, blocks, len(own),
         )  # fmt: skip
         return blocks

@@ -59,7 +59,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, njit
+from softrobot_twin.compilation import INNER, KERNEL, ONCE, njit
 from softrobot_twin.geometry.shape_functions import HourglassFields
 from softrobot_twin.geometry.matrix3 import (
     IDENTITY,
@@ -76,7 +76,6 @@ from softrobot_twin.geometry.matrix3 import (
 )
 from softrobot_twin.geometry.vector3 import add_scaled, dot, row, scaled, set_row
 from softrobot_twin.geometry.vector_arrays import write_differences
-from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.block_addition import add_blocks, add_contiguous_blocks
 from softrobot_twin.mechanics.element_assembly import deform, gather, subtract_forces
 from softrobot_twin.mechanics.element_batches import (
@@ -200,7 +199,7 @@ def _pull_back(moduli, scale, y, start, pull, d, g):
         g[i] = scale * g[i] - pull[i]
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _sums(C, h, g, e):
     """w and N of one element."""
     N, back = ZERO, transposed(matrix_at(C, 0, e))
@@ -470,7 +469,7 @@ class Hourglass:
         Args:
             positions: Node positions [m], shape (node_count, 3).
         """
-        write_differences(writable(positions), self._rest, self._moves)
+        write_differences(positions, self._rest, self._moves)
         find_strains(
             self._is_linear, self._moves, self._cells, self._gradients, self._gammas,
             self.deformations, self._vectors, self.strains,
@@ -561,7 +560,7 @@ class Hourglass:
         for sign in (1.0, -1.0):
             self.take(positions + sign * step * direction)
             add_force_changes(
-                self._is_linear, writable(direction), self._cells, self._free, self.moduli,
+                self._is_linear, direction, self._cells, self._free, self.moduli,
                 self.scale, self._floor, self._gradients, self._gammas, self.deformations,
                 self._vectors, self._forces, 0.5 * sign / step, curvature,
             )  # fmt: skip

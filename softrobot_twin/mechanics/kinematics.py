@@ -40,7 +40,6 @@ from softrobot_twin.geometry.vector_arrays import (
     copy_vectors,
     multiply_transposed,
 )
-from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.stencil import add_block, bind_stencils, stencil_pairs
 from softrobot_twin.traced_stage import clear
@@ -263,7 +262,6 @@ class Nodes:
             Displacement of each unknown, shape (free_node_count, 3).
         """
         displacement = np.empty((self.free_node_count, 3))
-        before, after = writable(before), writable(after)
         write_displacement(before, after, self.free_nodes, displacement)
         for kind in self.kinds:
             kind.displacement(before, after, displacement)
@@ -276,7 +274,7 @@ class Nodes:
             move: Displacement of the unknowns [m], shape (free_node_count, 3).
         """
         largest = np.empty(1)
-        self.write_largest(writable(move), False, largest)
+        self.write_largest(move, False, largest)
         return float(largest[0])
 
     def write_largest(self, vectors: np.ndarray, are_forces: bool, largest: np.ndarray) -> None:

@@ -28,7 +28,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, njit
+from softrobot_twin.compilation import INNER, KERNEL, ONCE, njit
 from softrobot_twin.geometry.matrix3 import ZERO, add_outer, add_scaled_matrix, cross_matrix
 from softrobot_twin.geometry.vector3 import (
     add,
@@ -71,7 +71,7 @@ def _add_liquid_forces(points, triangles, cavity, tops, weights, forces):
     return energy
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _force_derivative(x, w, i, j):
     """∂f_i/∂x_j of one triangle with vertices x."""
     g_i = scaled(cross(x[(i + 1) % 3], x[(i + 2) % 3]), 1.0 / 24.0)

@@ -36,7 +36,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import INLINED, INNER, KERNEL, njit
+from softrobot_twin.compilation import INLINED, INNER, KERNEL, ONCE, njit
 from softrobot_twin.geometry.cell_mesh import points_of
 from softrobot_twin.geometry.cell_patches import grow_patches
 from softrobot_twin.geometry.smoothed_mesh import EdgeRings
@@ -49,7 +49,6 @@ from softrobot_twin.geometry.matrix3 import (
 )
 from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, row, scaled, set_row
 from softrobot_twin.geometry.vector_arrays import write_differences
-from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.block_addition import (
     add_blocks,
     add_contiguous_blocks,
@@ -169,7 +168,7 @@ def _add_to_pair(a, b, t, curvature):
         sums[i] += sign * t[i]
 
 
-@njit(**INLINED)
+@njit(**ONCE)
 def _add_curvature(F, G, places, w, curvature):
     """Add w F (∇N_a × ∇N_b) of one point; see `write_gradients`."""
     for a in range(len(G)):
@@ -178,7 +177,7 @@ def _add_curvature(F, G, places, w, curvature):
             _add_to_pair(places[a], places[b], scaled(turn, w), curvature)
 
 
-@njit(**INLINED)
+@njit(**ONCE)
 def _add_tetrahedron(x, cell, places, g, curvature):
     """Add volume and derivatives of a linear tetrahedron by its edges; see `write_gradients`.
 
@@ -268,7 +267,7 @@ def _subtract_pressure(pressure, g, free, forces):
             set_row(forces, n, add_scaled(row(forces, n), row(g, a), -pressure))
 
 
-@njit(**INLINED)
+@njit(**ONCE)
 def write_block(stiffness, pressures, of_a, of_b, turns, K):
     """K_ab of a batch of patches, column by column.
 
@@ -306,15 +305,21 @@ def add_patch_stiffness(bulk_modulus, projected, rest_volumes, x, moves, cells, 
     """
     width = free.shape[1]
     K, stiffness, pressures = scratch(9), scratch(1), scratch(1)
-    g, curvature = np.empty((width, 3, BATCH)), np.empty((width, width, 3, BATCH))
+    g, curvature = np.zeros((width, 3, BATCH)), np.zeros((width, width, 3, BATCH))
+    own, turns = np.empty((width, 3)), np.empty((width, width, 3))
     for k in range(len(offsets)):
-        g[:] = 0.0
-        curvature[:] = 0.0
         for e in range(min(BATCH, len(free) - k * BATCH)):
-            n, own = k * BATCH + e, g[:, :, e]
+            n = k * BATCH + e
+            own[:] = 0.0
+            turns[:] = 0.0
             volume = write_gradients(
-                n, x, moves, cells, places, first, gradients, weights, own, curvature[:, :, :, e]
+                n, x, moves, cells, places, first, gradients, weights, own, turns
             )
+            for a in range(width):
+                for i in range(3):
+                    g[a, i, e] = own[a, i]
+                    for b in range(a):
+                        curvature[a, b, i, e] = turns[a, b, i]
             _, slope, second = volumetric(volume / rest_volumes[n])
             stiffness[e] = bulk_modulus * second / rest_volumes[n]
             pressures[e] = 0.0 if projected else bulk_modulus * slope
@@ -390,7 +395,7 @@ class PatchVolumes(ForceTerm):
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
         """Add -∂E/∂q [N]; see `ForceTerm.add_forces`. Elements count what is flat."""
         add_patch_forces(
-            self.bulk_modulus, self._rest_volumes, writable(positions), self._moved(positions), self._cells, self._places, self._first, self._gradients,
+            self.bulk_modulus, self._rest_volumes, positions, self._moved(positions), self._cells, self._places, self._first, self._gradients,
             self._weights, self._stencils, forces,
         )  # fmt: skip
         return 0
@@ -398,14 +403,14 @@ class PatchVolumes(ForceTerm):
     def add(self, positions, forces, storage, projected: bool) -> None:
         """Add forces and stiffness; see `ForceTerm.add`."""
         add_patch_stiffness(
-            self.bulk_modulus, projected, self._rest_volumes, writable(positions),
+            self.bulk_modulus, projected, self._rest_volumes, positions,
             self._moved(positions), self._cells, self._places, self._first, self._gradients,
             self._weights, self._stencils, self._offsets, self._strides, self._are_contiguous, forces,
             storage,
         )  # fmt: skip
 
     def _moved(self, positions: np.ndarray) -> np.ndarray:
-        write_differences(writable(positions), self._reference, self._moves)
+        write_differences(positions, self._reference, self._moves)
         return self._moves
 
     def volume_ratios(self, positions: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import INLINED, INNER, KERNEL, njit
+from softrobot_twin.compilation import INLINED, INNER, KERNEL, ONCE, njit
 from softrobot_twin.geometry.matrix3 import (
     add_scaled_matrix,
     cofactor,
@@ -34,7 +34,7 @@ def is_upright(F):
     return determinant(F) > FLAT * square * np.sqrt(square)
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def singular_rotation(F):
     """Nearest proper rotation of a flat or inverted deformation, from its singular values.
 
@@ -67,14 +67,14 @@ def turn_flat(F, R, e):
             R[at(i, e)] = A[i // 3, i % 3]
 
 
-@njit(**KERNEL)
+@njit(**KERNEL, inline="always")
 def find_upright(F, upright):
     """Mark the elements of a batch that are upright by 1.0, the others by 0.0."""
     for e in range(BATCH):
         upright[e] = 1.0 if is_upright(matrix_at(F, 0, e)) else 0.0
 
 
-@njit(**KERNEL)
+@njit(**KERNEL, inline="always")
 def find_rotations(F, upright, R):
     """Rotations of a batch: those of flat or inverted elements from their singular values."""
     copy_entries(F, R)
@@ -88,7 +88,7 @@ def find_rotations(F, upright, R):
     iterate_to_rotations(R)
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def iterate_to_rotations(R):
     """Newton's iteration R ← (R + R⁻ᵀ)/2; a rotation is unchanged."""
     for _ in range(POLAR_ITERATIONS):

@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import math
 
-from softrobot_twin.compilation import INLINED, KERNEL, njit
+from softrobot_twin.compilation import INLINED, KERNEL, ONCE, njit
 from softrobot_twin.geometry.matrix3 import (
     IDENTITY,
     add_outer,
@@ -105,7 +105,7 @@ def swapped_if_smaller(values, V, p, q):
     return (values[0], values[2], values[1]), (V[0], V[2], scaled(V[1], -1.0))
 
 
-@njit(**INLINED)
+@njit(**ONCE)
 def perpendicular(v):
     """A unit vector at a right angle to a unit vector."""
     x, y, z = abs(v[0]), abs(v[1]), abs(v[2])
@@ -174,7 +174,7 @@ def is_positive(A):
     return A[0] > 0.0 and minor > 0.0 and third > 0.0
 
 
-@njit(**KERNEL)
+@njit(**KERNEL, inline="always")
 def positive_part(A):
     """The positive semidefinite matrix nearest to a symmetric one; itself where it is positive."""
     if is_positive(A):

@@ -34,12 +34,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, UNCACHED, njit
+from softrobot_twin.compilation import INNER, KERNEL, ONCE, UNCACHED, njit
 from softrobot_twin.geometry.cell_mesh import CellBlock, points_of
 from softrobot_twin.geometry.matrix3 import product, transposed_product
 from softrobot_twin.geometry.shape_functions import MEAN_HEXAHEDRON, hourglass_fields
 from softrobot_twin.geometry.vector_arrays import gather_vectors, multiply_transposed
-from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.compression_watch import CompressionWatch, coarseness
 from softrobot_twin.mechanics.element_assembly import (
     fill_derivatives,
@@ -257,7 +256,7 @@ def _apply_to_gradients(C, weights, gradients, changes):
                     line[m] += factor * row[m]
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _lower_cholesky(M):
     """L of M = L Lᵀ of a 3×3 matrix that is positive semidefinite but for rounding."""
     tiny = 1.0e-30
@@ -552,7 +551,7 @@ class ReducedElements(ForceTerm):
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
         """Find the places of the stiffness; see `ForceTerm.bind`."""
         bound = bind_stencils(self._stencils, elimination_rank, slots)
-        self._bound = tuple(writable(field[0]) for field in bound)
+        self._bound = tuple(field[0] for field in bound)
 
     def _moved(self) -> np.ndarray:
         """The coordinates [m], empty ones behind, from where there is no stress, shape (width,)."""
@@ -560,7 +559,7 @@ class ReducedElements(ForceTerm):
 
     def _evaluate(self, positions: np.ndarray) -> None:
         """Forces, stresses and states of all points at a state."""
-        gather_vectors(writable(positions), self._nodes, self._at_nodes)
+        gather_vectors(positions, self._nodes, self._at_nodes)
         deform_points(self._rows, self._moved(), self.deformations.reshape(-1))
         self._inverted_count = self._assembly.find_stresses(
             self.law, self.deformations, self._weights, self._rotations, self._uprights,
@@ -582,7 +581,7 @@ class ReducedElements(ForceTerm):
 
     def knows(self, positions: np.ndarray) -> bool:
         """Whether the coordinates are the same as those of the stored state, to the bit."""
-        return are_known(writable(positions), self._nodes, self._coordinates)
+        return are_known(positions, self._nodes, self._coordinates)
 
     def add(self, positions, forces, storage, projected: bool) -> None:
         """Add the forces, and the stiffness to the system matrix; see `ForceTerm.add`."""

@@ -27,7 +27,6 @@ import numpy as np
 
 from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.geometry.vector_arrays import gather_vectors, write_differences
-from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.element_batches import BATCH, at, scratch
 from softrobot_twin.mechanics.force_term import InertiaTerm
 from softrobot_twin.mechanics.inertia import RememberedNodes
@@ -93,7 +92,7 @@ class ReducedMasses(RememberedNodes):
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
         """Find the places of the matrix; see `ForceTerm.bind`."""
         bound = bind_stencils(self._stencils, elimination_rank, slots)
-        self._bound = tuple(writable(field[0]) for field in bound)
+        self._bound = tuple(field[0] for field in bound)
 
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
         """Add -c M ((q - q₀)/h - v₀) [N]; see `ForceTerm.add_forces`. It inverts no element."""
@@ -222,7 +221,7 @@ class ReducedStrainRateDamping(ReducedElements):
 
     def begin_step(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:
         """Take the shape at the beginning of the step as the stress-free one."""
-        gather_vectors(writable(positions), self._nodes, self._start)
+        gather_vectors(positions, self._nodes, self._start)
         deform_points(self._rest_rows, self._started, self.deformations.reshape(-1))
         np.multiply(self._volumes, self._beta / time_step, out=self._weights)
         _begin_points(

@@ -70,7 +70,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import INLINED, INNER, KERNEL, njit
+from softrobot_twin.compilation import INLINED, KERNEL, ONCE, njit
 from softrobot_twin.geometry.matrix3 import (
     IDENTITY,
     add_scaled_matrix,
@@ -93,7 +93,7 @@ from softrobot_twin.geometry.vector3 import (
     set_row,
     subtract,
 )
-from softrobot_twin.mechanics.barycentric import BarycentricMapping, writable
+from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.force_term import InertiaTerm, OwnBlocks
 from softrobot_twin.mechanics.rotation import (
     exponential,
@@ -119,6 +119,11 @@ def axes_at(x, origin):
 def rotation_at(x, origin):
     """Rotation R of the body whose origin is node `origin`."""
     return transposed(axes_at(x, origin))
+
+
+def _numbers(vector) -> tuple[float, ...]:
+    """A vector as kernels take it."""
+    return tuple(map(float, vector))
 
 
 @njit(**KERNEL, forceinline=True)
@@ -341,7 +346,7 @@ class RigidFrames:
         """
         nodes = np.empty((4 * len(poses), 3))
         for k, (origin, rotation) in enumerate(poses):
-            write_frame(np.asarray(origin, float), np.asarray(rotation, float), nodes, 4 * k)
+            write_frame(_numbers(origin), tuple(map(_numbers, rotation)), nodes, 4 * k)
         return nodes
 
     def pose(self, positions: np.ndarray, body: int) -> tuple[np.ndarray, np.ndarray]:
@@ -363,8 +368,8 @@ class RigidFrames:
             origin: New position of its origin [m], shape (3,).
             rotation: From its frame to the world, shape (3, 3).
         """
-        centre, R = np.asarray(origin, float), np.asarray(rotation, float)
-        write_frame(centre, R, positions, self.first_node + 4 * body)
+        axes = tuple(map(_numbers, rotation))
+        write_frame(_numbers(origin), axes, positions, self.first_node + 4 * body)
 
     def advance(self, positions: np.ndarray, move: np.ndarray, share: float) -> None:
         """Move the free bodies: c ← c + share u, R ← exp([share θ]×) R.
@@ -412,7 +417,7 @@ class RigidFrames:
 
     def write_derivatives(self, positions: np.ndarray, out: np.ndarray) -> None:
         """Write 1 by the translation and -[x - c]× by the rotation; see `UnknownKind`."""
-        write_levers(writable(positions), self._carried_nodes, self._carried_origins, out)
+        write_levers(positions, self._carried_nodes, self._carried_origins, out)
 
     def add_turning(self, positions: np.ndarray, forces: np.ndarray, out: np.ndarray) -> None:
         """Add the change of the torque (x - c) × f with the rotation; see `UnknownKind`."""
@@ -447,7 +452,7 @@ def add_motion_forces(
         set_row(forces, t + 1, add(row(forces, t + 1), twist))
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def middle_stiffness(J, turn):
     """∂(J φ)/∂θ with J in the middle of the turn φ, θ on top of its end.
 
@@ -673,7 +678,7 @@ class RigidInertia(RigidMotion, InertiaTerm):
             in_middle: Whether the momentum is that in the middle of the turn between them.
         """
         carry_rates(
-            writable(before), writable(after), self._origins, self._first_unknown,
+            before, after, self._origins, self._first_unknown,
             self.inertias, self._inverse_inertias, in_middle, rates,
         )  # fmt: skip
 

@@ -16,7 +16,6 @@ from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.geometry.cell_mesh import node_counts_of, points_of
 from softrobot_twin.geometry.matrix3 import determinant
 from softrobot_twin.geometry.vector_arrays import write_differences
-from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.element_assembly import deform_all
 from softrobot_twin.mechanics.element_batches import BATCH, lay_out_elements, matrix_at
 from softrobot_twin.mechanics.polar import is_upright
@@ -92,7 +91,7 @@ class RingBarrier:
         Returns:
             Whether the barrier acts, if all points are upright.
         """
-        write_differences(writable(positions), self._tets.node_positions, self._moves)
+        write_differences(positions, self._tets.node_positions, self._moves)
         deform_all(self._moves, self._batches.cells, self._batches.gradients, self._deformations)
         acts, self.crossed_count = look_at_volumes(self._batches.weights, self._deformations)
         self.acting_count = 0

@@ -107,7 +107,7 @@ def inverse_jacobian(vector):
     return skew_polynomial(vector, -0.5, second)
 
 
-@njit(**KERNEL)
+@njit(**KERNEL, inline="always")
 def left_jacobian(vector):
     """∂ log(exp([θ + dθ]×) exp(-[θ]×)) / ∂dθ: 1 + (1 - cos θ)/θ² [θ]× + (θ - sin θ)/θ³ [θ]×²."""
     square = dot(vector, vector)

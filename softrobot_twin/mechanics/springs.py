@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, njit
+from softrobot_twin.compilation import INNER, KERNEL, ONCE, njit
 from softrobot_twin.geometry.vector3 import add_scaled, dot, norm, row, scaled, set_row
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.force_term import ForceTerm
@@ -152,7 +152,7 @@ def add_spring_forces(
                 set_row(forces, n, force)
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def add_spring_block(share, along, across, d, o, stride, storage):
     """Add share (across 1 + (along - across) d dᵀ) at one block.
 

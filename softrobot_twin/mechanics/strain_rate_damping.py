@@ -47,7 +47,6 @@ from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.geometry.matrix3 import cofactor, inner, scaled_matrix
 from softrobot_twin.geometry.vector3 import dot
 from softrobot_twin.geometry.vector_arrays import are_same
-from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.element_assembly import (
     assembly_of,
     deform,
@@ -179,7 +178,7 @@ class StrainRateDamping(Elements):
 
     def add(self, positions, forces, storage, projected: bool) -> None:
         """See `Elements`; where the step begins there is no force, and no rotation to be found."""
-        if not are_same(writable(positions), self._reference):
+        if not are_same(positions, self._reference):
             super().add(positions, forces, storage, projected)
             return
         self._forget()
@@ -194,7 +193,7 @@ class StrainRateDamping(Elements):
 
     def knows(self, positions: np.ndarray) -> bool:
         """See `ForceTerm.knows`; where the step begins nothing has to be known."""
-        return are_same(writable(positions), self._reference) or super().knows(positions)
+        return are_same(positions, self._reference) or super().knows(positions)
 
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
         """Add -V R σ g_a [N] to the forces on the unknowns.

@@ -88,7 +88,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import INLINED, INNER, KERNEL, njit
+from softrobot_twin.compilation import INLINED, INNER, KERNEL, ONCE, njit
 from softrobot_twin.geometry.matrix3 import cross_matrix
 from softrobot_twin.geometry.vector3 import (
     add,
@@ -100,7 +100,6 @@ from softrobot_twin.geometry.vector3 import (
     set_row,
     subtract,
 )
-from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.polynomials import Monomials, write_monomials
 from softrobot_twin.mechanics.stencil import add_lever_turning, add_stencil_matrix, of_frames
@@ -192,7 +191,7 @@ def _add_axis_slope(slopes, origin, k, vector, share):
     set_row(slopes, origin, add_scaled(row(slopes, origin), vector, -share))
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _write_scaled(s, e, pressures, cavities, middle, scaling, offset, z):
     """z of superelement s; gives the largest |z|."""
     for k in range(len(z)):
@@ -231,7 +230,7 @@ def _pull_back(scaling, by_z, by_variables, work):
                 by_variables[k, j] += scaling[m, k] * work[m, j]
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _evaluate_enthalpy(
     s, scaling, monomials, gradients, curvatures, centre_values, centre_gradients,
     centre_curvatures, pulls, slope, bend, work, gradient, curvature, centre, centre_slopes,
@@ -300,7 +299,7 @@ def _evaluate_all(
         )
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _write_unknown_slopes(x, nodes, axes, weight, slopes, by_unknowns, levers, drawn):
     """∂e by the unknowns of both frames, and what turns the weight along the axes of A.
 
@@ -345,7 +344,7 @@ def _add_enthalpy_forces(
             set_row(forces, n, add(row(forces, n), force))
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _write_stiffness(curvature, by_unknowns, work, out):
     """∂e/∂qᵀ ∂²Π/∂e² ∂e/∂q over the twelve numbers of the unknowns."""
     count = len(by_unknowns)
@@ -382,7 +381,7 @@ def _turned_product(a, b):
     )
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _add_bending(gradient, ends, levers, out):
     """Add Σ ∂Π/∂e_k ∂²e_k by the unknowns, of products of first changes.
 
@@ -420,7 +419,7 @@ def add_turning(gradient, slopes, shares, weight, levers, out):
         add_lever_turning(force, row(levers, a), 6 * (a // 4) + 3, out)
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _add_drawn(centre_slopes, by_unknowns, drawn, out):
     """Add what the displaced centre of mass and the turned weight do to each other."""
     count = len(by_unknowns)
@@ -602,7 +601,6 @@ class Superelements(ForceTerm):
         Args:
             positions: Node positions [m], shape (node_count, 3).
         """
-        positions = writable(positions)
         state = positions, self._nodes, self._points, self.pressures, self._told
         if is_known(*state):
             return

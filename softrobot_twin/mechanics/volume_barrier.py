@@ -37,7 +37,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, njit
+from softrobot_twin.compilation import INNER, KERNEL, ONCE, njit
 from softrobot_twin.geometry.matrix3 import (
     add_outer,
     add_scaled_matrix,
@@ -110,10 +110,14 @@ def barrier_acts(least):
     """Whether a body has points with less than J₀, and none that is flat or inside out.
 
     Args:
-        least: Of `take_least_volumes` after the last point.
+        least: Of `take_least_volumes` after the last point, shape (BATCH,).
     """
-    lowest = least.min()
-    return -np.inf < lowest < BARRIER_VOLUME
+    lowest = np.inf
+    for k in range(len(least)):
+        if not least[k] > -np.inf:
+            return False
+        lowest = min(lowest, least[k])
+    return lowest < BARRIER_VOLUME
 
 
 @njit(**INNER)
@@ -220,7 +224,7 @@ def add_barrier_stiffness(
                         pair += 1
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def barrier_block(F, G, a, b, e, curvature, slope):
     """K_ab of one element at one point."""
     c_a, c_b = volume_gradient(F, G, a, e), volume_gradient(F, G, b, e)
@@ -229,7 +233,7 @@ def barrier_block(F, G, a, b, e, curvature, slope):
     return add_outer(turning, scaled(c_a, curvature), c_b)
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def keeps_volume(F, D, share):
     """Whether J stays above the kept share along F + t D for all t up to a share, from 0.
 

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, njit
+from softrobot_twin.compilation import INNER, KERNEL, ONCE, njit
 from softrobot_twin.solvers.contact_law import (
     CONTACT_SIZE,
     admissible,
@@ -164,14 +164,14 @@ def _add_row(row, factor, delta):
         delta[j] += row[j] * factor
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _add_three_rows(W, first, a, b, c, delta):
     row_1, row_2, row_3 = W[first], W[first + 1], W[first + 2]
     for j in range(len(delta)):
         delta[j] += row_1[j] * a + row_2[j] * b + row_3[j] * c
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def share_load(W, actuator_count, rows_per_contact, violation, force, delta):
     """First forces of contacts that penetrate, where no contact presses yet; in place.
 
@@ -236,7 +236,7 @@ def _solve_single(W, i, lower, upper, force, delta):
         force[i] = value
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _solve_triple(W, n, friction, local, force, delta):
     """A contact with friction."""
     f_n, f_1, f_2 = force[n], force[n + 1], force[n + 2]
@@ -282,11 +282,11 @@ def _solve(
         return np.inf, np.inf, 0
     rows = (W, violation, lower, upper, friction, rows_per_contact)
     n = len(force)
-    delta, trial, trial_delta, best, right = np.empty((5, n))
-    active, kinds = np.empty((2, n), dtype=np.int64)
+    # Not as rows of one array: numba takes these for arrays with gaps.
     workspace = _Workspace(
-        np.empty((len(friction), CONTACT_SIZE)), delta, trial, trial_delta, best, active, kinds,
-        np.empty((n, 4)), np.empty((n, n)), right,
+        np.empty((len(friction), CONTACT_SIZE)), np.empty(n), np.empty(n), np.empty(n), np.empty(n),
+        np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64), np.empty((n, 4)),
+        np.empty((n, n)), np.empty(n),
     )  # fmt: skip
     gap, newtons, count = _iterate(*rows, force, workspace, tolerance, most_sweeps)
     greatest = 0.0

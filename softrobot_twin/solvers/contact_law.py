@@ -28,7 +28,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, njit
+from softrobot_twin.compilation import INNER, KERNEL, ONCE, njit
 
 # Relative excess over the cone that is round-off.
 ROUND_OFF = 1.0e-14
@@ -74,7 +74,7 @@ def admissible(lower, upper, friction, rows_per_contact, force):
                 force[n + 2] *= limit / length
 
 
-@njit(**KERNEL)
+@njit(**KERNEL, inline="always")
 def measure_contact(W, first, local):
     """Principal axes of a contact's tangential compliance with the normal eliminated.
 
@@ -100,7 +100,7 @@ def measure_contact(W, first, local):
     local[COSINE], local[SINE] = cosine, sine
 
 
-@njit(**KERNEL)
+@njit(**KERNEL, inline="always")
 def solve_contact(local, friction, q_n, q_1, q_2):
     """Force of one contact.
 
@@ -130,7 +130,7 @@ def solve_contact(local, friction, q_n, q_1, q_2):
     return f_n, cosine * f_1 - sine * f_2, sine * f_1 + cosine * f_2
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _slide(normal, friction, q_n, w_1, w_2, c_1, c_2, s_1, s_2):
     """Force on the cone's surface, tangents along the principal axes."""
     size = np.hypot(c_1, c_2)
@@ -201,7 +201,7 @@ def law(delta, centre, stiffness, lower, upper, friction, per_contact, force, sl
             _friction_force(n, friction[k], delta, centre, stiffness, force, slope)
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _friction_force(n, friction, delta, centre, stiffness, force, slope):
     """Tangential force of a contact that presses, and its slopes."""
     rho, limit = stiffness[n + 1], friction * force[n]

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, njit
+from softrobot_twin.compilation import INNER, KERNEL, ONCE, njit
 
 
 PLAIN, TURNING = 0, 1
@@ -72,7 +72,7 @@ def active_rows(W, lower, upper, friction, rows_per_contact, force, delta, rows,
     return count
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _tangents(W, n, friction, z_n, force, delta, rows, kinds, frame, count):
     """Active rows of a pressing contact's tangents."""
     w = 0.5 * (W[n + 1, n + 1] + W[n + 2, n + 2])
@@ -220,7 +220,7 @@ def solve_system(matrix, right, count):
     return True
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _eliminate_panel(matrix, right, count, first, last):
     """Eliminate some columns, within them; their factors are stored in place of the zeros."""
     for k in range(first, last):

@@ -37,7 +37,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, njit
+from softrobot_twin.compilation import INNER, KERNEL, ONCE, njit
 from softrobot_twin.solvers.contact_gauss_seidel import motion
 from softrobot_twin.solvers.contact_law import (
     admissible,
@@ -215,8 +215,8 @@ def _newton_round(
     n, size_of_point, by_factor = len(delta), len(point), Yt.shape[1] > 0
     bounds = (lower, upper, friction, per_contact)
     slope, trial_delta, moved, by_force = np.empty((n, 3)), np.empty(n), np.empty(n), np.empty(n)
-    g, step, trial, trial_g = np.empty((4, size_of_point))
-    none = np.zeros(n)
+    g, step = np.empty(size_of_point), np.empty(size_of_point)
+    trial, trial_g, none = np.empty(size_of_point), np.empty(size_of_point), np.zeros(n)
     law(delta, centre, stiffness, *bounds, force, slope)
     square = _residual(W, Yt, violation, point, delta, force, by_force, g)
     for made in range(MOST_STEPS_A_ROUND):
@@ -287,7 +287,7 @@ def _energy(first, second, first_delta, second_delta):
     return max(total, 0.0)
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _step_by_factor(Yt, slope, actuators, per_contact, g, step):
     """Newton step of x, written; False where the Jacobian is singular."""
     matrix = np.empty((len(g), len(g)))
@@ -297,7 +297,7 @@ def _step_by_factor(Yt, slope, actuators, per_contact, g, step):
     return solve_system(matrix, step, len(g))
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _step_by_matrix(
     W, slope, force, delta, centre, stiffness, g, friction, actuators, per_contact, step
 ):
@@ -308,19 +308,21 @@ def _step_by_matrix(
     """
     n = len(g)
     rows, kinds = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
-    frame, known, none = np.empty((n, 4)), np.empty(n), np.zeros(n)
+    frame, change, known, none = np.empty((n, 4)), np.empty(n), np.empty(n), np.zeros(n)
     count = pick_rows(
         slope, force, delta, centre, stiffness, g, friction, actuators, per_contact,
         rows, kinds, frame,
     )  # fmt: skip
-    motion(W, none, frame[:, 3], known)
+    for i in range(n):
+        change[i] = frame[i, 3]
+    motion(W, none, change, known)
     matrix, right = fill_reduced_system(W, g, known, stiffness, rows, kinds, frame, count)
     u = np.linalg.solve(matrix, right) if count else right
-    copy_into(step, frame[:, 3])
+    copy_into(step, change)
     apply_step(rows, kinds, frame, count, u, step)
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _own_by_factor(Yt, actuators, per_contact):
     """See `own_compliance`, from the factor."""
     own = np.empty(len(Yt))
@@ -357,7 +359,7 @@ def move(Yt, violation, x, delta):
         delta[i] = total
 
 
-@njit(**KERNEL)
+@njit(**KERNEL, inline="always")
 def fill_jacobian(Yt, slope, actuators, per_contact, matrix):
     """∂g/∂x = 1 + Y K Yᵀ.
 
@@ -393,7 +395,7 @@ def fill_jacobian(Yt, slope, actuators, per_contact, matrix):
                     matrix[p, q] += c_1 * Yt[i + 1, q] + c_2 * Yt[i + 2, q]
 
 
-@njit(**KERNEL)
+@njit(**KERNEL, inline="always")
 def pick_rows(slope, centre_force, delta, centre, stiffness, g, friction, actuators, per_contact,
               rows, kinds, frame):  # fmt: skip
     """Unknowns u of the step by the matrix, and its known part c.
@@ -452,7 +454,7 @@ def pick_rows(slope, centre_force, delta, centre, stiffness, g, friction, actuat
     return count
 
 
-@njit(**KERNEL)
+@njit(**KERNEL, inline="always")
 def fill_reduced_system(W, g, known, stiffness, rows, kinds, frame, count):
     """Matrix and right-hand side of the unknowns of a step.
 

@@ -256,7 +256,8 @@ class DenseStiffness:
             self.condense(NO_ROWS, np.zeros_like(b))
         own, found = self._own, self._inner.solve(b)
         along = np.einsum("ij,ij->i", own.blocks, found[own.node_index])
-        moved = np.bincount(own.row_index, along, own.row_count)
+        # Without rows these would be integers.
+        moved = np.bincount(own.row_index, along, own.row_count).astype(float)
         reduce_moves(self._eliminated.W, moved)
         loads = np.empty(own.row_count)
         substitute(self._eliminated.W, moved, own.row_count, loads)

@@ -30,19 +30,20 @@ ROUND_OFF = 1.0e-12
 
 
 @njit(**KERNEL)
-def compliance_scale(W):
+def compliance_scale(W, actuator_count):
     """Scale 1/√W_ii of each actuator [√(N/m)]; one where an actuator moves nothing.
 
     Args:
-        W: Compliance [m/N], shape (actuator_count, actuator_count).
+        W: Compliance, the rows of the actuators first [m/N], shape (n, n).
+        actuator_count: Number of actuators.
 
     Returns:
         Shape (actuator_count,).
     """
-    most, scale = TINY, np.ones(len(W))
-    for i in range(len(W)):
+    most, scale = TINY, np.ones(actuator_count)
+    for i in range(actuator_count):
         most = max(most, W[i, i])
-    for i in range(len(W)):
+    for i in range(actuator_count):
         if W[i, i] > MOVES_NOTHING * most:
             scale[i] = 1.0 / np.sqrt(W[i, i])
     return scale
@@ -52,7 +53,7 @@ def compliance_scale(W):
 def _proved_efforts(W, free_violation, prescribed, effort_min, effort_max):
     """Efforts of `solve_direct`, and whether they are proved; the guess: no bound is active."""
     n = len(prescribed)
-    scale = compliance_scale(W[:n, :n])
+    scale = compliance_scale(W, n)
     P, gradient, lower, upper = np.empty((n, n)), np.empty(n), np.empty(n), np.empty(n)
     size = 0.0
     for i in range(n):
@@ -121,7 +122,7 @@ def solve_by_daqp(
     Returns:
         Efforts [N], shape (n,), or None when the solver finds none.
     """
-    scale = compliance_scale(np.ascontiguousarray(W))
+    scale = compliance_scale(np.ascontiguousarray(W), len(W))
     no_rows = np.zeros((0, len(scale)))
     return _solve(W, scale, scale * violation, no_rows, effort_min, effort_max, (), ())
 
@@ -140,7 +141,7 @@ def solve_towards(
     Returns:
         Efforts [N], shape (n,), or None when the solver finds none.
     """
-    scale = compliance_scale(np.ascontiguousarray(W))
+    scale = compliance_scale(np.ascontiguousarray(W), len(W))
     rows = W * np.outer(scale, scale)
     gradient = -rows @ (tensions / scale) - SHARING * (tensions / scale)
     return _solve(

@@ -28,7 +28,7 @@ NO_DUAL = 1.0e-6
 NO_CONTACTS, NO_FORCES = np.zeros(0, dtype=bool), np.zeros(0)
 
 
-@njit(**KERNEL)
+@njit(**KERNEL, inline="always")
 def proved_efforts(
     W, effectors, errors, weights, energy_weight, proximal_weight, centre, violation,
     displacement_min, displacement_max, effort_min, effort_max, is_move, stiffness, reference, held,
@@ -69,7 +69,8 @@ def proved_efforts(
     rows, least, most = np.empty((count + more, count)), effort_min.copy(), effort_max.copy()
     lower, upper, k = np.empty(count + more), np.empty(count + more), count
     for i in range(count):
-        rows[i] = A[i]
+        for j in range(count):
+            rows[i, j] = A[i, j]
         lower[i] = displacement_min[i] - violation[i]
         upper[i] = displacement_max[i] - violation[i]
         if is_move[i]:
@@ -79,7 +80,8 @@ def proved_efforts(
             if k == len(rows):
                 return False, least, active
             shift = stiffness[i] * (violation[i] - reference[i])
-            rows[k] = -stiffness[i] * A[i]
+            for j in range(count):
+                rows[k, j] = -stiffness[i] * A[i, j]
             rows[k, i] += 1.0
             lower[k], upper[k] = least[i] + shift, most[i] + shift
             least[i], most[i], k = -np.inf, np.inf, k + 1

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, njit
+from softrobot_twin.compilation import INNER, KERNEL, ONCE, njit
 from softrobot_twin.solvers.small_cholesky import backward, dot_product, factorize, forward
 
 # Active sets that are tried before the caller's general solver is used.
@@ -96,7 +96,7 @@ def _leave_infinite_bounds(lower, upper, active):
             active[i] = 0
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _set_to_bounds(z, lower, upper, touching, active, own):
     """Set unknowns to their active bounds, the others to zero; numbers of the free unknowns."""
     free, k = np.empty(len(z), dtype=np.int64), 0
@@ -110,7 +110,7 @@ def _set_to_bounds(z, lower, upper, touching, active, own):
     return free[:k]
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _equations(A, row_lower, row_upper, C, d, touching, active):
     """Rows that are equations, those of A first, and their right-hand sides."""
     m, n = A.shape
@@ -130,7 +130,7 @@ def _equations(A, row_lower, row_upper, C, d, touching, active):
     return rows[:k], values[:k]
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _stationarity(P, g, rows, z, duals, free, own):
     """Derivative of the Lagrangian by the unknowns besides contact forces, shape (own,); and
     whether it vanishes, to rounding, for all free unknowns."""
@@ -151,7 +151,7 @@ def _stationarity(P, g, rows, z, duals, free, own):
     return slopes[:own], is_stationary
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _update_unknowns(z, lower, upper, slopes, active):
     """Deactivate bounds whose dual has the wrong sign, activate exceeded ones; whether any was."""
     changed = False
@@ -169,7 +169,7 @@ def _update_unknowns(z, lower, upper, slopes, active):
     return changed
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _update_rows(z, A, row_lower, row_upper, duals, active):
     """The same for rows; `duals` are those of the active rows, in their order."""
     changed, k = False, 0
@@ -189,7 +189,7 @@ def _update_rows(z, A, row_lower, row_upper, duals, active):
     return changed
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _wrong_contacts(z, C, d, force_max, touching):
     """Number of contacts that are not clearly as their choice says; and one of them.
 
@@ -228,7 +228,7 @@ def objective_at(P, g, z):
     return total
 
 
-@njit(**KERNEL)
+@njit(**KERNEL, inline="always")
 def minimum_under_equations(P, g, free, rows, values, z, duals):
     """Minimum of a strictly convex quadratic under a few equations, met to rounding.
 

@@ -21,13 +21,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, njit
+from softrobot_twin.compilation import INNER, KERNEL, ONCE, njit
 from softrobot_twin.geometry.vector3 import divided, dot, norm, row, subtract
 
 HALF_SPACE, CAPSULE, CYLINDER, BOX = range(4)
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _capsule_distance(radius, half_length, p):
     """Signed distance [m] of a point to a capsule, and its unit gradient."""
     x, y, z = p
@@ -45,7 +45,7 @@ def _capsule_distance(radius, half_length, p):
     return length - radius, divided(away, length)
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _cylinder_distance(radius, half_length, p):
     """Signed distance [m] of a point to a cylinder with flat caps, and its unit gradient."""
     x, y, z = p
@@ -66,7 +66,7 @@ def _cylinder_distance(radius, half_length, p):
     return cap, (0.0, 0.0, up)
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _box_distance(half, p):
     """Signed distance [m] of a point to a box of given half sides, and its unit gradient."""
     sign_x = 1.0 if p[0] >= 0.0 else -1.0

@@ -34,7 +34,7 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from softrobot_twin.compilation import INLINED, INNER, KERNEL, njit
+from softrobot_twin.compilation import INLINED, KERNEL, ONCE, njit
 from softrobot_twin.geometry.matrix3 import determinant, transposed_product
 from softrobot_twin.geometry.vector3 import add_scaled, scaled
 from softrobot_twin.mechanics.point_law import LawConstant, OwnConstants, register_law
@@ -117,7 +117,7 @@ def powered(l, alpha):
     return areas(l), -alpha, 2.0 * alpha / 3.0
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def energy_of_stretches(law, l, J):
     """Ψ of λ and J [J/m³]."""
     energy = law.bulk_modulus * volumetric(J)[0]
@@ -146,7 +146,7 @@ def slopes(l, x, y, z, alpha):
     )  # fmt: skip
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def stresses_of_stretches(law, l, J):
     """ψ_i of λ and J [Pa]."""
     q = law.bulk_modulus * volumetric_slopes(J)[0]
@@ -196,7 +196,7 @@ def curvatures(l, a, x, y, z, alpha, exponent):
     return own, pairs, twists, spins
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def tangent_of_stretches(law, l, J):
     """ψ_ij, a_ij and b_ij of λ and J [Pa], as `principal_rows` takes them."""
     U, A, zero = volumetric_slopes(J), areas(l), (0.0, 0.0, 0.0)

@@ -479,7 +479,11 @@ def largest_distance(places, others, row_effector, squares):
     """
     for r in range(len(row_effector)):
         squares[row_effector[r]] += (places[r] - others[r]) ** 2
-    return np.sqrt(np.max(squares))
+    largest = 0.0
+    for k in range(len(squares)):
+        if squares[k] > largest or np.isnan(squares[k]):
+            largest = squares[k]
+    return np.sqrt(largest)
 
 
 def imbalance(effectors, linear: Linearized, held: Actuation | None) -> float:

@@ -41,7 +41,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, njit
+from softrobot_twin.compilation import INNER, KERNEL, ONCE, njit
 from softrobot_twin.solvers.multifrontal.dense_kernels import (
     NARROW,
     TRIANGLE,
@@ -486,7 +486,7 @@ def combine(
             )  # fmt: skip
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _combine_columns(columns, Y, stride, b_column, chosen, factors, x):
     """A reached front, three rows at once: three independent sums."""
     line = 0
@@ -563,7 +563,7 @@ def forward(fronts, rows, panels, triangles, places, tree, trees, ranges, y, Y, 
         )
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _forward_single(front, rows, panel, triangle, y, work):
     """A front with the one right-hand side at address y."""
     solve_single(front, panel, triangle, y, work)

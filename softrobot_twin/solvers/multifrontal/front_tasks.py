@@ -31,7 +31,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, njit
+from softrobot_twin.compilation import KERNEL, ONCE, njit
 from softrobot_twin.solvers.multifrontal.dense_kernels import TRIANGLE, WIDE, solve_product
 from softrobot_twin.solvers.multifrontal.memory_layout import Layout
 from softrobot_twin.solvers.multifrontal.numeric_factorization import (
@@ -292,7 +292,7 @@ def _cut_front(
     ]  # fmt: skip
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _factor_tile(front, first, end, strip, end_strip, panels_at, triangles_at):
     """Rows below the diagonal of some columns of a panel."""
     panel = panels_at + 8 * front.panel

@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from softrobot_twin.compilation import INNER, KERNEL, njit
+from softrobot_twin.compilation import KERNEL, ONCE, njit
 from softrobot_twin.solvers.multifrontal.dense_kernels import WIDE
 from softrobot_twin.solvers.multifrontal.vector_code import STRIP
 
@@ -333,7 +333,7 @@ def merge_supernodes(column_nodes, row_nodes, parent):
     return into
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _best_child(s, column_nodes, row_nodes, first_child, sibling):
     """The child whose merging into s gains most, or -1."""
     best, best_gain = NONE, 0.0
@@ -348,7 +348,7 @@ def _best_child(s, column_nodes, row_nodes, first_child, sibling):
     return best
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _adopt(s, child, first_child, sibling):
     """Remove a child from the list of s, and add its own children."""
     if first_child[s] == child:
