@@ -42,8 +42,8 @@ VOCABULARY = {"command", "contact_forces", "result", "state"}
 # The files at the top besides commands, which put rooms together and end in "_command".
 ENTRANCE = {
     "__init__.py", "__main__.py", "blas_threads.py", "compilation.py", "errors.py",
-    "instruction_set.py", "kernel_cache.py", "kernels_ahead.py", "shared_files.py", "traced_stage.py",
-    "worker_threads.py"}
+    "instruction_set.py", "kernel_cache.py", "kernels_ahead.py", "machine_code.py", "shared_files.py",
+    "traced_stage.py", "worker_threads.py"}
 # Where a library may be imported; gmsh only in the process that meshes CAD files.
 HOMES = {
     "rerun": {"view"}, "matplotlib": {"study"}, "mpl_toolkits": {"study"}, "gmsh": {"geometry"},
