@@ -644,7 +644,7 @@ def choose(
 
 
 def reduce(
-    scene: GivenFile, *, body: str | None = None, output: Path | None = None, export: Path | None = None,
+    scene: GivenFile, *, body: str | None = None, output: Path | None = None,
     snapshots: PositiveCount | None = None, range_: Sequence[str] = (), targets: TargetBoxes = (),
     along: GivenFile | None = None, around: Positive | None = None, loads: Positive = 0.0,
     load_points: Annotated[
@@ -669,15 +669,11 @@ def reduce(
         softrobot_twin reduce config/scenes/diamond.yaml --error 1% \\
             --targets tip=-0.02:0.02,-0.02:0.02,0.122:0.140
         softrobot_twin reduce config/scenes/fetch.yaml --snapshots 200 --modes 48
-        softrobot_twin reduce config/scenes/diamond_reduced.yaml --export robot.npz
 
     Args:
         scene (SCENE): Scene file (YAML).
         body (NAME): Body to reduce, where there are several.
         output (FILE.npz): File to write (default <name of the scene>_reduced.npz beside the mesh).
-        export (ROBOT.npz): Write a file with all that steps the reduced robot without a mesh library,
-            see docs/reduced_controller.md; a scene whose body is reduced already is not trained again
-            unless another option asks for it.
         workers (N): Processes on this machine (default: one on each core).
         scheduler (ADDRESS): Compute states on the Dask cluster of this scheduler instead, such as
             tcp://10.0.0.1:8786 (needs distributed).
@@ -716,7 +712,6 @@ def reduce(
         states (N): Fresh states for the error (default $default; 0 for none).
     """
     from softrobot_twin.study import body_training
-    from softrobot_twin.study.controller_export import reduce_and_export
 
     if scheduler is not None:
         refuse("has no effect with --scheduler", workers=workers)
@@ -737,8 +732,6 @@ def reduce(
         surface_loads or 0, tilts, ENERGY if energy is None else energy, modes, spare_modes,
         tolerance, error, states, seed, workers, scheduler, along, around or AROUND, vibration_modes,
     )  # fmt: skip
-    if export is not None:
-        return reduce_and_export(scene, options, export)
     return body_training.reduce(scene, options)
 
 

@@ -84,7 +84,7 @@ def test_files_of_the_repository_in_command_lines_exist():
              if re.match(r"(\$SHARE/)?(config|meshes|tools|examples)/", word)}  # fmt: skip
     # What such a command writes is there where it was run.
     written = {line.words[index + 1] for line in LINES for index, word in enumerate(line.words)
-               if word in ("--output", "--picture", "--export")}  # fmt: skip
+               if word in ("--output", "--picture")}  # fmt: skip
     assert {(page, name) for page, name in files
             if name not in written and not (ROOT / name).exists()} == set()  # fmt: skip
     assert len(files) > 15
