@@ -168,15 +168,20 @@ def test_all_kernels_take_their_options_from_one_place():
     assert outside == []
 
 
-def test_a_kernel_that_is_read_where_it_is_called_is_called_at_one_place():
+@pytest.fixture(scope="module")
+def nodes() -> list[ast.AST]:
+    """Nodes of the syntax trees of all sources."""
     trees = [ast.parse(path.read_text()) for path in PACKAGE.rglob("*.py")]
-    nodes = [node for tree in trees for node in ast.walk(tree)]
+    return [node for tree in trees for node in ast.walk(tree)]
+
+
+def test_a_kernel_that_is_read_where_it_is_called_is_called_at_one_place(nodes):
     named = Counter(node.id for node in nodes if isinstance(node, ast.Name))
     named.update(node.attr for node in nodes if isinstance(node, ast.Attribute))
     options = {
-        node.name: ast.unparse(decorator)
+        node.name: text
         for node in nodes if isinstance(node, ast.FunctionDef)
-        for decorator in node.decorator_list if ast.unparse(decorator).startswith("njit(")
+        for text in map(ast.unparse, node.decorator_list) if text.startswith("njit(")
     }  # fmt: skip
     read = [name for name, chosen in options.items() if re.search(r"ONCE|\binline=", chosen)]
     assert len(read) > 100

@@ -17,7 +17,8 @@ pressures are low, so that both are small although much of the energy is E_h.
 
 Arguments of the kernels here:
     deformations: F of all cells, shape (batch_count, 9 × BATCH).
-    moduli, y: See `hourglass.py`.
+    moduli: M [N/m], shape (batch_count, 144 × BATCH), see `hourglass.py`.
+    y: Hour-glass strains [m], shape (batch_count, 12 × BATCH).
     weights: Volume of each cell [m³], 0 beyond the last one, shape (batch_count, BATCH).
 """
 

@@ -32,7 +32,7 @@ Arguments of the kernels here:
     stride: Doubles between rows of Y.
     first_strip, end_strip: Columns of Y, in strips of eight.
     target, target_stride: Where the result goes, and doubles between its rows.
-    work: Memory for the rows of a front.
+    work: Memory for the rows of a front, shape (work_size,).
     rank: Place of each node in the elimination order, shape (node_count,).
     result: What is written.
 """

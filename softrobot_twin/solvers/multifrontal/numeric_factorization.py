@@ -18,7 +18,8 @@ Arguments of the kernels here:
     are_some: Whether the columns are not all; a constant, so that all need no code for it.
     first_block, end_block: The matrix's blocks in these columns.
     panels_at, updates_at: Addresses of the panels and of the updates.
-    fronts, children, runs, block_places, storage, panels, updates, triangles: See `factorize`.
+    fronts, children, runs, block_places, storage, panels, updates, triangles: Their shapes are told
+        by `factorize`.
 """
 
 from __future__ import annotations
