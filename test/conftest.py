@@ -71,7 +71,7 @@ def pytest_collection_modifyitems(items):
 # Processor time [s] that a case of `make test` may take, with its own fixtures and processes.
 BUDGET = 1.0
 # A case fails beyond this many budgets, so that neither noise nor a busy machine fails it.
-SLACK = 4.0
+SLACK = 8.0
 # Processor time [s] of `calibration_loop` on the machine (AMD Zen 4) on which budgets are kept.
 CALIBRATION = 0.036
 _BEGAN = pytest.StashKey[float]()

@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 from collections import Counter
+from functools import cache
 from pathlib import Path
 
 import numba
@@ -244,6 +245,7 @@ ELSEWHERE = re.compile(r"are as in `(\w+)`")
 TAKE_AN_ARRAY = {"len", "row", "rows", "set_row", "set_rows"}
 
 
+@cache
 def public_kernels() -> list[tuple[Path, ast.FunctionDef]]:
     """Every kernel of the package whose name has no leading underscore, and its file."""
     return [
@@ -280,6 +282,7 @@ def test_every_public_kernel_has_a_docstring():
     assert bare == []
 
 
+@cache
 def arrays_of_module(path: Path) -> set[str]:
     """Arguments whose shape the docstring of a module tells, once for all of its kernels."""
     text = ast.get_docstring(ast.parse(path.read_text())) or ""

@@ -130,11 +130,11 @@ def test_twin_device_and_target_work_together_on_simulated_time(
     world.add(TargetNode, use_sim_time=True, target_center=[0.0, 0.0, 0.134], target_rate=50.0,
               target_radius=0.005, target_ramp_time=0.2)
     simulated_time.reaches(3)
-    simulated_time.turn(1.0)
+    simulated_time.turn(0.3)
     assert twin.loop.device.setpoints is not None
     answer = world.ask(SetBool, "/twin/enable", SetBool.Request(data=True))
     assert answer.success, answer.message
-    simulated_time.turn(3.0)
+    simulated_time.turn(1.2)
     assert twin.loop.device.refusals.total == 0
     away = device.device.simulation.effector_positions()[0]
     assert abs(float((away[0] ** 2 + away[1] ** 2) ** 0.5) - 0.005) < 0.003

@@ -227,6 +227,18 @@ def test_a_trunk_that_folded_on_its_way_home_lets_go_and_comes_home(robot):
 
 
 @pytest.mark.exhaustive
+def test_a_diamond_that_sways_into_another_shape_comes_as_near_as_by_a_nearer_target(robot):
+    """Its four cables pull against each other near a limit of stability, and the apex sways away."""
+    way, ends = np.array([0.50890039, -0.34095863, 0.6593691]), []
+    for share in (0.1, 1.0):
+        simulation, _ = robot("Diamond")
+        home = simulation.effector_positions().copy()
+        reached = steps_towards(simulation, home + share * way, OUT)[-1].effector_positions
+        ends.append(float(np.linalg.norm(reached - home - way)))
+    assert ends[1] <= ends[0] + 1e-3
+
+
+@pytest.mark.exhaustive
 def test_a_beam_that_slipped_around_the_rod_comes_home_the_way_it_went(robot):
     """Straightened behind the rod, its tip rests 43 mm from home with all lengths at rest."""
     simulation, distance = robot("eight cables and rod")

@@ -32,7 +32,7 @@ from softrobot_twin.study.timing import SuperLUReference
 from test.run_files import rows_of
 
 COLUMNS = """
-scene family nodes tets dof modes points rows contacts factorization steps stage median_ms p99_ms
+scene family nodes tets dof modes points rows contacts factorization threads steps stage median_ms p99_ms
 max_ms ratio_to_superlu growth_exponent superlu_ms superlu_samples superlu_page_faults
 interrupted_share factor_flop solves_flop dgemm_flop_per_s share_of_dgemm_speed factor_bytes
 resident_bytes full_ms ratio_to_full python_calls kernel_share beside_step_ms

@@ -684,10 +684,11 @@ class TargetTrust:
             self._return(situation)
         gain, promise = self._least - now, self._least - self._expected
         # Balance that is not yet there makes no difference where a place is much further away, nor
-        # where the body is back as it was.
+        # where the body is back as it was. In another shape it is not back.
         is_clear = gain < -promise if self._is_trial else gain > -POOR * promise
+        is_back = self._is_trial or gain > -TRIAL_PROGRESS * self._least
         distance = longest_move(self.goal, situation.displacements, self._scales)
-        is_clear = distance <= MOVED and (is_clear or situation.is_balanced)
+        is_clear = distance <= MOVED and (is_clear or (situation.is_balanced and is_back))
         if not is_clear and self._waits(situation, distance):
             return
         has_come, self._is_trial = self._is_trial, False
