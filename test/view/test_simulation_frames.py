@@ -74,7 +74,7 @@ def test_cables_have_paths_tensions_and_pull_points():
 
 
 def test_errors_are_millimetres():
-    simulation, *_ = shown("finger")
+    simulation = Simulation.from_scene_file(SCENES / "finger.yaml")
     count = len(simulation.effector_names)
     _, frame, result = frame_of(simulation, errors=np.full(count, 0.002), discretization_error=0.003)
     np.testing.assert_allclose(frame.curves["/plots/effector_error"],
