@@ -46,9 +46,9 @@ class MarkerPlausibility:
     marker is accepted when its misfit is as expected, or when its misfit has changed as those of
     most markers around it, no faster than the robot moves. This common change is the median over
     the markers around; one wrong marker of four does not change the median, nor do two markers with
-    swapped ids. Where that leaves out more than half of the markers that are seen, those whose misfits
-    agree with those around are accepted, however fast they changed, and further from the model as long as
-    others are near it: a robot, or its model, snaps to another equilibrium in one frame.
+    swapped ids. Where that leaves out more than half of the markers that are seen, those that changed
+    together are accepted at any speed, and further from the model as long as others are near it: a
+    robot, or its model, snaps to another equilibrium in one frame.
 
     When most markers around share a displacement, it is accepted as soon as a robot that moves one
     size per second could have made it. The displacement of a single marker is accepted after
@@ -148,14 +148,15 @@ class MarkerPlausibility:
             possible = self._is_possible(GREATEST_MISFIT, noise, misfits, bare, medians[:, 3:])
             as_before = as_seen <= tolerance
             speed = SPEED_SHARE * self._size * (now - self._accepted_at)
-            as_others = (apart <= tolerance + STRAIN * shared) & (shared <= tolerance + speed)
+            together = apart <= tolerance + STRAIN * shared
+            as_others = together & (shared <= tolerance + speed)
             for_long = now - self._out_since >= ACCEPT_AFTER
         accepted = seen & possible & (~known | as_before | as_others | for_long)
         if 2 * accepted.sum() < seen.sum():
             # Not so many are wrong: the robot or its model has snapped.
             if np.nanmin(np.linalg.norm(misfits, axis=1)) <= GREATEST_MISFIT * self._size:
                 possible = self._is_possible(FARTHEST_MISFIT, noise, misfits, bare, medians[:, 3:])
-            accepted |= seen & possible & in_company
+            accepted |= seen & possible & in_company & together
         self._out = seen & ~accepted
         self.left_out = tuple(self._ids[self._out].tolist())
         self._out_since = np.where(accepted, np.nan, self._out_since)
