@@ -67,7 +67,7 @@ kernels: setup ## compile the kernels of all scenes and of usual combinations, o
 
 # Of the oldest versions: all that the package names exists and takes its arguments, kernels are
 # compiled, and a robot steps. What else depends on them needs kernels compiled by the oldest numba.
-test: setup-both types kernels ## run the tests that every change must pass: about 6 minutes, 9 from a clean clone
+test: setup-both types kernels ## run the tests that every change must pass: about 8 minutes, 12 from a clean clone
 	$(PYTEST) $(SHARED) -m "not exhaustive" $(PYTEST_ARGUMENTS)
 	$(PYTEST) $(AGAINST_THE_CLOCK) -m "not exhaustive" $(PYTEST_ARGUMENTS)
 	$(PYTEST_OLDEST) $(FEW) -m "not exhaustive" $(PYTEST_ARGUMENTS)

@@ -61,7 +61,7 @@ def built(**changes):
 def stand(simulation, tensions=TENSIONS):
     """Brings a finger to rest under tensions."""
     moves = simulation.scene.integration == "dynamic"
-    for _ in range(60 if moves else 30):
+    for _ in range(200 if moves else 100):
         simulation.step(CommandEfforts(tensions, 0.5 if moves else 1.0))
     for _ in range(20 if moves else 0):
         simulation.step(CommandEfforts(tensions, PERIOD))
