@@ -137,15 +137,18 @@ def approach(positions: np.ndarray, aims: np.ndarray, reach: float) -> np.ndarra
     return near if shorten_ways(positions, aims, reach, near) else aims
 
 
-def shortened(vectors: np.ndarray, longest: float) -> np.ndarray:
+def shortened(
+    vectors: np.ndarray, longest: float, per_unit: np.ndarray | float = 1.0
+) -> np.ndarray:
     """Vectors, those that are longer made as long as a limit.
 
     Args:
         vectors: The vectors, NaN rows stay NaN, shape (n, 3).
         longest: Greatest length.
+        per_unit: What a unit of the vectors counts in that of the limit, shape (n,).
     """
-    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return vectors * np.minimum(1.0, longest / np.maximum(lengths, np.finfo(float).tiny))
+    lengths = np.maximum(np.linalg.norm(vectors, axis=1) * per_unit, np.finfo(float).tiny)
+    return vectors * np.minimum(1.0, longest / lengths)[:, np.newaxis]
 
 
 def approach_poses(
@@ -464,9 +467,7 @@ class TargetCorrection:
             corrections[seen] += self._calm * share * (-misfits[seen] - corrections[seen])
         self.offsets[:] = shortened(self.offsets, limit)
         if misfit.turns is not None and self._lengths_per_radian is not None:
-            angles = np.linalg.norm(self.turns, axis=1) * self._lengths_per_radian
-            tiny = np.finfo(float).tiny
-            self.turns *= np.minimum(1.0, limit / np.maximum(angles, tiny))[:, np.newaxis]
+            self.turns[:] = shortened(self.turns, limit, self._lengths_per_radian)
 
     def update(
         self, errors: np.ndarray, time_step: float, status: Status, gain: float, limit: float

@@ -674,8 +674,8 @@ def measure(case: BenchCase, steps: int) -> SizeMeasurement:
     reports = [step.report for step in record.steps]
     times, faults = np.array(record.superlu).reshape(-1, 2).T
     return SizeMeasurement(
-        case, factorization.name, getattr(factorization, "thread_count", 1), simulation.node_count, simulation.tet_count,
-        simulation.dof_count, sum(one.mode_count for one in reductions),
+        case, factorization.name, getattr(factorization, "thread_count", 1),
+        simulation.node_count, simulation.tet_count, simulation.dof_count, sum(one.mode_count for one in reductions),
         sum(len(one.sampled.cells) for one in reductions),
         spread([step.row_count for step in record.steps]).median,
         spread([report.contact_count for report in reports]).median,

@@ -546,11 +546,8 @@ def forward(fronts, rows, panels, triangles, places, tree, trees, ranges, y, Y, 
             _forward_single(front, rows, panel, triangle, address(y), work)
             continue
         part = trees[tree[s]]
-        first, stride = 3 * front.first_rank, part.stride
-        b_place = part.start + stride * place + part.row_count
-        for i in range(front.columns):
-            Y[b_place + stride * i] += y[first + i]
-        at, work_at = address(Y) + 8 * part.start, address(work)
+        take_over(front, part, place, y, Y)
+        at, work_at, stride = address(Y) + 8 * part.start, address(work), part.stride
         strip, end, last = ranges[s, 0], ranges[s, 1], part.row_count // STRIP
         if end >= last:
             end = last + 1
@@ -561,6 +558,22 @@ def forward(fronts, rows, panels, triangles, places, tree, trees, ranges, y, Y, 
         _forward_columns(
             front, rows, panel, triangle, places, at, stride, place, strip, end, work_at
         )
+
+
+@njit(**INNER)
+def take_over(front, part, place, y, Y):
+    """Add b, of y, to the column that stands for it in the rows of Y of a reached front.
+
+    Args:
+        front: See above.
+        part: Of Y, the part of the front's tree.
+        place: See above.
+        y: b by rank, shape (dof_count,).
+        Y: The parts of Y, one after the other, shape (size,).
+    """
+    first, b_place = 3 * front.first_rank, part.start + part.stride * place + part.row_count
+    for i in range(front.columns):
+        Y[b_place + part.stride * i] += y[first + i]
 
 
 @njit(**ONCE)

@@ -24,6 +24,7 @@ from softrobot_twin.solvers.multifrontal.condensation import (
     NODE_BYTES,
     solve_columns,
     solve_single,
+    take_over,
 )
 from softrobot_twin.solvers.multifrontal.dense_kernels import (
     NARROW,
@@ -157,10 +158,8 @@ def forward_by_tasks(
                     entry += NODE_BYTES
                 continue
             part = trees[tree[s]]
-            first, stride = 3 * front.first_rank, part.stride
-            b_place = part.start + stride * place + part.row_count
-            for i in range(front.columns):
-                Y[b_place + stride * i] += y[first + i]
+            take_over(front, part, place, y, Y)
+            stride = part.stride
             at, target = Y_at + 8 * part.start, kept_rows_at + 8 * NARROW * widest * front.row_start
             strip, end, last = ranges[s, 0], ranges[s, 1], part.row_count // STRIP
             if end >= last:
