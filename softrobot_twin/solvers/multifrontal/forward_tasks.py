@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, njit
+from softrobot_twin.compilation import KERNEL, ONCE, njit
 from softrobot_twin.solvers.multifrontal.condensation import (
     NODE_BYTES,
     solve_columns,
@@ -86,8 +86,8 @@ def plan_forward(
     return ForwardTasks(tasks, segments[order], starts.astype(np.int64))
 
 
-@njit(**INNER)
-def _gather(
+@njit(**ONCE)
+def _add_kept(
     s, fronts, rows, segments, segment_start, places, tree, trees, ranges, y_at, Y_at, kept_at,
     kept_rows_at, widest,
 ):  # fmt: skip
@@ -142,7 +142,7 @@ def forward_by_tasks(
             if not wait_for(waits[k], state, done):
                 return
         for s in range(task.first, task.end):
-            _gather(
+            _add_kept(
                 s, fronts, rows, segments, segment_start, places, tree, trees, ranges, y_at, Y_at,
                 kept_at, kept_rows_at, widest,
             )  # fmt: skip
