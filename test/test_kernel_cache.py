@@ -1,6 +1,5 @@
 """Kernels on disk are compiled anew where a source of theirs changed, and only there."""
 
-import ast
 import os
 import shutil
 import subprocess
@@ -214,11 +213,6 @@ def test_another_process_compiles_what_a_list_names(small_package):
     assert run(small_package) == (16.0, 0)
 
 
-def test_scenes_are_compared_by_their_words():
-    scene = {"body": {"element": "smoothed", "fixed": [{"box": {"minimum": [0.0, 1.0]}}]}}
-    assert kernels_ahead.words(scene) == {"body", "element", "smoothed", "fixed", "box", "minimum"}
-
-
 def test_most_kernels_of_the_list_exist():
     """The list is written for a release: `python tools/compile_kernels.py --ship`."""
     named = {
@@ -307,26 +301,6 @@ print(outer.outer(Own(1.0), 3.0), own_response(Own(2.0)))
     for _ in range(2):
         assert run(small_package, code) == (16.0, 0, 106.0, 200.0)
     assert entries(small_package) == before
-
-
-def imports_at_the_top(module: str) -> Iterator[str]:
-    """Modules of the package that a module imports when it is imported itself."""
-    path = PACKAGE.parent.joinpath(*module.split(".")).with_suffix(".py")
-    for node in ast.parse(path.read_text()).body:
-        if isinstance(node, ast.Import):
-            yield from (name.name for name in node.names if name.name.startswith(PACKAGE.name))
-        elif isinstance(node, ast.ImportFrom) and node.module.startswith(PACKAGE.name):
-            yield node.module
-            for name in node.names:
-                if f"{node.module}.{name.name}" in MODULES:
-                    yield f"{node.module}.{name.name}"
-
-
-def test_closures_hold_all_imports():
-    itself = {kernel_cache.__name__}
-    lost = {module: {*imports_at_the_top(module)} - kernel_cache.closure(module) - itself
-            for module in MODULES}  # fmt: skip
-    assert {module: names for module, names in lost.items() if names} == {}
 
 
 def names_in(code: CodeType) -> Iterator[str]:

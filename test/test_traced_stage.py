@@ -21,11 +21,6 @@ TRACED = {
 
 
 @njit(**KERNEL)
-def largest(vectors):
-    return vectors.max()
-
-
-@njit(**KERNEL)
 def has_negative(vectors):
     return vectors.min() < 0.0
 
@@ -104,22 +99,6 @@ def test_targets_that_move_do_not_send_stages_back_to_python(name, time_step, mo
 
 
 @pytest.mark.libraries
-def test_the_second_of_two_equal_traces_is_run_by_the_driver(monkeypatch):
-    driven, runs = count_driven(monkeypatch), [0]
-    vectors, sums = np.ones((5, 3)), np.zeros((5, 3))
-
-    def stage(sums):
-        runs[0] += 1
-        add_vectors(vectors, sums)
-        return are_same(vectors, vectors)
-
-    stages = TracedStages(True, stage)
-    assert [stages.run(0, sums) for _ in range(5)] == 5 * [True]
-    np.testing.assert_array_equal(sums, 5.0)
-    assert (runs[0], driven[0]) == (2, 3)
-
-
-@pytest.mark.libraries
 def test_a_kernel_that_returns_something_else_sends_the_stage_back_to_python(monkeypatch):
     driven, vectors, sums = count_driven(monkeypatch), np.ones((5, 3)), np.zeros((5, 3))
 
@@ -156,82 +135,6 @@ def test_where_one_stage_does_something_else_none_is_run_by_the_driver(monkeypat
     vectors[0, 0] = -1.0
     stages.run(0)
     assert stages.run(1)
-
-
-def test_a_stage_that_runs_no_more_keeps_no_other_one_in_python(monkeypatch):
-    """It ran beside others that changed, so it is not known; in the next steps it does not run."""
-    driven, vectors, noted = count_driven(monkeypatch), np.ones((5, 3)), [False]
-
-    def first():
-        noted.append(has_negative(vectors))
-
-    def now_and_then():
-        noted.append(are_same(vectors, vectors))
-
-    def third():
-        return bool(noted[-1]) and are_same(vectors, vectors)
-
-    stages = TracedStages(True, first, now_and_then, third)
-    stages.run(0)
-    stages.run(1)
-    stages.run(2)
-    for _ in range(6):
-        stages.run(0)
-        assert not stages.run(2)
-    assert driven[0] >= 6
-    # Where it runs again, the others are learned anew: what it leaves counts.
-    stages.run(0)
-    stages.run(1)
-    assert stages.run(2)
-    stages.run(0)
-    assert not stages.run(2)
-
-
-def test_other_arguments_tell_all_stages_that_something_changed_before_they_are_known():
-    rows = np.zeros((2, 5, 3))
-
-    def first(given):
-        """Calls no kernel: its trace is the same whatever is given."""
-
-    def second():
-        add_vectors(ones, rows[place[0]])
-
-    ones, place = np.ones((5, 3)), [0]
-    stages = TracedStages(True, first, second)
-    stages.run(0, rows[0])
-    stages.run(1)
-    stages.run(1)
-    place[0] = 1
-    stages.run(0, rows[1])
-    stages.run(1)
-    np.testing.assert_array_equal(rows[:, 0, 0], [2.0, 1.0])
-
-
-def test_a_stage_with_arrays_of_its_own_or_numbers_of_a_state_stays_in_python(monkeypatch):
-    driven, vectors, ones = count_driven(monkeypatch), np.ones((5, 3)), np.ones((5, 3))
-
-    def makes_arrays():
-        add_vectors(np.ones((5, 3)), vectors)
-
-    def asks_for_numbers():
-        add_vectors(ones, vectors)
-        return largest(vectors)
-
-    for stage in (makes_arrays, asks_for_numbers):
-        stages = TracedStages(True, stage)
-        results = [stages.run(0) for _ in range(6)]
-    np.testing.assert_array_equal(vectors, 13.0)
-    assert results == [8.0, 9.0, 10.0, 11.0, 12.0, 13.0]
-    assert driven[0] == 0
-
-
-def test_a_number_that_stays_the_same_is_expected_and_another_one_is_found_in_python(monkeypatch):
-    driven, vectors = count_driven(monkeypatch), np.ones((5, 3))
-    stages = TracedStages(True, lambda: largest(vectors) < 2.0)
-    assert all(stages.run(0) for _ in range(6))
-    assert driven[0] > 0
-    vectors[2, 1] = 2.0
-    assert not stages.run(0)
 
 
 @njit(**{**KERNEL, "cache": False})

@@ -32,32 +32,11 @@ def test_forces_follow_the_key_of_a_contact_and_are_zero_for_a_new_one(memory):
     np.testing.assert_array_equal(memory.guess, [3, 4, 5, 0, 0, 0, 6, 7, 8, 0, 1, 2])
 
 
-def test_changing_a_guess_does_not_change_the_memory(memory):
-    recognise(memory, [0, 0, 1], [7, 9, 7])
-    memory.guess[:] = -1.0
-    recognise(memory, [1], [7])
-    np.testing.assert_array_equal(memory.guess, [6, 7, 8])
-
-
 def test_a_contact_that_opened_is_new_when_it_closes_again(memory):
     recognise(memory, [], [])
     memory.remember(np.zeros(0))
     recognise(memory, [0], [7])
     np.testing.assert_array_equal(memory.guess, np.zeros(3))
-
-
-@pytest.mark.parametrize("steps", [0, 1])
-@pytest.mark.parametrize("awaited", [0, 1])
-def test_after_forgetting_no_force_no_change_and_no_contact_is_remembered(memory, steps, awaited):
-    for _ in range(steps):
-        memory.begin_step()
-    memory.forget()
-    assert memory.known == [] and len(memory.guess) == 0
-    for _ in range(awaited):
-        memory.remember(np.zeros(0))
-    recognise(memory, [0], [7])
-    np.testing.assert_array_equal(memory.guess, np.zeros(3))
-    np.testing.assert_array_equal(memory.expected, np.zeros(3))
 
 
 def test_the_change_of_force_of_the_last_step_is_extrapolated(memory):
@@ -80,13 +59,3 @@ def test_the_change_of_force_counts_from_the_start_of_the_step(memory):
     memory.begin_step()
     recognise(memory, [0, 0, 1], [7, 9, 7])
     np.testing.assert_array_equal(memory.expected, memory.guess + 1.0)
-
-
-def test_contacts_of_one_row_and_of_three_keep_their_own_forces():
-    memory = ContactMemory(3)
-    recognise(memory, [0, 0, 1], [7, 9, 7], [1, 1, 3])
-    memory.remember(np.arange(1.0, 6.0))
-    memory.begin_step()
-    recognise(memory, [0, 0, 1, 1], [9, 8, 6, 7], [1, 1, 3, 3])
-    np.testing.assert_array_equal(memory.guess, [2, 0, 0, 0, 0, 3, 4, 5])
-    np.testing.assert_array_equal(memory.expected, 2.0 * memory.guess)

@@ -5,7 +5,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from softrobot_twin.constraints import reduced_cavities
 from softrobot_twin.constraints.cavity import Cavities
 from softrobot_twin.constraints.reduced_cavities import ReducedCavities, ReducedWalls
 from softrobot_twin.geometry.point_location import locate_points
@@ -172,16 +171,6 @@ def test_a_move_is_valid_as_far_as_that_of_the_triangles(reduced, drawn_rng):
         shares.append(reduced.term.largest_share(state(q), move))
         assert shares[-1] == expected
     assert shares[0] == 1.0 and shares[-1] < 1.0
-
-
-def test_coefficients_are_the_same_in_any_chunks(reduced, monkeypatch):
-    walls = ReducedWalls((reduced.surface,), reduced.rest, reduced.basis, PLACES)
-    whole = reduced_cavities.volume_polynomial(reduced.surface, walls)
-    monkeypatch.setattr(reduced_cavities, "CHUNK", 5)
-    cut = reduced_cavities.volume_polynomial(reduced.surface, walls)
-    assert len(reduced.surface.triangles) > 5
-    for a, b in zip(whole, cut, strict=True):
-        np.testing.assert_allclose(a, b, atol=1e-13 * np.abs(a).max())
 
 
 def sphere(cuts):

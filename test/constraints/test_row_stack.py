@@ -70,35 +70,6 @@ def dense(stack):
     return H
 
 
-def test_rows_of_a_group_stand_together_and_an_absent_group_is_empty(stack):
-    assert stack.groups.actuators == slice(0, 3)
-    assert stack.groups.effectors == slice(3, 5)
-    assert stack.groups.contacts == slice(5, 5)
-    assert stack.row_count == 5
-    assert RowStack([]).groups == (slice(0, 0),) * 3
-
-
-def test_varying_rows_are_appended_below_the_constant_rows(stack, x):
-    for count in (0, 3, 5, 1):
-        x[:, 0] = np.where(np.arange(NODES) < count, -1.0, 1.0) * (1.0 + np.arange(NODES))
-        stack.detect(x)
-        stack.evaluate(x)
-        assert stack.groups.contacts == slice(5, 5 + count)
-        chosen = [0, 1, 2, 3, 4, *range(count)]
-        np.testing.assert_array_equal(stack.values, x[chosen, 0])
-        expected = np.zeros((5 + count, NODES, 3))
-        expected[np.arange(5 + count), chosen, 0] = 1.0
-        np.testing.assert_array_equal(dense(stack), expected)
-
-
-def test_values_keep_their_array_from_state_to_state(stack, x):
-    stack.evaluate(x)
-    before, copied = stack.values, stack.values.copy()
-    stack.evaluate(x + 1.0)
-    assert stack.values is before
-    np.testing.assert_allclose(stack.values, copied + 1.0)
-
-
 def test_every_term_gives_its_stiffness_and_the_largest_share_of_a_move(stack, x):
     x[:, 0] = [-1.0, -1.0, 1.0, 1.0, 1.0]
     stack.detect(x)
@@ -109,17 +80,6 @@ def test_every_term_gives_its_stiffness_and_the_largest_share_of_a_move(stack, x
     stack.add_stiffness(x, multipliers, storage, False)
     assert storage[0] == 27.0
     assert stack.largest_share(x, np.zeros_like(x)) == 0.5
-
-
-def test_only_terms_with_varying_rows_keep_a_memory(stack, x):
-    x[:, 0] = [-1.0, 1.0, 1.0, 1.0, 1.0]
-    stack.detect(x)
-    stack.remember(np.arange(6.0))
-    stack.forget()
-    *fixed, contacts = stack.terms
-    np.testing.assert_array_equal(contacts.kept, [5.0])
-    assert contacts.forgotten
-    assert all(term.kept is None and not term.forgotten for term in fixed)
 
 
 def test_forces_are_the_transposed_rows_times_multipliers(stack, x):
@@ -140,37 +100,3 @@ def test_rows_on_free_rigid_bodies_are_brought_to_their_unknowns():
     term.evaluate = lambda positions, blocks, values: blocks.fill(1.0)
     stack.evaluate(frames.rest_nodes([([1.0, 2.0, 3.0], np.eye(3))] * 2))
     assert set(stack.node_index) == {0, 1} and stack.row_count == 4
-
-
-def test_rows_on_unknowns_alone_are_unchanged(x):
-    frames = RigidFrames(NODES, [True], NODES, NODES + 2)
-    stack = RowStack([Points("effectors", [3, 1])], CarriedPoints(NODES + 2, (frames,)))
-    stack.evaluate(x)
-    np.testing.assert_array_equal(stack.node_index, [3, 1])
-    np.testing.assert_array_equal(stack.blocks, [[1.0, 0.0, 0.0]] * 2)
-
-
-class Traceable(Points):
-    """The same, where nothing but the positions decides what they are."""
-
-    is_traceable = True
-
-
-def test_rows_of_positions_alone_are_known_where_they_were_evaluated(x):
-    stack = RowStack([Traceable("actuators", [0, 2])])
-    assert stack.may_know and not stack.knows(x)
-    stack.evaluate(x)
-    assert stack.knows(x) and stack.knows(x.copy())
-    moved = x + 1e-15
-    assert not stack.knows(moved)
-    stack.evaluate(moved)
-    assert stack.knows(moved) and not stack.knows(x)
-
-
-def test_rows_that_yield_or_vary_are_never_known(x):
-    yielding = Traceable("actuators", [0, 2])
-    yielding.yields = True
-    for term in (yielding, Traceable("contacts", [1], varies=True), Points("actuators", [0])):
-        stack = RowStack([term])
-        stack.evaluate(x)
-        assert not (stack.may_know or stack.knows(x))

@@ -1,6 +1,5 @@
 """Cavities in the loop: pressures in messages of their own, beside all actuators in one."""
 
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,10 +8,10 @@ from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.control.engagement import Activity
 from softrobot_twin.control.loop_settings import LoopSettings, Mode
 from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
-from softrobot_twin.control.twin_loop import DISPUTED, TwinLoop
+from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.errors import ParameterError, SceneError
 from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.simulation import CommandSetpoints, Hold, Simulation, Status
+from softrobot_twin.simulation import CommandSetpoints, Simulation, Status
 
 AIR = 101325.0
 NAMES = ("east", "low", "high", "syringe")
@@ -20,10 +19,6 @@ REST = (0.1, 0.0, 0.0, 2e-6)
 LOW, HIGH, SYRINGE = 1, 2, 3
 RATES = {LOW: 2e4, HIGH: 1e4, SYRINGE: 1e-6}
 STEP = 0.02
-
-
-def setpoints_of(driver):
-    return driver.tick().command.setpoints
 
 
 # --- commands ------------------------------------------------------------------------------------
@@ -122,27 +117,6 @@ def test_an_invalid_pressure_is_refused_and_changes_nothing(
     assert kept.setpoints[LOW] == pytest.approx(800.0)
 
 
-def test_only_the_refusal_of_a_volume_and_of_a_gauge_pressure_say_what_to_send():
-    assert "volume [m³] on ~/command/cables" in Refusal.VOLUME_CONTROLLED.hint
-    assert "absolute" in Refusal.BELOW_VACUUM.hint
-    assert "clocks" in Refusal.STALE.hint and "clocks" in Refusal.FROM_THE_FUTURE.hint
-    assert Refusal.NOT_FINITE.hint == ""
-
-
-def test_a_pressure_without_a_frame_is_accepted(drive_air):
-    assert drive_air(mode=Mode.DIRECT).press("low", AIR + 100.0, frame_id="") is None
-
-
-def test_a_flood_of_pressures_leaves_the_newest_and_nothing_that_grows(drive_air):
-    driver = drive_air(mode=Mode.DIRECT)
-    for number in range(20_000):
-        driver.press("low", AIR + number % 3000)
-    assert driver.loop.direct.setpoints.shape == (4,)
-    assert setpoints_of(driver)[LOW] == pytest.approx(RATES[LOW] * STEP)
-    driver.tick(20)
-    assert driver.commands[-1][LOW] == pytest.approx(19_999 % 3000)
-
-
 def test_a_pressure_beyond_the_limits_stops_at_the_limit_and_is_named(drive_air):
     driver = drive_air(mode=Mode.DIRECT)
     # A gauge pressure that was sent by mistake asks for a deep vacuum.
@@ -151,16 +125,6 @@ def test_a_pressure_beyond_the_limits_stops_at_the_limit_and_is_named(drive_air)
     assert outcome.command.setpoints[HIGH] == pytest.approx(-5000.0)
     assert outcome.result.status is Status.SATURATED
     assert "high.pressure_min" in outcome.result.report.active_limits
-
-
-def test_pressures_time_out_like_other_commands(drive_air):
-    driver = drive_air(mode=Mode.DIRECT, target_timeout=0.2)
-    driver.press("low", AIR + 9000.0)
-    assert driver.tick(5).activity is Activity.COMMANDED
-    outcome = driver.tick(10)
-    assert outcome.activity is Activity.HOLDING
-    assert outcome.cause == "no command for target_timeout"
-    assert driver.commands[-1][LOW] < 8000.0
 
 
 def test_a_reset_forgets_pressures_and_the_order_of_their_stamps(drive_air):
@@ -236,13 +200,6 @@ def test_a_sealed_cavity_needs_a_name_of_its_own(sealed_scene):
         TwinLoop(simulation, LoopSettings(), Mode.DIRECT)
 
 
-def test_without_sealed_cavities_nothing_is_said_of_them(drive_air):
-    driver = drive_air()
-    cavities = driver.loop.cavities
-    assert cavities.sealed_names == () and cavities.notes == ()
-    assert cavities.sealed(driver.loop.simulation.state.positions) == {}
-
-
 # --- rates, in any state -------------------------------------------------------------------------
 
 
@@ -284,69 +241,6 @@ def test_no_service_call_moves_a_pressure_faster_than_its_rate(drive_air, mode):
     assert driver.commands[-2] == pytest.approx(REST, abs=1.0)
     assert_rates_kept(driver)
     assert steps_of(driver)[:, LOW].max() == pytest.approx(RATES[LOW] * STEP)
-
-
-def test_a_model_moved_from_outside_does_not_make_a_pressure_jump(drive_air):
-    driver = drive_air(mode=Mode.DIRECT)
-    driver.press("low", AIR + 9e3)
-    driver.tick(30)
-    driver.loop.simulation.reset()
-    outcome = driver.tick()
-    assert outcome.activity is Activity.RESYNCHRONISING and outcome.command is None
-    driver.tick(40)
-    assert driver.commands[-1][LOW] == pytest.approx(9e3)
-    assert_rates_kept(driver)
-
-
-def test_a_return_without_the_model_keeps_the_rates(drive_air, monkeypatch):
-    driver = drive_air(mode=Mode.DIRECT)
-    driver.press("low", AIR + 9e3)
-    driver.press("high", AIR - 4e3)
-    driver.tick(30)
-    simulation = driver.loop.simulation
-    failing = replace(simulation.step(Hold(STEP)), status=Status.DIVERGED)
-    monkeypatch.setattr(simulation, "step", lambda command, budget=None: failing)
-    driver.loop.reset()
-    while driver.tick().activity is Activity.RETURNING:
-        assert len(driver.outcomes) < 200
-    assert driver.commands[-1] == pytest.approx(REST, abs=1e-9)
-    assert_rates_kept(driver)
-
-
-@pytest.mark.parametrize("at_rest", [False, True])
-@pytest.mark.parametrize("index, value, word", [
-    (LOW, np.nan, "low.not_finite"), (LOW, 1e6, "low.pressure_max"),
-    (LOW, -100.0, "low.pressure_min"), (HIGH, -6e3, "high.pressure_min"), (LOW, 5e3, "low.rate"),
-    (SYRINGE, 5e-6, "syringe.growth_max"), (SYRINGE, 2.1e-6, "syringe.rate"),
-])  # fmt: skip
-def test_an_invalid_result_of_a_step_is_not_published(
-    drive_air, monkeypatch, index, value, word, at_rest
-):
-    driver = drive_air(mode=Mode.DIRECT)
-    driver.press("low", AIR + 1000.0)
-    safe = driver.tick(10).command
-    simulation = driver.loop.simulation
-    step, stay = simulation.step, simulation.stay
-    wrong = safe.setpoints.copy()
-    wrong[index] = value
-
-    def spoilt(command, budget=None):
-        return replace(step(command, budget), setpoints=wrong)
-
-    def spoilt_at_rest(command, measured=None):
-        assert (result := stay(command, measured)) is not None
-        return replace(result, setpoints=wrong)
-
-    monkeypatch.setattr(simulation, "step", spoilt)
-    monkeypatch.setattr(
-        simulation, "stay", spoilt_at_rest if at_rest else lambda command, measured=None: None
-    )
-    assert driver.outcomes[-1].result.report.is_resting
-    outcome = driver.tick()
-    assert outcome.result.report.is_resting == at_rest
-    assert word in outcome.violated and outcome.result.status.is_failure
-    assert np.array_equal(outcome.command.setpoints, safe.setpoints)
-    assert np.array_equal(outcome.command.efforts, safe.efforts)
 
 
 # --- a device ------------------------------------------------------------------------------------
@@ -429,35 +323,6 @@ def test_a_pressure_without_limits_may_be_measured_slightly_below_zero(air_scene
     loop = TwinLoop(simulation, LoopSettings(), Mode.DIRECT, use_device=True)
     assert loop.device.put(np.array([LOW]), -20.0, 0.0) is None
     assert loop.device.put(np.array([LOW]), -1e5, 0.0) is Refusal.OUT_OF_RANGE
-
-
-def test_a_device_that_lost_its_pressure_is_not_driven_further(drive_air):
-    driver = drive_air(use_device=True, mode=Mode.DIRECT, device_timeout=0.1)
-    measure(driver)
-    driver.loop.enable(driver.time)
-    driver.press("low", AIR + 8e3)
-    low = 0.0
-    for _ in range(40):
-        measure(driver, low)
-        outcome = driver.tick()
-        low = low if outcome.command is None else float(outcome.command.setpoints[LOW])
-        driver.press("low", AIR + 8e3)
-    assert low == pytest.approx(8e3)
-    # Its hose came off.
-    measure(driver, 0.0)
-    outcome = driver.tick()
-    assert outcome.cause == DISPUTED and outcome.command is None
-    for _ in range(6):
-        measure(driver, 0.0)
-        outcome = driver.tick()
-    assert outcome.activity is Activity.RESYNCHRONISING and outcome.command is None
-    count = len(driver.commands)
-    for _ in range(60):
-        measure(driver, 0.0)
-        outcome = driver.tick()
-        if outcome.command is not None:
-            break
-    assert driver.commands[count][LOW] == pytest.approx(0.0, abs=RATES[LOW] * STEP)
 
 
 def follow_through_valves(driver, device, height, seconds):

@@ -40,39 +40,11 @@ def test_steps_are_counted_by_their_status_until_clear(outcome):
     assert window.statuses == {}
 
 
-def test_a_residual_of_nan_is_the_worst(outcome):
-    window = DiagnosticsWindow()
-    window.add(changed(outcome, residual=math.nan))
-    window.add(changed(outcome, residual=5.0))
-    assert math.isnan(window.largest["residual"])
-
-
-def test_after_clear_only_the_newest_tick_is_known(outcome):
-    window = DiagnosticsWindow()
-    window.add(changed(outcome, Status.DIVERGED, 1.0, violated=("east.rate",)))
-    window.clear()
-    assert (window.worst, window.ticks, window.blocked) == (Status.OK, 0, 0)
-    assert not window.limits and not window.causes and not window.stage_maxima
-    assert window.newest is not None
-
-
 @pytest.mark.parametrize("status", Status)
 def test_every_status_can_be_reported(outcome, status):
     window = DiagnosticsWindow()
     window.add(changed(outcome, status))
     assert window.worst is status
-
-
-def test_a_linearized_step_is_worse_than_an_exact_one_and_no_worse_than_a_limit(outcome):
-    window = DiagnosticsWindow()
-    for status in (Status.OK, Status.LINEARIZED, Status.OK):
-        window.add(changed(outcome, status))
-    assert window.worst is Status.LINEARIZED
-    window.add(changed(outcome, Status.RATE_LIMITED))
-    assert window.worst is Status.RATE_LIMITED
-    for status in (Status.NOT_CONVERGED, Status.SATURATED):
-        window.add(changed(outcome, status))
-    assert window.worst is Status.NOT_CONVERGED
 
 
 def test_a_step_that_had_to_be_late_counts_as_overload(outcome):

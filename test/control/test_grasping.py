@@ -177,21 +177,6 @@ def test_a_reset_moves_the_palm_home_before_it_restores_the_rest_shape(drive_gra
     assert driver.tick().activity is Activity.HOLDING
 
 
-def test_a_run_after_a_reset_is_the_same_to_the_bit(drive_grasper):
-    def run(driver):
-        close(driver, 60)
-        driver.lead("palm", 0.0, 0.01, 0.02)
-        driver.tick(20)
-        return driver.loop.simulation.state.positions.copy()
-
-    driver = drive_grasper()
-    first = run(driver)
-    driver.loop.reset()
-    while driver.loop.simulation.state.step_count:
-        driver.tick()
-    assert np.array_equal(run(driver), first)
-
-
 def test_a_scene_in_contact_with_an_effector_is_driven_by_length():
     leg = Simulation.from_scene_file(SCENES / "octoleg.yaml")
     loop = TwinLoop(leg, LoopSettings(rate=100.0), Mode.DIRECT)

@@ -4,7 +4,6 @@ import gc
 import math
 import random
 
-import numpy as np
 import pytest
 
 from softrobot_twin.control.loop_timing import (
@@ -12,7 +11,6 @@ from softrobot_twin.control.loop_timing import (
     ClockWatch,
     ElapsedTime,
     GarbageCollection,
-    LoopStatistics,
     TickClock,
 )
 
@@ -75,30 +73,6 @@ def test_a_loop_that_is_always_too_slow_queues_nothing():
         assert following - begun >= 0.25 - 1e-9
 
 
-def test_the_period_is_measured():
-    timer = Timer()
-    for late in (0.0, 0.02, 0.0):
-        timer.tick(work=0.001, late=late)
-    summary = timer.clock.statistics.summary()
-    assert summary.period_max == pytest.approx(0.12)
-    assert summary.period_mean == pytest.approx(0.1)
-
-
-def test_after_a_change_of_period_counting_continues_on_a_new_grid():
-    timer = Timer()
-    timer.tick(work=0.001)
-    timer.clock.restart(0.03)
-    timer.time = 1.0
-    timer.clock.begin(0.03)
-    assert timer.clock.end().skipped == 0
-    assert timer.clock.ticks == 2
-
-
-def test_ending_a_tick_that_did_not_begin_is_refused():
-    with pytest.raises(RuntimeError):
-        TickClock(PERIOD).end()
-
-
 SEEDS = [0, 1, 2]
 
 
@@ -126,30 +100,6 @@ def test_elapsed_time_never_decreases(seed):
         assert elapsed() == passed / NANOSECONDS
 
 
-def test_figures_are_those_of_the_last_ticks_only():
-    statistics = LoopStatistics(capacity=100)
-    for _ in range(50):
-        statistics.record(1.0, 9.0)
-    for index in range(100):
-        statistics.record(0.01, 0.001 * index)
-    summary = statistics.summary()
-    assert summary.period_mean == pytest.approx(0.01) and summary.period_max == 0.01
-    assert summary.compute_p50 == pytest.approx(0.001 * np.percentile(np.arange(100), 50))
-    assert summary.compute_p99 == pytest.approx(0.001 * np.percentile(np.arange(100), 99))
-    assert summary.compute_max == pytest.approx(0.099)
-
-
-def test_there_are_no_figures_before_the_first_tick():
-    assert all(math.isnan(value) for value in LoopStatistics().summary())
-
-
-def test_the_first_tick_has_no_period():
-    statistics = LoopStatistics()
-    statistics.record(float("nan"), 0.002)
-    assert math.isnan(statistics.summary().period_mean)
-    assert statistics.summary().compute_max == 0.002
-
-
 class Clock:
     def __init__(self):
         self.time = 0.0
@@ -169,33 +119,6 @@ def collector(clock):
         clock.time += 0.002
 
     return GarbageCollection(interval=1.0, longest_wait=10.0, clock=clock, collect=collect)
-
-
-def test_garbage_is_collected_once_an_interval(collector, clock):
-    collected = 0
-    for _ in range(100):
-        clock.time += 0.1
-        collected += collector.offer(spare_time=0.05)
-    assert 9 <= collected <= 10
-    assert collector.forced == 0
-
-
-def test_garbage_collection_waits_for_enough_spare_time(collector, clock):
-    clock.time = 1.5
-    assert collector.offer(spare_time=0.05)
-    clock.time = 3.0
-    # The last collection took 2 ms: less than twice that is too little.
-    assert not collector.offer(spare_time=0.003)
-    assert not collector.offer(spare_time=-0.1)
-    assert collector.offer(spare_time=0.005)
-
-
-def test_garbage_is_collected_without_spare_time_when_there_is_never_any(collector, clock):
-    clock.time = 9.9
-    assert not collector.offer(spare_time=-0.1)
-    clock.time = 10.1
-    assert collector.offer(spare_time=-0.1)
-    assert (collector.collections, collector.forced) == (1, 1)
 
 
 def test_automatic_collection_is_off_inside_and_back_on_after():

@@ -11,7 +11,6 @@ from softrobot_twin.control.predictive_control import (
     InputRange,
     PredictiveControl,
     Program,
-    knots_of,
     plant_of,
     stability_margin,
     with_margin,
@@ -196,17 +195,6 @@ def test_hidden_outputs_are_predicted():
     assert rms(apart) < 0.03 * 5e-3
 
 
-def test_what_moves_no_output_goes_back_to_where_the_model_was_made():
-    """Two tensions of the same effect: their common part does nothing."""
-    model = swing(inputs=((1.0, -1.0),), is_by_effort=(True, True))
-    control = PredictiveControl(model, PERIOD, AT, free(2))
-    control.reset(np.array([9.0, 9.0]))
-    seen, inputs = run(control, Plant(model), lambda time: 0.103, 600)
-    assert np.abs(seen[-1] - 0.103).max() < 1e-6
-    assert inputs[-1].mean() == pytest.approx(4.0, abs=1e-3)
-    assert inputs[-1, 0] - inputs[-1, 1] == pytest.approx(3.0, abs=1e-3)
-
-
 def test_lengths_move_what_they_hold_without_a_jump():
     model = swing(is_by_effort=(False,))
     control = PredictiveControl(model, PERIOD, AT, free(1))
@@ -255,10 +243,3 @@ def test_a_loop_that_is_not_stable_says_so():
     with np.errstate(all="ignore"):
         margin = stability_margin(PredictiveControl(falls, 0.1, AT, free(1)))
     assert not margin.is_enough and margin.in_words().startswith("not stable")
-
-
-@pytest.mark.parametrize("inputs", [1, 2, 3, 8, 20])
-def test_knots_are_dense_at_first_and_few_enough(inputs):
-    knots = knots_of(25, inputs)
-    assert knots[0] == 0 and knots[1] <= 2 and (np.diff(knots) >= 1).all() and knots[-1] == 24
-    assert (np.diff(np.diff(knots)) >= -1).all() and len(knots) * inputs <= max(50, 4 * inputs)

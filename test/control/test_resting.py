@@ -127,16 +127,6 @@ def test_a_loop_that_rests_and_one_that_steps_give_the_same_to_the_bit(clocked, 
     pair[0].until_repeating()
 
 
-def test_commands_are_still_given_in_each_tick_and_time_passes(clocked):
-    twin = clocked()
-    before = twin.until_repeating()
-    after = twin.tick()
-    assert twin.loop.is_repeating and after.activity is Activity.HOLDING
-    assert after.result.report.is_resting
-    np.testing.assert_array_equal(after.command.setpoints, before.command.setpoints)
-    assert after.result.state.time > before.result.state.time
-
-
 def test_the_first_target_moves_the_robot_in_the_same_tick(clocked):
     twin = clocked()
     twin.until_repeating()
@@ -158,16 +148,6 @@ def test_a_loop_rests_on_its_target_and_follows_the_next_in_the_same_tick(clocke
         assert twin.tick(share / RATE).result.report.is_resting and twin.loop.is_repeating
     twin.loop.targets.accept_point(0, place, twin.arrival())
     assert not twin.tick().result.report.is_resting and not twin.loop.is_repeating
-
-
-def test_all_work_of_a_tick_is_done_from_time_to_time(clocked):
-    twin = clocked()
-    twin.until_repeating()
-    repeated = 0
-    for _ in range(100):
-        twin.tick()
-        repeated += twin.loop.is_repeating
-    assert 90 <= repeated < 100
 
 
 def test_every_call_that_reaches_a_loop_ends_its_rest(clocked):

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.control.device import PressurisedDevice
 from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.scene import scene_from_mapping
@@ -39,15 +38,6 @@ def test_a_command_takes_effect_after_the_delay(simulation, rest):
     moved = np.abs(lengths - rest).max(axis=1) > 1e-6
     assert not moved[times < 0.049].any()
     assert moved[times >= 0.061].all()
-
-
-def test_delayed_commands_keep_their_order(simulation, rest):
-    device = SimulatedDevice(simulation, DeviceFlaws(delay=0.1, servo_rate=1.0))
-    device.read(0.0)
-    for tick in range(10):
-        device.apply(rest - 0.0001 * tick, tick * STEP)
-        reading = device.read(tick * STEP)
-    assert reading.setpoints == pytest.approx(rest - 0.0001 * 4, abs=1e-7)
 
 
 def test_noise_has_the_given_deviation_and_repeats_for_a_seed(simulation, rest):
@@ -86,14 +76,6 @@ def test_a_servo_stops_at_the_limits_of_its_own_body(simulation, rest):
     device = SimulatedDevice(simulation, DeviceFlaws(servo_rate=10.0))
     _, lengths = played(device, rest + 0.05, 0.1)
     assert lengths.max() <= rest.max() + 1e-7
-
-
-def test_a_step_of_zero_or_negative_time_moves_nothing(simulation, rest):
-    device = SimulatedDevice(simulation, DeviceFlaws(servo_rate=0.02))
-    device.apply(rest - 0.001, 0.0)
-    device.read(1.0)
-    assert device.read(1.0).setpoints.tolist() == rest.tolist()
-    assert device.read(0.5).setpoints.tolist() == rest.tolist()
 
 
 @pytest.mark.parametrize("flaws, name", [
@@ -190,19 +172,6 @@ def test_a_regulator_follows_with_a_first_order_lag(quick_air):
     assert setpoints[:, HIGH] == pytest.approx(-1000.0 * grown, rel=1e-6)
 
 
-def test_the_lag_does_not_depend_on_how_often_the_device_is_read(quick_air):
-    def pressure_after(step):
-        quick_air.reset()
-        device = SimulatedDevice(quick_air, DeviceFlaws(valve_lag=0.1, flow_limit=1.0))
-        device.read(0.0)
-        device.apply(quick_air.rest_setpoints + [0.0, 4000.0, 0.0, 0.0], 0.0)
-        for number in range(1, round(0.2 / step) + 1):
-            reading = device.read(number * step)
-        return reading.setpoints[LOW]
-
-    assert pressure_after(0.02) == pytest.approx(pressure_after(0.005), rel=1e-9)
-
-
 def test_a_leak_keeps_a_regulator_with_a_lag_below_its_command(quick_air):
     """T / (T + τ) of it, with T = (V + p C) / (p_ambient G)."""
     leak, lag = 1.0e-10, 0.1
@@ -280,16 +249,3 @@ def test_sensors_of_pressure_are_noisy_and_repeat_for_a_seed(quick_air):
     assert (setpoints[:, [0, SYRINGE]] == exact.setpoints[[0, SYRINGE]]).all()
     assert np.array_equal(efforts, [reading.efforts for reading in readings(30.0, 1)])
     assert not np.array_equal(efforts, [reading.efforts for reading in readings(30.0, 2)])
-
-
-def test_no_sensor_measures_less_than_a_vacuum(quick_air):
-    device = SimulatedDevice(quick_air, DeviceFlaws(pressure_noise=1e6, seed=1))
-    lowest = min(device.read(0.0).efforts[[LOW, HIGH, SYRINGE]].min() for _ in range(20))
-    assert lowest == -AIR
-
-
-def test_a_device_states_its_sensors(quick_air):
-    device = SimulatedDevice(quick_air, DeviceFlaws(pressure_noise=30.0))
-    assert isinstance(device, PressurisedDevice)
-    assert device.cavity_names == ("low", "high", "syringe")
-    assert device.pressure_variance == 900.0

@@ -9,7 +9,6 @@ from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.model_history import Moment
 from softrobot_twin.control.target_correction import (
     CALM_LEAST,
-    GREATEST_SHARE,
     MISFIT_SHARE,
     SURE_SHARE,
     UNALIGNED_TIME,
@@ -32,14 +31,6 @@ def test_a_far_target_is_approached_and_a_near_one_is_used_directly():
     assert points[0] == pytest.approx([0.006, 0.008, 0.1])
     assert points[1].tolist() == AIMS[1].tolist()
     assert np.isnan(points[2]).all()
-
-
-def test_without_a_limit_every_target_is_used_directly():
-    assert np.array_equal(approach(HERE, AIMS, np.inf), AIMS, equal_nan=True)
-
-
-def test_a_reached_target_is_kept():
-    assert approach(HERE, HERE, 0.01).tolist() == HERE.tolist()
 
 
 def test_position_and_orientation_of_a_far_pose_keep_pace():
@@ -122,31 +113,6 @@ def update(correction, x, status=Status.OK):
     return correction.offsets[0, 0]
 
 
-def test_a_constant_model_error_is_compensated():
-    correction, fault = TargetCorrection(1), 0.002
-    for _ in range(100):
-        left = fault - correction.offsets[0, 0]
-        update(correction, left)
-    assert left == pytest.approx(0.0, abs=1e-8)
-
-
-def test_one_measurement_adds_gain_times_time_times_error():
-    assert update(TargetCorrection(1), 0.001) == pytest.approx(GAIN * STEP * 0.001)
-
-
-def test_a_linearized_step_is_corrected_like_an_exact_one():
-    exact, linearized = (
-        update(TargetCorrection(1), 0.001, status) for status in (Status.OK, Status.LINEARIZED)
-    )
-    assert linearized == exact > 0.0
-
-
-def test_rare_measurements_correct_only_a_share_of_the_error():
-    correction = TargetCorrection(1)
-    correction.update(error(0.001), 10.0, Status.OK, GAIN, LIMIT)
-    assert correction.offsets[0, 0] == pytest.approx(GREATEST_SHARE * 0.001)
-
-
 @pytest.mark.parametrize("delay", [0, 1, 2])
 def test_it_settles_although_measurements_are_old(delay):
     """A measurement shows a command of several measurements ago, with long intervals between."""
@@ -167,13 +133,6 @@ def test_the_correction_never_exceeds_its_limit():
     assert correction.offsets[0] == pytest.approx([0.003, -0.004, 0.0])
 
 
-def test_it_leaves_its_limit_at_once_when_the_error_changes_sign():
-    correction = TargetCorrection(1)
-    for _ in range(1000):
-        update(correction, 0.05)
-    assert update(correction, -0.001) < LIMIT
-
-
 @pytest.mark.parametrize("status", LIMITED)
 def test_it_does_not_integrate_where_the_actuators_cannot_follow(status):
     correction = TargetCorrection(1)
@@ -181,26 +140,6 @@ def test_it_does_not_integrate_where_the_actuators_cannot_follow(status):
     for _ in range(100):
         assert update(correction, 0.05, status) == before
     assert update(correction, -0.0005, status) < before
-
-
-def test_the_correction_is_constant_without_a_measurement():
-    correction = TargetCorrection(1)
-    before = update(correction, 0.001)
-    assert update(correction, np.nan) == before
-
-
-def test_it_fades_when_the_loop_is_opened():
-    correction = TargetCorrection(1)
-    before = update(correction, 0.001)
-    correction.fade(STEP, GAIN)
-    assert correction.offsets[0, 0] == pytest.approx(before * np.exp(-GAIN * STEP))
-
-
-def test_reset_removes_the_correction():
-    correction = TargetCorrection(1)
-    update(correction, 0.001)
-    correction.reset()
-    assert not correction.offsets.any()
 
 
 def misfit(x, seen=4):

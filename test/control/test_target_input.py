@@ -39,12 +39,6 @@ def drive(targets, start, duration):
     return time
 
 
-def test_there_is_no_target_before_the_first_message(targets):
-    reading = targets.read(5.0, STEP, REST)
-    assert np.isnan(reading.targets).all()
-    assert (reading.source, reading.age, reading.timed_out) == ("none", math.inf, False)
-
-
 def test_a_point_is_the_target_of_its_effector_alone(targets):
     assert targets.accept_point(1, (0.01, 0.002, 0.13), at(0.0)) is None
     reading = targets.read(0.1, STEP, REST)
@@ -66,11 +60,6 @@ def test_an_invalid_point_changes_nothing_and_is_counted(targets, position, refu
     assert targets.accept_point(0, position, at(0.1)) is refusal
     assert targets.refusals.by_word() == {refusal.value: 1}
     assert targets.read(0.2, STEP, REST).targets[0].tolist() == [0.0, 0.0, 0.13]
-
-
-def test_a_refused_point_does_not_make_the_next_one_outdated(targets):
-    targets.accept_point(0, (math.nan, 0.0, 0.0), at(0.2))
-    assert targets.accept_point(0, (0.0, 0.0, 0.13), at(0.1)) is None
 
 
 def test_each_effector_has_its_own_message_order(targets):
@@ -163,11 +152,6 @@ def test_a_point_stops_a_velocity(targets):
 def test_a_velocity_that_is_not_finite_is_refused_and_counted(targets, velocity):
     assert targets.accept_velocity(velocity, 0.0) is Refusal.NOT_FINITE
     assert targets.refusals.total == 1
-    assert np.isnan(targets.read(0.0, STEP, REST).targets).all()
-
-
-def test_a_zero_velocity_sets_no_target(targets):
-    targets.accept_velocity((0.0, 0.0, 0.0), 0.0)
     assert np.isnan(targets.read(0.0, STEP, REST).targets).all()
 
 
@@ -266,16 +250,6 @@ def test_a_pose_outside_the_workspace_is_limited_to_it(posed):
     posed.accept_pose(0, (5.0, 0.0, 0.125), HALF, at(0.0))
     assert posed.read(0.0, STEP, REST).targets[0, 0] == 0.01
     assert posed.clamped == 1
-
-
-def test_a_reset_forgets_the_orientations(posed):
-    posed.accept_pose(0, (0.0, 0.0, 0.13), HALF, at(0.0))
-    posed.reset()
-    assert np.isnan(posed.read(0.1, STEP, REST).orientations).all()
-
-
-def test_without_oriented_effectors_there_are_no_orientations(targets):
-    assert targets.read(0.0, STEP, REST).orientations is None
 
 
 def test_a_path_is_followed_by_its_own_times_and_ends_at_its_end(targets):

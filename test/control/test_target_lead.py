@@ -5,13 +5,7 @@ import pytest
 
 from softrobot_twin.control.arrival import Arrival
 from softrobot_twin.control.loop_timing import NANOSECONDS
-from softrobot_twin.control.target_lead import (
-    DELAY_TIME,
-    LONGEST_INTERVAL,
-    SILENCE,
-    TargetLead,
-    TargetStream,
-)
+from softrobot_twin.control.target_lead import LONGEST_INTERVAL, SILENCE, TargetStream
 from softrobot_twin.control.target_path import Circle, Lemniscate
 
 DELAY = 0.05
@@ -120,20 +114,3 @@ def test_a_lead_goes_no_farther_ahead_than_its_limit():
     led = np.linalg.norm(leads_along(circle, limit=0.02)[1], axis=1)
     assert led == pytest.approx(0.02 * speed, rel=1e-3)
     assert not leads_along(circle, limit=0.0)[1].any()
-
-
-def test_the_delay_is_averaged_while_a_target_is_led():
-    lead, course, none = TargetLead(1), np.ones((1, 3)), np.full((1, 3), np.nan)
-    lead.follow(none)
-    for tick in range(1, 200):
-        lead.see(0.04, round(0.01 * tick * NANOSECONDS))
-    assert lead.delay == 0.0
-    lead.follow(course)
-    for tick in range(200, 200 + round(100 * DELAY_TIME)):
-        lead.see(0.04, round(0.01 * tick * NANOSECONDS))
-    assert lead.delay == pytest.approx(0.04 * (1.0 - np.exp(-1.0)))
-    lead.see(np.nan, 10 * NANOSECONDS)
-    assert lead.delay == pytest.approx(0.04 * (1.0 - np.exp(-1.0)))
-    lead.reset()
-    assert lead.delay == 0.0
-    assert not lead.ways.any()

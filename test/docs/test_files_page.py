@@ -28,7 +28,3 @@ def test_the_page_names_each_column_of_a_run(scene):
     columns = RunColumns(simulation, followed, BodyReadouts(simulation).columns)
     assert {"step", "time_s", "status"} <= set(columns.names)
     assert unnamed(columns.names) == []
-
-
-def test_a_column_that_the_page_does_not_name_is_found():
-    assert unnamed(["tip_x_m", "tip_x_mm", "left_colour", "status"]) == ["tip_x_mm", "left_colour"]

@@ -1,6 +1,5 @@
 """The bus of servos of the hardware example: packets, units, and what is safe."""
 
-import subprocess
 import sys
 from pathlib import Path
 
@@ -140,27 +139,6 @@ def test_any_content_is_read_as_it_was_written_in_any_pieces(drawn_rng):
             found += reader.feed(stream[place : place + size])
             place += size
         assert [one.parameters for one in found] == contents
-
-
-def test_random_bytes_are_no_packets_and_end_nothing(drawn_rng):
-    reader, good = PacketReader(), packet(3, 0x55, b"\0ab")
-    for _ in range(500):
-        noise = drawn_rng.choice(np.array([0xFF, 0xFD, 0, 3, 9], np.uint8), 30).tobytes()
-        try:
-            reader.feed(noise)
-        except ChecksumError:
-            pass
-    reader.clear()
-    assert reader.feed(good)[0].parameters == b"\0ab"
-
-
-def test_a_damaged_answer_is_told_and_the_next_one_is_read():
-    reader, good = PacketReader(), packet(3, 0x55, b"\0ab")
-    bad = bytearray(good)
-    bad[8] ^= 1
-    with pytest.raises(ChecksumError):
-        reader.feed(bytes(bad))
-    assert reader.feed(good)[0].servo == 3
 
 
 def test_a_turn_of_the_pulley_winds_its_circumference():
@@ -439,33 +417,3 @@ def test_the_file_of_the_example_fits_its_robot(file, scene):
     low, high = simulation.limits.setpoint_range(simulation.rest_setpoints)
     assert all(servo.least <= least for servo, least in zip(servos, low, strict=True))
     assert all(servo.greatest >= most for servo, most in zip(servos, high, strict=True))
-
-
-def test_the_page_names_every_key_of_the_file_and_every_parameter_of_the_tracker():
-    page = (ROOT / "docs" / "hardware.md").read_text()
-    given, own = {}, {}
-    for file, section in (("servos", "servos"), ("emio_servos", "servos"), ("regulators", "regulators")):
-        given |= yaml.safe_load((FOLDER / f"{file}.yaml").read_text())
-        own |= given.pop(section)[0]
-    rows = [line.split("|")[1] for line in page.splitlines() if line.startswith("| `")]
-    told = {word for row in rows for word in row.replace("`", "").replace(",", " ").split()}
-    told = {word.rpartition("[].")[2] for word in told}
-    assert {*given, *own} <= told
-    from mocap_node import PARAMETERS
-
-    assert {entry.name for entry in PARAMETERS} <= told
-    assert told <= {*given, *own, *(entry.name for entry in PARAMETERS)}
-
-
-@pytest.mark.sampled
-@pytest.mark.parametrize("script", ["hardware_node.py", "mocap_node.py"])
-def test_the_nodes_tell_what_they_take(script):
-    done = subprocess.run([sys.executable, str(FOLDER / script), "--help"], text=True,
-                          capture_output=True, timeout=120)  # fmt: skip
-    assert done.returncode == 0 and done.stdout.startswith(f"usage: {script}"), done.stderr
-    assert ("servos_file" if script == "hardware_node.py" else "mocap_pose") in done.stdout
-
-
-def test_a_file_that_is_missing_is_named():
-    with pytest.raises(DeviceFileError, match=r"^none\.yaml: cannot be read"):
-        read_servos("none.yaml")

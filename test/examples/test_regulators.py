@@ -64,12 +64,6 @@ def piped():
     piped.close()
 
 
-def test_a_voltage_is_a_pressure_by_its_range():
-    one = Regulator("air", 0, 0, 0.0, 10.0, 1.0, 5.0, 500e3, 0.0, 500e3)
-    assert (one.volts(0.0), one.volts(250e3)) == pytest.approx((0.0, 5.0))
-    assert (one.pressure(1.0), one.pressure(3.0), one.pressure(5.0)) == (0.0, 250e3, 500e3)
-
-
 def test_messages_are_those_of_the_public_description():
     """Input register 8 has 10; register 1 becomes 3: the examples of the specification."""
     sent = []

@@ -1,6 +1,5 @@
-"""The meshes that are kept, and the scripts that make them."""
+"""The meshes that are kept."""
 
-import importlib.util
 import sys
 from functools import cache
 from pathlib import Path
@@ -26,22 +25,3 @@ def kept_mesh():
         return reading.mesh
 
     return read
-
-
-@pytest.fixture(scope="session")
-def mesh_script():
-    """Loads a script that makes meshes, by its name."""
-    names = []
-
-    @cache
-    def load(name):
-        spec = importlib.util.spec_from_file_location(name, MESHES / f"{name}.py")
-        module = importlib.util.module_from_spec(spec)
-        sys.modules[name] = module
-        names.append(name)
-        spec.loader.exec_module(module)
-        return module
-
-    yield load
-    for name in names:
-        del sys.modules[name]

@@ -71,12 +71,6 @@ def test_items_at_one_place_are_all_found():
     assert sorted(items[:7].tolist()) == sorted(items[7:].tolist()) == list(range(7))
 
 
-def test_no_points_have_no_items():
-    corners = np.ones((1, 3, 3))
-    owner, items = near_items(box_tree(corners), np.empty((0, 3)), np.empty(0))
-    assert len(owner) == len(items) == 0
-
-
 def needles(random, hexahedra):
     """A grid whose layers are 1 µm to 1 m thick, as tetrahedra or hexahedra."""
     lines = [np.cumsum([0.0, *(10.0 ** random.uniform(-6, 0, 5))]) for _ in range(3)]

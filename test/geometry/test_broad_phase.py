@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from softrobot_twin.geometry.broad_phase import CLUSTER_SIZE, Clusters, cluster_triangles
+from softrobot_twin.geometry.broad_phase import Clusters
 from softrobot_twin.geometry.shapes import Box, Capsule, Cylinder, Plane, Sphere
 from softrobot_twin.geometry.surface_shape import SurfaceShapeDetector
 from test.near_pairs import near
@@ -33,16 +33,6 @@ def tube():
         [np.stack([a, b, a + sides], -1), np.stack([b, b + sides, a + sides], -1)]
     )
     return points.reshape(-1, 3), triangles.reshape(-1, 3)
-
-
-def test_clusters_are_small_and_each_triangle_belongs_to_one(tube):
-    points, triangles = tube
-    clusters = cluster_triangles(points, triangles)
-    parts = np.split(clusters.vertices, clusters.ends[:-1])
-    assert max(map(len, parts)) <= 3 * CLUSTER_SIZE
-    assert max(np.ptp(points[part], axis=0).max() for part in parts) < 0.2
-    for triangle in triangles:
-        assert any(np.isin(triangle, part).all() for part in parts)
 
 
 @pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: type(shape).__name__)

@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.self_proximity import FixedPairs, SelfDetector
 from softrobot_twin.geometry.surface import boundary_triangles
 from test.cad_parts import need_gmsh
@@ -152,16 +151,6 @@ def test_normal_is_the_gradient_of_the_gap(notched):
             assert slope == pytest.approx(found.normals[row, axis], abs=1e-4)
 
 
-def test_same_points_give_the_same_bits(strip):
-    points, triangles = strip
-    detector = SelfDetector(triangles, points, 5e-3)
-    first = near(detector, rolled_up(points, 5e-4), MARGIN)
-    near(detector, rolled_up(points, 0.03), MARGIN)
-    second = near(detector, rolled_up(points, 5e-4), MARGIN)
-    for one, other in zip(first, second, strict=True):
-        np.testing.assert_array_equal(one, other)
-
-
 # Two triangles facing up, and three points over, beside and under them.
 POINTS = np.array(
     [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 2], [3, 0, 2], [0, 3, 2.0],
@@ -211,21 +200,6 @@ def test_a_point_beside_its_triangle_touches_the_rim():
     np.testing.assert_allclose(found.gaps, [0.1])
     np.testing.assert_allclose(found.second_positions, [[0.5, 0, 0]])
     assert (found.second_weights >= 0).all()
-
-
-def test_an_empty_list_of_pairs_gives_no_proximities():
-    found = near(FixedPairs(np.empty(0, int), np.empty((0, 3), int)), POINTS, 1.0)
-    assert found.gaps.shape == (0,)
-    assert found.normals.shape == (0, 3)
-
-
-def test_invalid_pairs_are_refused():
-    with pytest.raises(MeshError, match="paired"):
-        FixedPairs([6, 7], [[0, 1, 2]])
-    with pytest.raises(MeshError, match="twice"):
-        FixedPairs([0], [[0, 1, 2]])
-    with pytest.raises(MeshError, match="-1"):
-        FixedPairs([-1], [[0, 1, 2]])
 
 
 @pytest.mark.parametrize("seed", range(60))

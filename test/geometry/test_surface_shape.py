@@ -4,15 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from softrobot_twin.errors import MeshError
-from softrobot_twin.geometry.closest_features import squared_distance
 from softrobot_twin.geometry.shapes import Box, Capsule, Cylinder, Plane, Sphere
-from softrobot_twin.geometry.shapes.distance_kernels import BOX
-from softrobot_twin.geometry.surface_shape import (
-    SurfaceShapeDetector,
-    edges_and_sides,
-    is_nearest_way_out,
-)
+from softrobot_twin.geometry.surface_shape import SurfaceShapeDetector, edges_and_sides
 from test.near_pairs import near
 
 HERE, UPRIGHT = np.zeros(3), np.eye(3)
@@ -251,33 +244,11 @@ def test_keys_stay_under_small_motion(shape):
     )  # fmt: skip
 
 
-@pytest.mark.sampled
-def test_the_same_input_gives_the_same_bits(shape):
-    points, triangles, origin, turn, found = touching(shape, 3, -1e-4)
-    again = near(SurfaceShapeDetector(triangles, len(points), shape), points, origin, turn, MARGIN)
-    for one, other in zip(found, again, strict=True):
-        assert one.tobytes() == other.tobytes()
-
-
 def test_far_away_nothing_is_found(shape):
     origin = -10.0 * shape.normal if isinstance(shape, Plane) else np.array([0.0, 0.0, 10.0])
     detector = SurfaceShapeDetector(np.array([[0, 1, 2]]), 3, shape)
     found = near(detector, COVER, origin, UPRIGHT, MARGIN)
     assert [len(array) for array in found] == [0] * 9
-
-
-def test_a_surface_may_use_few_of_the_points():
-    points = np.vstack([np.zeros((5, 3)), COVER])
-    detector = SurfaceShapeDetector(np.array([[5, 6, 7]]), 8, Plane([0, 0, -1e-3], [0, 0, 1]))
-    found = near(detector, points, HERE, UPRIGHT, MARGIN)
-    np.testing.assert_array_equal(found.first_points, [[5] * 3, [6] * 3, [7] * 3])
-
-
-def test_triangles_without_their_points_are_refused():
-    with pytest.raises(MeshError, match="3 points"):
-        SurfaceShapeDetector(np.array([[0, 1, 3]]), 3, SHAPES["sphere"])
-    with pytest.raises(MeshError, match="n > 0"):
-        SurfaceShapeDetector(np.zeros((0, 3), int), 3, SHAPES["sphere"])
 
 
 def test_all_pairs_are_given_when_there_are_many():
@@ -288,24 +259,6 @@ def test_all_pairs_are_given_when_there_are_many():
     # About the common centre every edge is nearest in its middle.
     assert len(found.gaps) >= len(points) + len(edges)
     assert len(np.unique(found.keys)) == len(found.keys)
-
-
-def test_an_edge_between_two_triangles_is_one_edge():
-    edges, sides = edges_and_sides(np.array([[0, 1, 2], [2, 1, 3]]))
-    np.testing.assert_array_equal(edges, [[0, 1], [0, 2], [1, 2], [1, 3], [2, 3]])
-    np.testing.assert_array_equal(sides, [[0, -1], [0, -1], [0, 1], [1, -1], [1, -1]])
-
-
-def test_of_triangles_apart_only_the_nearest_is_the_nearest_way_out():
-    generator = np.random.default_rng(5)
-    point, corners = generator.normal(size=3), generator.normal(size=(300, 3, 3))
-    x, triangles = corners.reshape(-1, 3), np.arange(900).reshape(-1, 3)
-    distances = np.sqrt([squared_distance(tuple(point), *map(tuple, c)) for c in corners])
-    nearest = [
-        is_nearest_way_out(BOX, np.ones(3), x, triangles, t, tuple(point), distances[t])
-        for t in range(len(corners))
-    ]
-    assert np.flatnonzero(nearest).tolist() == [distances.argmin()]
 
 
 DEEP = 5e-3

@@ -101,17 +101,6 @@ def test_the_matrix_is_minus_the_derivative_of_the_force(moving):
     np.testing.assert_allclose(A.toarray(), -slopes, atol=1e-9 * np.abs(A).max())
 
 
-def test_a_weight_multiplies_force_and_matrix(moving):
-    bound, start, velocities = moving(fixed=[1, 2])
-    x = start + 1e-3 * np.random.default_rng(1).standard_normal(start.shape)
-    forces, A = bound.assemble(x)
-    bound.terms[0].weight = 3.9
-    bound.terms[0].begin_step(start, velocities, STEP)
-    more, B = bound.assemble(x)
-    np.testing.assert_allclose(more, 3.9 * forces, rtol=1e-10, atol=1e-12 * np.abs(forces).max())
-    np.testing.assert_allclose(B.toarray(), 3.9 * A.toarray(), rtol=1e-12)
-
-
 def test_accelerations_are_forces_over_the_mass_matrix(mesh, moving):
     bound, start, _ = moving(fixed=[1, 2])
     forces = np.random.default_rng(2).standard_normal((len(bound.free), 3))
@@ -136,12 +125,6 @@ def test_the_inertia_force_is_minus_the_rate_of_momentum(mesh, moving):
     term = bound.terms[0]
     lost = (term.momentum(velocities) - term.momentum(after)) / STEP
     np.testing.assert_allclose(bound.forces(x)[0].sum(axis=0), lost, rtol=1e-10)
-
-
-def test_in_statics_there_is_no_inertia_force(mesh, moving):
-    bound, start, velocities = moving(step=np.inf)
-    forces, A = bound.assemble(mesh.node_positions)
-    assert not forces.any() and not A.toarray().any()
 
 
 def test_kinetic_energy_is_that_of_the_mass_matrix(mesh, moving):

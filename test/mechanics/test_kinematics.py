@@ -104,36 +104,6 @@ def test_rows_are_the_derivative_by_translation_and_rotation(frames, positions, 
     assert np.abs(H[:, 2:]).max() > 1.0
 
 
-def test_a_point_on_a_rigid_body_takes_two_entries(frames, positions, entries):
-    _, parts = entries(positions)
-    rows = CarriedRows(carried(frames), len(parts[0]))
-    # Three points on each of two free bodies, and a soft one on two free nodes, one given twice.
-    assert rows.reduce(positions, *parts) == 2 * 6 + 3
-    assert np.all(rows.node_index[: rows.count] < UNKNOWNS)
-
-
-def test_the_order_of_entries_does_not_matter(frames, positions, entries):
-    values, parts = entries(positions)
-    rows = CarriedRows(carried(frames), len(parts[0]))
-    rows.reduce(positions, *parts)
-    H = dense(rows, len(values))
-    order = np.random.default_rng(5).permutation(len(parts[0]))
-    rows.reduce(positions, *(part[order] for part in parts))
-    np.testing.assert_allclose(dense(rows, len(values)), H, atol=1e-14)
-
-
-def test_the_number_of_entries_may_change_from_call_to_call(frames, positions, entries):
-    values, parts = entries(positions)
-    rows = CarriedRows(carried(frames), 1)
-    full = rows.reduce(positions, *parts)
-    H = dense(rows, len(values))
-    assert rows.reduce(positions, *(part[:0] for part in parts)) == 0
-    assert not dense(rows, len(values)).any()
-    assert rows.reduce(positions, *(part[:4] for part in parts)) == 2
-    assert rows.reduce(positions, *parts) == full
-    np.testing.assert_array_equal(dense(rows, len(values)), H)
-
-
 def test_rows_of_effectors_on_rigid_bodies_are_their_derivative(frames, positions):
     free_index = np.concatenate([[0, -1, 1], frames.free_index()])
     effector = EffectorPoints("tip", frames.points(2, POINTS), (0, 1, 2), 1.0)
@@ -268,13 +238,6 @@ def test_elements_at_attached_nodes_have_forces_and_stiffness_of_the_rigid_bodie
     term.add(attached.state, added, matrix.storage, True)
     values = np.linalg.eigvalsh(matrix.matrix().toarray())
     assert values.min() > -1e-10 * values.max()
-
-
-def test_a_term_without_carried_points_is_unchanged(attached):
-    free_index = np.where(attached.free_index < UNKNOWNS, attached.free_index, -1)
-    term = Elements(attached.mesh(), free_index, SmallDisplacement(1.0, 1.0))
-    assert on_unknowns(term, attached.points) is term
-    assert on_unknowns(term, None) is term
 
 
 def test_cables_on_rigid_bodies_have_the_stiffness_of_their_turning_forces(attached):
@@ -439,14 +402,6 @@ def test_one_nan_anywhere_makes_the_longest_displacement_nan(nodes, bad):
             move[place] = bad
             assert not np.isfinite(kind.longest(move))
             assert not np.isfinite(largest_force(kind, move))
-
-
-def test_read_only_arrays_are_measured(nodes):
-    for kind in nodes:
-        move = np.full((kind.free_node_count, 3), 0.1)
-        expected = kind.longest(move)
-        move.setflags(write=False)
-        assert kind.longest(move) == expected > 0.0
 
 
 def test_the_move_between_two_states_leads_from_one_to_the_other(nodes):

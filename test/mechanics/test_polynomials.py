@@ -6,23 +6,6 @@ import pytest
 from softrobot_twin.mechanics.polynomials import Monomials
 
 
-@pytest.mark.parametrize(("variables", "degree", "count"), [(1, 4, 5), (3, 2, 10), (7, 4, 330)])
-def test_there_are_as_many_monomials_as_combinations(variables, degree, count):
-    monomials = Monomials(variables, degree)
-    assert monomials.count == count
-    assert len({tuple(row) for row in monomials.exponents}) == count
-    assert (np.diff(monomials.exponents.sum(axis=1)) >= 0).all()
-
-
-def test_monomials_are_products_of_powers():
-    monomials = Monomials(4, 5)
-    seed = 3
-    print("seed", seed)
-    point = np.random.default_rng(seed).uniform(-1.5, 1.5, 4)
-    expected = np.prod(point**monomials.exponents, axis=1)
-    assert monomials.values(point[None])[0] == pytest.approx(expected, rel=1e-13)
-
-
 def test_derivatives_are_finite_differences():
     monomials, seed, h = Monomials(5, 4), 8, 1e-5
     print("seed", seed)

@@ -32,13 +32,6 @@ def force():
     withdraw_channel(FORCE)
 
 
-def test_a_name_is_given_once(force):
-    with pytest.raises(ValueError, match="a channel force already"):
-        register_channel(force)
-    with pytest.raises(ValueError, match="a channel angles already"):
-        register_channel(force._replace(name="angles"))
-
-
 def test_tables_and_results_have_its_columns(force, small_scene_file):
     robot = st.load(small_scene_file)
     result = robot.step(st.setpoints(north_shortening_m=0.002))
@@ -82,12 +75,6 @@ def recorded(force, world, make_twin, tmp_path):
     names = twin.loop.simulation.actuator_names
     world.close()
     return RunFile(tmp_path / "run.mcap"), heard[-1], efforts, names
-
-
-def test_a_twin_publishes_what_the_model_tells(recorded):
-    _, heard, efforts, names = recorded
-    assert list(heard.name) == ["along", "across"]
-    assert heard.position[0] == pytest.approx(LEVER * efforts[names.index("north")], abs=1e-6)
 
 
 def test_a_record_and_its_table_hold_what_is_told_and_what_is_measured(recorded, tmp_path):

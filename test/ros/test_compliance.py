@@ -7,7 +7,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, Header
 
 from softrobot_twin.ros.audience import PERIOD
-from softrobot_twin.ros.messages import matrix_message, stamp_of
+from softrobot_twin.ros.messages import matrix_message
 from softrobot_twin.simulation.apparent_compliance import EffectorCompliance, apparent_compliance
 
 CABLES = ["north", "west", "south", "east"]
@@ -104,15 +104,3 @@ def test_commanded_tensions_hold_no_lengths(world, make_twin):
     softer, _ = read_matrix(compliances[-1])
     held = apparent_compliance(twin.loop.simulation).compliance[0]
     assert softer[0, 0] > 1.2 * held[0, 0]
-
-
-def test_a_matrix_is_read_as_it_was_written():
-    header = Header(stamp=stamp_of(1_700_000_000_123_456_789))
-    message = matrix_message(np.arange(6.0).reshape(2, 3), "ab", "cde", header)
-    matrix, stamp = read_matrix(message)
-    np.testing.assert_array_equal(matrix, np.arange(6.0).reshape(2, 3))
-    assert stamp == header.stamp
-    # As std_msgs/MultiArrayLayout defines it.
-    layout, (i, j) = message.layout, (1, 2)
-    assert message.data[layout.data_offset + layout.dim[1].stride * i + j] == matrix[i, j]
-    assert layout.dim[0].stride == matrix.size

@@ -17,20 +17,13 @@ from softrobot_twin.errors import ParameterError, SceneError
 from softrobot_twin.ros.demo import (
     CONTROLLED_RUNS,
     RUNS,
-    START_TOPIC,
     Demo,
     DemoError,
-    DemoOutcome,
     DemoProcess,
     ProcessDiedError,
-    ProcessorShare,
-    Samples,
     demo_robots,
     isolate,
     plan_demo,
-    processor_shares,
-    processor_times,
-    share_of_others,
     stop_all,
 )
 from softrobot_twin.scene import load_scene
@@ -42,14 +35,6 @@ FIGURES = {"mean_error_mm", "max_error_mm", "mean_twin_misfit_mm", "samples", "s
 
 # --- the plan --------------------------------------------------------------------------------
 
-def test_the_paths_share_a_run_evenly(tmp_path):
-    plan = plan_demo("diamond", tmp_path / "demo", 30.0, view=False)
-    assert plan.turn_time == 15.0
-    assert (tmp_path / "demo").is_dir()
-    target = plan.command("target")
-    assert "target_sequence_time:=15.0" in target
-    assert f"/twin/effectors/{plan.effector}:={START_TOPIC}" in target
-
 
 def test_the_twin_starts_open_loop_disabled_and_records(tmp_path):
     plan = plan_demo("diamond", tmp_path, 30.0, view=False)
@@ -58,15 +43,6 @@ def test_the_twin_starts_open_loop_disabled_and_records(tmp_path):
     assert Path(twin[4]).name == "diamond.yaml"
     assert {"use_device:=true", "closed_loop:=false", "view:=false",
             f'record_file:="{tmp_path / "run.rrd"}"'} <= set(twin)
-
-
-def test_a_short_run_keeps_to_its_first_path_at_the_pace_of_the_parameters(tmp_path):
-    # Two paths in five seconds would be mostly transitions, each several times too fast.
-    plan = plan_demo("diamond", tmp_path, 5.0, view=False)
-    assert (plan.paths, plan.turn_time, plan.ramp_time) == (("circle",), 5.0, 2.0)
-    assert 'target_sequence:=["circle"]' in plan.command("target")
-    assert plan_demo("diamond", tmp_path, 16.0, view=False).paths == ("circle", "lemniscate")
-    assert plan_demo("diamond", tmp_path, 2.0, view=False).ramp_time == 1.0
 
 
 def test_a_robot_without_markers_runs_open_loop_only(tmp_path, monkeypatch):
@@ -157,22 +133,6 @@ def test_a_domain_that_the_user_chose_is_kept():
 
 # --- samples ---------------------------------------------------------------------------------
 
-def test_samples_keep_their_order_and_are_cut_by_time():
-    samples = Samples()
-    for moment in (1.0, 2.0, 1.5, 2.0, 3.0):
-        samples.add(moment, [moment, -moment])
-    times, values = samples.between(1.5, 3.0)
-    np.testing.assert_array_equal(times, [2.0])
-    np.testing.assert_array_equal(values, [[2.0, -2.0]])
-    assert samples.between(5.0, 6.0)[1].shape == (0, 2)
-    assert Samples().between(0.0, 1.0)[1].shape == (0, 0)
-
-
-def test_a_run_ends_when_the_next_starts():
-    outcome = DemoOutcome(None, {"open_loop": 10.0, "closed_loop": 40.0}, 70.0, 0, False, {})
-    assert outcome.span("open_loop") == (10.0, 40.0)
-    assert outcome.span("closed_loop") == (40.0, 70.0)
-
 
 # --- processes -------------------------------------------------------------------------------
 
@@ -259,61 +219,6 @@ def test_the_start_is_waited_for_as_long_as_a_node_tells_of_its_progress(
         demo.until(lambda: False, 2.0, "twin", "it is late", is_starting=True)
     assert "twin compiled 7 of at most 60 kernels" in shown
     stop_all(demo.processes)
-
-
-def test_the_twin_has_half_of_the_cores_and_the_other_processes_the_other_half():
-    of_twin, of_rest = processor_shares({2, 3, 5})
-    assert of_twin == ProcessorShare(0, frozenset({2}))
-    assert of_rest == ProcessorShare(0, frozenset({3, 5}))
-    alone, rest = processor_shares({7})
-    assert alone.cores == rest.cores == {7} and rest.nice > alone.nice == 0
-
-
-def test_a_process_is_bound_to_its_cores(module, tmp_path):
-    code = """
-import os
-print(os.getpriority(os.PRIO_PROCESS, 0), *sorted(os.sched_getaffinity(0)), flush=True)
-"""
-    (tmp_path / "told.py").write_text("import time; time.sleep(0.5)\n" + code)
-    core = max(os.sched_getaffinity(0))
-    before = os.getpriority(os.PRIO_PROCESS, 0)
-    process = DemoProcess("told", ["told"], tmp_path / "told.log", ProcessorShare(3, frozenset({core})))
-    assert process.wait(30.0)
-    assert process.last_lines() == [f"{min(19, before + 3)} {core}"]
-
-
-def kernel_tables(folder, cores, processes):
-    """Writes files as in /proc: times of cores, by kind, and of processes, with their sessions."""
-    folder.mkdir(exist_ok=True)
-    lines = [f"cpu{core} {' '.join(map(str, counts))}" for core, counts in cores.items()]
-    (folder / "stat").write_text("\n".join(["cpu 1 1 1 1", *lines, "intr 5"]) + "\n")
-    for process, (session, user, system) in processes.items():
-        (folder / str(process)).mkdir(exist_ok=True)
-        words = ["S", "1", "1", str(session), *["0"] * 7, str(user), str(system)]
-        (folder / str(process) / "stat").write_text(f"{process} (a) b ( 7) " + " ".join(words))
-    return folder
-
-
-def test_load_of_others_is_time_neither_idle_nor_ours(tmp_path):
-    tick = os.sysconf("SC_CLK_TCK")
-    # user, nice, system, idle, iowait, irq, softirq, steal, guest, guest_nice
-    before = processor_times([40], {0, 1}, kernel_tables(
-        tmp_path / "proc", {0: [5, 0, 0, 90, 9, 0, 0, 0, 3, 0], 1: [0] * 10, 2: [7] * 10},
-        {40: (40, 1, 1), 41: (40, 0, 0), 50: (50, 9, 9), os.getpid(): (1, 0, 0)}))
-    after = processor_times([40], {0, 1}, kernel_tables(
-        tmp_path / "proc",
-        {0: [5 + 3 * tick, tick, tick, 999, 99, 0, 0, tick, 3, 0], 1: [0] * 10, 2: [9999] * 10},
-        {40: (40, 1 + tick, 1), 41: (40, 0, tick), 50: (50, 9 * tick, 9), os.getpid(): (1, 0, 0)}))
-    assert (before.busy, before.own) == (5 / tick, 2 / tick)
-    assert after.busy - before.busy == 6.0 and after.own - before.own == 2.0
-    assert share_of_others(before._replace(moment=0.0), after._replace(moment=10.0)) == 0.2
-    assert share_of_others(after, before._replace(moment=after.moment + 1.0)) == 0.0
-
-
-def test_the_load_of_others_is_measured_on_this_machine():
-    times = processor_times([os.getsid(0)], os.sched_getaffinity(0))
-    assert times.busy > 0.0 and times.own > 0.0
-    assert times.cores == len(os.sched_getaffinity(0))
 
 
 # --- the whole -------------------------------------------------------------------------------
@@ -473,17 +378,6 @@ def distances_to_recent(reference_times, reference, times, points):
         if recent.any():
             found.append(np.linalg.norm(reference[recent] - point, axis=1).min())
     return np.array(found)
-
-
-def test_a_late_robot_on_its_path_is_not_far_from_it():
-    times = np.arange(0.0, 2.0, 0.01)
-    path = np.column_stack([0.1 * times, np.sin(times), 0.0 * times])
-    late = np.column_stack([0.1 * (times - 0.3), np.sin(times - 0.3), 0.0 * times])
-    assert distances_to_recent(times, path, times[50:], late[50:]).max() < 1e-12
-    beside = late + [0.0, 0.0, 0.01]
-    assert distances_to_recent(times, path, times[50:], beside[50:]).min() >= 0.01
-    too_late = np.roll(path, 100, axis=0)
-    assert distances_to_recent(times, path, times[150:], too_late[150:]).max() > 0.05
 
 
 def test_every_robot_of_the_paper_has_a_demo_and_is_in_the_table():

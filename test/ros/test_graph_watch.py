@@ -3,11 +3,9 @@
 import pytest
 from geometry_msgs.msg import PointStamped, Twist
 from sensor_msgs.msg import JointState, PointCloud2
-from std_msgs.msg import Header
 from std_srvs.srv import SetBool
 
 from softrobot_twin.ros.device_node import DeviceNode
-from softrobot_twin.ros.messages import cables_message
 
 OK, WARN, ERROR = b"\x00", b"\x01", b"\x02"
 
@@ -70,27 +68,3 @@ def test_two_devices_on_one_topic_are_reported_by_both(world, make_twin, small_s
     world.until(lambda: twin.loop.device.setpoints is not None)
     answer = enable(world)
     assert not answer.success and "2 publishers on /twin/measured_cables" in answer.message
-
-
-def test_twin_device_and_commands_side_by_side_do_not_clash(
-    world, make_twin, small_scene_file, diagnostics
-):
-    twin = make_twin(use_device=True, device_timeout=5.0)
-    world.add(DeviceNode, device_scene_file=str(small_scene_file))
-    world.speaker(PointStamped, "/twin/target/tip")
-    world.until(lambda: twin.loop.device.setpoints is not None)
-    assert diagnostics("graph").level == OK
-    assert enable(world).success
-
-
-def test_a_running_twin_reports_a_second_device_and_continues(world, make_twin, diagnostics):
-    twin = make_twin(use_device=True, device_timeout=20.0)
-    first = world.speaker(JointState, "/twin/measured_cables")
-    simulation = twin.loop.simulation
-    first.publish(cables_message(simulation.actuator_names, simulation.rest_setpoints, [0.0] * 4,
-                                 Header(stamp=world.stamp())))
-    world.until(lambda: twin.loop.device.setpoints is not None)
-    assert enable(world).success
-    world.speaker(JointState, "/twin/measured_cables")
-    diagnostics("graph", lambda status: status.level == ERROR)
-    assert twin.loop.is_enabled and enable(world).message == "already enabled"

@@ -11,12 +11,9 @@ from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool
 
-from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.ros.device_node import DeviceNode
-from softrobot_twin.ros.messages import contacts_message
 from softrobot_twin.ros.topics import STREAM
 from softrobot_twin.ros.twin_node import TwinNode
-from softrobot_twin.view.recording import CAN_SERVE
 from test.builder import builder
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
@@ -90,93 +87,6 @@ def test_a_motor_closes_the_fingers_and_a_pose_lifts_palm_and_cube(world, make_g
     # still be on its way.
     world.until(lambda: forces()[:, 2].sum() == pytest.approx(-0.2943, abs=0.02))
     assert len(forces()) >= 3
-
-
-def test_a_motor_s_effort_is_the_tension_of_each_of_its_cables(world, make_grasper):
-    twin = make_grasper(rate=100.0)
-    tick = world.ticks_of(twin)
-    cables = world.hear(JointState, "/twin/cables")
-    commands = world.speaker(JointState, "/twin/command/cables")
-    commands.publish(grip_message(world, effort=[0.4]))
-    world.until(lambda: twin.loop.direct.efforts is not None)
-    run_ticks(world, tick, 100)
-    world.until(lambda: cables and np.allclose(cables[-1].effort, 0.4, atol=1e-3))
-    assert cables[-1].name == ["cable_0", "cable_1", "cable_2"]
-
-
-def test_invalid_poses_and_lengths_are_refused_counted_and_move_nothing(
-    world, make_grasper, diagnostics
-):
-    twin = make_grasper(rate=50.0)
-    commands = world.speaker(JointState, "/twin/command/cables")
-    poses = world.speaker(PoseStamped, "/twin/command/pose/palm")
-    bad = {
-        Refusal.NOT_FINITE: pose_message(world, (math.nan, 0.0, 0.05)),
-        Refusal.NO_ROTATION: pose_message(world, (0.0, 0.0, 0.05), (0.0, 0.0, 0.0, 0.0)),
-        Refusal.WRONG_FRAME: pose_message(world, (0.0, 0.0, 0.05), frame_id="map"),
-    }
-    for refusal, message in bad.items():
-        poses.publish(message)
-        world.until(lambda refusal=refusal: twin.loop.poses.refusals.of(refusal) == 1)
-    for refusal, message in {
-        Refusal.NOT_FINITE: grip_message(world, position=[math.inf]),
-        Refusal.WRONG_NAMES: JointState(name=["grip", "cable_0"], position=[0.1, 0.1]),
-        Refusal.WRONG_SIZE: grip_message(world, position=[0.1, 0.1]),
-    }.items():
-        commands.publish(message)
-        world.until(lambda refusal=refusal: twin.loop.direct.refusals.of(refusal) == 1)
-    account = diagnostics("target", lambda account: account.values.get("refused") == "6")
-    assert account.values["refused_not_finite"] == "2"
-    (palm, _), _ = twin.loop.simulation.rigid_poses()
-    assert palm.tolist() == [0.0, 0.0, 0.0]
-    simulation = twin.loop.simulation
-    assert simulation.state.setpoints == pytest.approx(simulation.rest_setpoints)
-
-
-def test_diagnostics_report_contacts_and_their_accuracy(world, make_grasper, diagnostics):
-    make_grasper(rate=50.0)
-    account = diagnostics("contact", lambda account: account.values.get("count", "0") != "0")
-    assert int(account.values["count"]) >= 3
-    assert float(account.values["residual_mm"]) <= 1e-5
-    assert {"sweeps_max", "force_residual_n", "overlap_max_mm", "count_max"} <= set(account.values)
-    assert account.message.startswith("contacts: ")
-
-
-@pytest.mark.skipif(not CAN_SERVE, reason="this rerun cannot read its files")
-def test_a_recording_shows_fingers_rigid_bodies_floor_and_contacts(world, make_grasper, tmp_path):
-    file = tmp_path / "run.rrd"
-    twin = make_grasper(rate=100.0, record_file=str(file), record_every=1, view_every=1)
-    twin.stop()
-    for _ in range(5):
-        twin.tick()
-        world.until(lambda: twin.feed.mirror.frames_logged == twin.tick_clock.ticks)
-    position = twin.loop.simulation.rigid_poses()[0][1]
-    twin.destroy_node()
-    from rerun.chunk import RrdReader
-
-    chunks = RrdReader(file).stream().to_chunks()
-    entities = {chunk.entity_path for chunk in chunks}
-    assert {"/robot/surface/finger_0", "/robot/surface/finger_2", "/rigid_bodies/palm",
-            "/rigid_bodies/cube", "/obstacles/floor", "/contacts/forces",
-            "/contacts/points"} <= entities
-    placed = [chunk.to_record_batch() for chunk in chunks
-              if chunk.entity_path == "/rigid_bodies/cube" and not chunk.is_static]
-    rows = {step: cell for batch in placed for step, cell in zip(
-        batch.column("step").to_pylist(),
-        batch.column("Transform3D:translation").to_pylist())}
-    assert rows[max(rows)][0] == pytest.approx(position, abs=1e-7)
-
-
-def test_a_scene_without_rigid_bodies_has_no_topics_for_them(world, make_twin):
-    twin = make_twin(mode="direct")
-    names = [name for name, _ in twin.get_publisher_names_and_types_by_node("twin", "/")]
-    assert "/twin/cables" in names
-    assert not [name for name in names if "bodies" in name or "poses" in name or "contact" in name]
-
-
-def test_without_contacts_the_message_has_no_points():
-    message = contacts_message(np.empty((0, 3)), np.empty((0, 3)), Header())
-    assert message.width == 0 and len(message.data) == 0 and message.point_step == 24
 
 
 def test_a_device_in_contact_follows_the_twin_s_cables_and_poses(world, make_grasper):

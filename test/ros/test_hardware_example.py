@@ -13,7 +13,6 @@ from sensor_msgs.msg import FluidPressure, JointState, PointCloud2
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool
 
-from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.messages import markers_message, read_markers
 from softrobot_twin.ros.process import spin
 
@@ -268,21 +267,6 @@ def test_no_message_of_a_tracker_ends_its_node(world, make_mocap):
     world.until(lambda: heard and np.isfinite(read_markers(heard[-1])[1]).all())
 
 
-@pytest.mark.parametrize(("kind", "given", "name"), [
-    ("PoseArray", {"mocap_pose": [0.0] * 7}, "mocap_pose"),
-    ("PoseArray", {"mocap_pose": [0.0, 1.0]}, "mocap_pose"),
-    ("PoseArray", {"mocap_unit": "inch"}, "mocap_unit"),
-    ("PoseArray", {"mocap_ids": [3, 3]}, "mocap_ids"),
-    ("PoseArray", {"mocap_ids": [-2]}, "mocap_ids"),
-    ("PoseStamped", {"mocap_ids": [1, 2]}, "mocap_ids"),
-    ("PointCloud2", {"mocap_ids": [1, 2, 3]}, "mocap_ids"),
-])  # fmt: skip
-def test_a_parameter_that_cannot_be_is_refused(world, kind, given, name):
-    with pytest.raises(ParameterError) as raised:
-        world.add(MocapNode, mocap_type=kind, **given)
-    assert raised.value.name == name
-
-
 def test_the_frame_of_a_tracker_is_found_from_markers_at_rest():
     seed = int(np.random.default_rng().integers(2**32))
     print(f"seed {seed}")
@@ -303,17 +287,3 @@ def test_the_frame_of_a_tracker_is_found_from_markers_at_rest():
     np.testing.assert_allclose(pose, [1, 2, 3, 0, 0, 0, 1], atol=1e-9)
     noisy = known + 1e-3 * draw.normal(size=known.shape)
     assert 1e-4 < fit_frame(noisy, known)[1] < 5e-3
-
-
-def test_points_on_a_line_or_too_few_give_no_frame():
-    line = np.outer(np.arange(4.0), [1.0, 2.0, 3.0])
-    with pytest.raises(ValueError, match="on one line"):
-        fit_frame(line, line)
-    with pytest.raises(ValueError, match="three are needed"):
-        fit_frame(line[:2], line[:2])
-
-
-def test_a_rotation_and_its_quaternion_are_the_same():
-    for turn in ([1.0, 0.0, 0.0, 0.0], [0.0, 0.6, 0.0, 0.8], [0.5, 0.5, 0.5, 0.5]):
-        found = quaternion_of(rotation_of(np.array(turn)))
-        assert min(np.abs(found - turn).max(), np.abs(found + turn).max()) < 1e-12

@@ -441,12 +441,6 @@ def test_no_message_ends_a_twin_or_causes_an_unsafe_command(world, parameters, c
 
 
 @pytest.mark.sampled
-@pytest.mark.parametrize("case", CASES, ids=lambda case: "-".join(map(str, case)))
-def test_ticks_between_random_messages_are_as_safe(world, parameters, case):
-    run_hostile(world, parameters, case, seed=1, count=300, every=5)
-
-
-@pytest.mark.sampled
 @pytest.mark.parametrize("robot", ["diamond", "trunk", "grasper", "octoleg", "air"])
 @pytest.mark.parametrize("count", COUNTS)
 def test_no_message_ends_a_device(world, parameters, robot, count):

@@ -12,7 +12,6 @@ from std_srvs.srv import SetBool
 
 from softrobot_twin.control.last_command import LastCommand
 from softrobot_twin.ros.claim import LIFE_TIME
-from softrobot_twin.ros.twin_node import TwinNode
 from softrobot_twin.simulation import Simulation
 
 RATE = 0.05
@@ -59,30 +58,6 @@ def test_a_twin_enabled_after_another_continues_where_that_one_ended(world, make
     world.until(lambda: len(heard) > 5)
     commands = np.vstack([last, *(message.position for message in heard)])
     assert np.abs(np.diff(commands, axis=0)).max() <= RATE / 50.0 + 1e-9
-
-
-def test_another_topic_or_robot_has_another_file(small_scene_file):
-    simulation = Simulation.from_scene_file(small_scene_file)
-    paths = {LastCommand(simulation, topic).path for topic in ("1 /twin/cables", "2 /twin/cables")}
-    assert len(paths) == 2
-
-
-@pytest.mark.parametrize("content", (
-    "", "{}", "[]", "\0\0", '{"setpoints": [1, 2], "efforts": [0, 0], "poses": {}}',
-    '{"setpoints": [NaN, 0, 0, 0], "efforts": [0, 0, 0, 0], "poses": {}}',
-    '{"setpoints": ["a", 0, 0, 0], "efforts": [0, 0, 0, 0], "poses": {}}', "[" * 100_000,
-))  # fmt: skip
-def test_a_damaged_file_is_not_used(small_scene_file, content):
-    simulation = Simulation.from_scene_file(small_scene_file)
-    stored = LastCommand(simulation, "1 /twin/cables")
-    stored.path.parent.mkdir(parents=True)
-    stored.path.write_text(content)
-    assert stored.read() is None
-
-
-def test_with_a_device_nothing_is_kept(world, small_scene_file):
-    twin = world.add(TwinNode, scene_file=str(small_scene_file), use_device=True)
-    assert twin.last_command is None
 
 
 def test_a_folder_that_cannot_be_written_stops_nothing(simulation_of, tmp_path, monkeypatch):

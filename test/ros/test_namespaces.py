@@ -4,10 +4,8 @@ from functools import partial
 
 import numpy as np
 import pytest
-import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PointStamped
-from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
 from softrobot_twin.ros.device_node import DeviceNode
@@ -107,30 +105,3 @@ def test_the_twin_of_a_full_name_is_found_from_every_namespace(world):
         twin="/lab/left/twin", target_center=[0.0, 0.0, 0.13],
     )  # fmt: skip
     world.until(lambda: node.count_publishers("/lab/left/twin/target/tip") == 1)
-
-
-def test_no_shipped_parameter_file_binds_its_nodes_to_a_namespace(pytestconfig):
-    folder = pytestconfig.rootpath / "config"
-    files = sorted(folder.glob("*.yaml"))
-    assert len(files) >= 10
-    for file in files:
-        given = yaml.safe_load(file.read_text())
-        assert list(given) == ["/**"], file.name
-        assert not given["/**"]["ros__parameters"].get("twin", "twin").startswith("/"), file.name
-
-
-def test_measured_cables_of_the_other_side_do_not_arrive(world, two_robots):
-    heard = world.hear(JointState, "/lab/left/twin/measured_cables", 10)
-    left, right = two_robots["left", "twin"], two_robots["right", "twin"]
-
-    def is_lost(twin):
-        return twin.loop.device_is_lost(twin.monotonic())
-
-    world.until(lambda: heard and not is_lost(left) and not is_lost(right))
-    two_robots["left", "device"].stop()
-    world.until(lambda: is_lost(left))
-    before, count = len(heard), right.tick_clock.ticks
-    world.until(lambda: right.tick_clock.ticks > count + 5)
-    assert len(heard) == before and is_lost(left)
-    # On a busy machine the other device may be late, but its messages go on.
-    world.until(lambda: not is_lost(right))

@@ -36,10 +36,6 @@ def test_the_settings_of_the_loop_can_change_and_the_structure_cannot():
     assert all(entry.read_only for entry in TWIN if entry.name in structure)
 
 
-def test_the_defaults_are_valid_settings():
-    loop_settings({entry.name: entry.default for entry in TWIN})
-
-
 def test_the_parameter_file_of_the_diamond_has_every_parameter_with_its_type():
     given = yaml.safe_load(CONFIG.read_text())["/**"]["ros__parameters"]
     assert given.keys() == KNOWN.keys()
@@ -92,12 +88,3 @@ def test_an_invalid_value_is_refused_by_name_and_value(world, name, value, reaso
     with pytest.raises(ParameterError, match=reason) as raised:
         declare(node, TABLE)
     assert (raised.value.name, raised.value.value) == (name, value)
-
-
-def test_a_value_is_described_with_unit_and_range(world):
-    node = world.add(rclpy.create_node, "some")
-    assert declare(node, TABLE) == {"gain": 1.0, "count": 3, "word": "a", "switch": "auto"}
-    gain = node.describe_parameter("gain")
-    assert gain.description == "Gain. [1/s]"
-    assert gain.floating_point_range[0].to_value == 10.0
-    assert "a, b" in node.describe_parameter("word").additional_constraints

@@ -7,7 +7,6 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool
 
-from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.ros.device_node import DeviceNode
 from softrobot_twin.ros.twin_node import TwinNode
 
@@ -45,25 +44,6 @@ def test_a_commanded_angle_is_published_beside_the_length(world, wound_file):
     np.testing.assert_allclose(heard.effort, [RADIUS * both.effort[0], -RADIUS * both.effort[1]])
 
 
-def test_hostile_angles_are_refused_and_the_last_command_goes_on(world, wound_file):
-    twin = world.add(TwinNode, scene_file=str(wound_file), rate=50.0, mode="direct")
-    names = twin.loop.simulation.actuator_names
-    angles = world.hear(JointState, "/twin/angles", 100)
-    command = world.speaker(JointState, "/twin/command/angles")
-    command.publish(angles_of(world, names[:1], [0.2]))
-    world.until(lambda: angles and abs(angles[-1].position[0] - 0.2) < 1e-9)
-    command.publish(angles_of(world, names[:1], [float("nan")]))
-    command.publish(angles_of(world, ["nobody"], [0.1]))
-    command.publish(angles_of(world, names[:1], [0.1], [1.0]))
-    command.publish(angles_of(world, names[2:3], [0.1]))
-    world.until(lambda: twin.loop.direct.refusals.total >= 1)
-    world.until(lambda: len(angles) > 5)
-    assert angles[-1].position[0] == pytest.approx(0.2, abs=1e-9)
-    # Far beyond the limits: it stops there.
-    command.publish(angles_of(world, names[:1], [1e9]))
-    world.until(lambda: abs(angles[-1].position[0] - 1.5) < 1e-4)
-
-
 def test_a_device_measures_angles_and_the_twin_starts_from_them(world, wound_file):
     device = world.add(DeviceNode, device_scene_file=str(wound_file), device_rate=50.0)
     measured = world.hear(JointState, "/twin/measured_angles", 100)
@@ -79,19 +59,3 @@ def test_a_device_measures_angles_and_the_twin_starts_from_them(world, wound_fil
     world.until(lambda: abs(measured[-1].position[0] - 0.3) < 1e-3)
     rest = twin.loop.simulation.rest_setpoints[0]
     assert device.device.result.setpoints[0] == pytest.approx(rest - 0.3 * RADIUS, abs=1e-5)
-
-
-def test_implausible_measured_angles_are_refused(world, wound_file):
-    twin = world.add(TwinNode, scene_file=str(wound_file), rate=50.0, use_device=True)
-    speaker = world.speaker(JointState, "/twin/measured_angles")
-    name = twin.loop.simulation.actuator_names[0]
-    speaker.publish(angles_of(world, [name], [50.0]))
-    world.until(lambda: twin.loop.device.refusals.of(Refusal.OUT_OF_RANGE) == 1)
-    assert twin.loop.device.implausible.name == name
-
-
-def test_scenes_without_pulleys_have_no_topics_of_angles(world):
-    twin = world.add(TwinNode, mode="direct")
-    topics = [publisher.topic_name for publisher in twin.publishers]
-    topics += [subscription.topic_name for subscription in twin.subscriptions]
-    assert "/twin/cables" in topics and not any("angles" in topic for topic in topics)

@@ -65,21 +65,6 @@ def test_the_target_starts_at_the_effector_and_reaches_its_path(world, make_targ
     assert (steps < 0.15 * np.diff(times) + 1e-3).all()
 
 
-def test_paths_alternate(make_target):
-    """Calls the ticks at given times, because on a busy machine some would be skipped."""
-    target = make_target(target_sequence=["circle", "lemniscate"], target_sequence_time=0.6,
-                         target_period=0.5, target_ramp_time=0.1)
-    target.stop()
-    sent = []
-    target.targets.publish = sent.append
-    target.take_start(PointStamped(point=Point(x=0.0, y=0.0, z=0.125)))
-    for tick in range(110):
-        target.work(target.began + 0.01 * tick)
-    radii = np.linalg.norm(places(sent)[:, :2], axis=1)
-    assert radii[20:50] == pytest.approx(0.02, abs=1e-6)
-    assert radii[70:].min() < 0.01
-
-
 def test_a_file_of_targets_is_played(world, make_target, tmp_path):
     file = tmp_path / "path.csv"
     file.write_text("time_s,tip_x_m,tip_y_m,tip_z_m\n0,0,0,0.13\n0.2,0.01,0,0.13\n")
@@ -87,20 +72,6 @@ def test_a_file_of_targets_is_played(world, make_target, tmp_path):
     targets = heard_from(world, (0.0, 0.0, 0.125))
     world.until(lambda: len(targets) > 40)
     assert places(targets)[-1] == pytest.approx([0.01, 0.0, 0.13])
-
-
-@pytest.mark.parametrize("parameters, name", [
-    ({"target_path": "spiral"}, "target_path"),
-    ({"target_path": "/nowhere.csv"}, "target_path"),
-    ({"target_center": [0.0, 0.0]}, "target_center"),
-    ({"target_radius": -0.1}, "target_radius"),
-    ({"target_plane": "zz"}, "target_plane"),
-    ({"target_sequence": ["circle", "x"]}, "target_path"),
-])  # fmt: skip
-def test_an_invalid_path_is_refused_at_start_up(make_target, parameters, name):
-    with pytest.raises(ParameterError) as raised:
-        make_target(**parameters)
-    assert raised.value.name == name
 
 
 def test_an_actuator_is_commanded_to_and_fro_beside_the_targets(world, make_target):
@@ -112,14 +83,6 @@ def test_an_actuator_is_commanded_to_and_fro_beside_the_targets(world, make_targ
     values = np.array([message.position[0] for message in commands])
     assert values.min() >= 0.8 and values.max() <= 0.9 and np.ptp(values) > 0.05
     assert all(not message.effort for message in commands)
-
-
-def test_without_an_actuator_nothing_is_commanded(world, make_target):
-    make_target()
-    commands = world.hear(JointState, "/twin/command/cables", 100)
-    targets = heard_from(world, (0.001, 0.002, 0.125))
-    world.until(lambda: len(targets) > 20)
-    assert not commands
 
 
 # --- commands that are played ----------------------------------------------------------------

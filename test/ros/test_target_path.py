@@ -9,7 +9,6 @@ from geometry_msgs.msg import PointStamped
 from nav_msgs.msg import Path
 from std_msgs.msg import Header
 
-from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.ros.messages import path_message, read_path
 from softrobot_twin.ros.target_node import TargetNode
 
@@ -59,20 +58,6 @@ def test_a_twin_with_control_follows_a_path_and_tells_how(world, make_twin, fing
     account = diagnostics("control", lambda account: "margin" in account.values)
     assert "times the stiffness of the model" in account.values["margin"]
     assert account.values["fallbacks"] == "0" and account.message == "by prediction"
-
-
-def test_a_path_without_times_is_refused(world, make_twin, finger_file):
-    twin = make_twin(scene_file=str(finger_file))
-    message = path_message(np.zeros(3), np.zeros((3, 3)), header(world))
-    world.speaker(Path, "/twin/target_path/tip").publish(message)
-    world.until(lambda: twin.loop.targets.refusals.of(Refusal.OUT_OF_ORDER) == 1)
-
-
-def test_a_twin_without_control_has_no_topic_of_paths(world, make_twin):
-    make_twin()
-    world.run(0.3)
-    names = [name for name, _ in world.probe.get_topic_names_and_types()]
-    assert not [name for name in names if "target_path" in name]
 
 
 def test_the_target_node_tells_its_path_ahead(world):

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import PointStamped, PoseStamped
 
-from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.ros.messages import read_pose
 from softrobot_twin.ros.target_node import TargetNode
 
@@ -46,39 +45,6 @@ def test_a_target_pose_moves_and_turns_the_effector(world, twin):
     assert np.linalg.norm(read_pose(poses[-1])[1]) == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize("position, quaternion, header, refusal", [
-    ((0.0, 0.0, HEIGHT), (0.0, 0.0, 0.0, 0.0), {}, Refusal.NO_ROTATION),
-    ((0.0, 0.0, HEIGHT), (0.0, 0.0, 1.0, 1.0), {}, Refusal.NO_ROTATION),
-    ((0.0, 0.0, HEIGHT), (0.0, 0.0, math.nan, 1.0), {}, Refusal.NOT_FINITE),
-    ((0.0, math.inf, HEIGHT), TURN, {}, Refusal.NOT_FINITE),
-    ((0.0, 0.0, HEIGHT), TURN, {"seconds_ago": 5.0}, Refusal.STALE),
-    ((0.0, 0.0, HEIGHT), TURN, {"frame_id": "map"}, Refusal.WRONG_FRAME),
-])  # fmt: skip
-def test_a_bad_target_pose_is_refused_and_moves_nothing(
-    world, twin, position, quaternion, header, refusal
-):
-    targets = world.speaker(PoseStamped, "/twin/target_pose/tip")
-    targets.publish(world.pose_target(position, quaternion, **header))
-    world.until(lambda: twin.loop.targets.refusals.of(refusal) == 1)
-    reading = twin.loop.targets.read(twin.monotonic(), 0.0, np.zeros((1, 3)))
-    assert np.isnan(reading.targets).all() and np.isnan(reading.orientations).all()
-
-
-def test_a_point_beside_a_pose_keeps_its_orientation(world, twin):
-    poses = world.speaker(PoseStamped, "/twin/target_pose/tip")
-    points = world.speaker(PointStamped, "/twin/target/tip")
-    poses.publish(world.pose_target((0.0, 0.0, HEIGHT), TURN))
-    world.until(lambda: twin.loop.targets.age(twin.monotonic()) < 10.0)
-    points.publish(world.target_message((0.0, 0.0, 0.13)))
-
-    def read():
-        return twin.loop.targets.read(twin.monotonic(), 0.0, np.zeros((1, 3)))
-
-    world.until(lambda: read().source == "point")
-    assert read().targets[0, 2] == 0.13
-    assert read().orientations[0] == pytest.approx(TURN)
-
-
 def test_diagnostics_tell_the_error_of_the_orientation(world, twin, diagnostics):
     targets = world.speaker(PoseStamped, "/twin/target_pose/tip")
     targets.publish(world.pose_target((0.0, 0.0, HEIGHT), TURN))
@@ -87,13 +53,6 @@ def test_diagnostics_tell_the_error_of_the_orientation(world, twin, diagnostics)
         "target", lambda account: float(account.values["orientation_error_deg"]) < 0.1
     )
     assert account.values["source"] == "pose"
-
-
-def test_a_twin_without_orientations_has_no_topics_of_poses(world, make_twin):
-    make_twin()
-    world.run(0.3)
-    names = [name for name, _ in world.probe.get_topic_names_and_types()]
-    assert not [name for name in names if "pose" in name and "/twin/" in name]
 
 
 def test_the_target_node_publishes_poses_along_a_path_with_quaternions(world, tmp_path):

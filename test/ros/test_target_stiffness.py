@@ -7,7 +7,6 @@ import yaml
 from geometry_msgs.msg import PointStamped, Vector3Stamped
 from std_msgs.msg import Header
 
-from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.ros.messages import vector_message
 
 FREE = math.nan
@@ -35,25 +34,3 @@ def test_a_target_stiffness_is_followed_and_told(world, twin):
     targets.publish(wanted(world, (FREE, FREE, 540.0)))
     world.until(lambda: told and abs(told[-1].vector.z - 540.0) < 5.4)
     assert math.isnan(told[-1].vector.x) and told[-1].header.frame_id == "base_link"
-
-
-@pytest.mark.parametrize(("stiffness", "header", "refusal"), [
-    ((FREE, FREE, -3.0), {}, Refusal.NOT_POSITIVE),
-    ((FREE, FREE, math.inf), {}, Refusal.NOT_FINITE),
-    ((FREE, FREE, 540.0), {"seconds_ago": 5.0}, Refusal.STALE),
-    ((FREE, FREE, 540.0), {"frame_id": "map"}, Refusal.WRONG_FRAME),
-])  # fmt: skip
-def test_a_bad_target_stiffness_is_refused_and_nothing_follows(
-    world, twin, stiffness, header, refusal
-):
-    targets = world.speaker(Vector3Stamped, "/twin/target_stiffness/tip")
-    targets.publish(wanted(world, stiffness, **header))
-    world.until(lambda: twin.loop.stiffness.refusals.of(refusal))
-    assert not twin.loop.stiffness.is_given
-
-
-def test_effectors_without_stiffness_have_no_topic_of_it(world, make_twin, small_scene_file):
-    make_twin(scene_file=str(small_scene_file))
-    world.speaker(PointStamped, "/twin/target/tip")
-    names = {name for name, _ in world.probe.get_topic_names_and_types()}
-    assert not {name for name in names if "stiffness" in name}

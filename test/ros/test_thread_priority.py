@@ -78,14 +78,6 @@ def test_without_permission_the_next_best_priority_is_taken_and_the_reason_repor
     assert priority.state == "normal: real-time priority refused: Operation not permitted"
 
 
-def test_no_priority_is_requested_unless_enabled(monkeypatch):
-    system = System(monkeypatch)
-    priority = system.priority(Priority.NORMAL)
-    priority.take()
-    assert (system.policy, priority.state) == (os.SCHED_OTHER, "normal") and priority.is_granted
-    assert system.run(priority, 20.0, 1.0) == []
-
-
 def test_a_thread_that_never_sleeps_drops_real_time_priority_and_retakes_it_later(monkeypatch):
     system = System(monkeypatch)
     system.nice = 3
@@ -108,18 +100,6 @@ def test_a_thread_that_never_sleeps_drops_real_time_priority_and_retakes_it_late
     assert raised <= 0.11 * 6000
 
 
-def test_without_nice_values_the_thread_that_never_sleeps_gets_its_ordinary_priority_back(
-    monkeypatch,
-):
-    system = System(monkeypatch, grants_nice=False)
-    system.nice = 3
-    priority = system.priority()
-    priority.take()
-    told = system.run(priority, 1.0, 1.0)
-    assert told == ["priority lowered for 5 s: normal: the ticks took 100 % of a core"]
-    assert (system.policy, system.nice) == (os.SCHED_OTHER, 3)
-
-
 def test_other_threads_get_real_time_priority_below_that_of_the_ticks(monkeypatch):
     system = System(monkeypatch)
     system.threads = {11, 12}
@@ -132,17 +112,6 @@ def test_other_threads_get_real_time_priority_below_that_of_the_ticks(monkeypatc
     assert system.others[13] == (os.SCHED_FIFO, 4)
     priority.give_back()
     assert system.others[11] == system.others[13] == (os.SCHED_OTHER, 0)
-
-
-def test_other_threads_that_never_sleep_lose_their_priority(monkeypatch):
-    system = System(monkeypatch)
-    system.threads = {11}
-    priority = system.priority()
-    priority.take()
-    assert system.run(priority, 5.0, 0.3, share_of_others=0.6) == []
-    told = system.run(priority, 1.0, 0.3, share_of_others=1.0)
-    assert told == ["priority lowered for 5 s: nice -10: the other threads took 100 % of a core"]
-    assert system.others[11] == (os.SCHED_OTHER, 0)
 
 
 @pytest.mark.parametrize(("cores", "limit", "reason"), [

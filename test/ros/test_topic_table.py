@@ -8,8 +8,6 @@ from softrobot_twin.ros.device_node import DeviceNode
 from softrobot_twin.ros.target_node import TargetNode
 from softrobot_twin.ros.topics import (
     DEVICE_TOPICS,
-    LATCHED,
-    NEWEST,
     NODES,
     TARGET_TOPICS,
     TWIN_SERVICES,
@@ -17,7 +15,6 @@ from softrobot_twin.ros.topics import (
     Direction,
     open_publisher,
     open_subscription,
-    quality_in_words,
 )
 
 pytestmark = pytest.mark.libraries
@@ -99,18 +96,8 @@ def test_every_topic_has_a_unit_and_a_meaning():
             ), topic.name
 
 
-def test_a_quality_of_service_is_told_in_words():
-    assert quality_in_words(NEWEST) == "reliable, newest 1"
-    assert quality_in_words(LATCHED) == "reliable, latched, newest 1"
-
-
 def test_an_input_is_not_published_and_an_output_is_not_received(world):
     with pytest.raises(ValueError, match="receives"):
         open_publisher(world.probe, TWIN_TOPICS["~/markers"])
     with pytest.raises(ValueError, match="publishes"):
         open_subscription(world.probe, TWIN_TOPICS["~/cables"], print)
-
-
-def test_the_name_of_an_object_and_of_the_twin_are_put_in():
-    topic = DEVICE_TOPICS["<twin>/poses/<guided body>"]
-    assert topic.full_name("palm", "/lab/left/twin") == "/lab/left/twin/poses/palm"

@@ -9,7 +9,6 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
 from softrobot_twin.control.arrival import Refusal
-from softrobot_twin.ros.device_node import DeviceNode
 from softrobot_twin.ros.twin_node import TwinNode
 
 
@@ -86,17 +85,3 @@ def test_a_force_beyond_its_limit_is_refused_counted_and_told(world, twin):
     statuses = {status.name: status for status in twin.diagnostics.statuses(twin.monotonic())}
     values = {pair.key: pair.value for pair in statuses["twin: touch"].values}
     assert values["out_of_range"] == "1" and float(values["finger_force_n"]) == 0.02
-
-
-@pytest.mark.parametrize("sends", ["force", "position"])
-def test_a_device_reads_its_touches_once_a_tick(world, touched_scene_file, monkeypatch, sends):
-    node = world.add(
-        DeviceNode, device_scene_file=str(touched_scene_file), twin="/twin", device_touch="finger",
-        device_touch_sends=sends,
-    )  # fmt: skip
-    read, reads = node.device.touches, []
-    monkeypatch.setattr(node.device, "touches", lambda: reads.append(1) or read())
-    tick = world.ticks_of(node)
-    for _ in range(5):
-        tick()
-    assert len(reads) == 5

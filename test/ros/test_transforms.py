@@ -11,10 +11,9 @@ import pytest
 from builtin_interfaces.msg import Time
 from std_msgs.msg import Header
 
-from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.audience import Audience
 from softrobot_twin.ros.topics import TRANSFORMS
-from softrobot_twin.ros.transforms import TransformOutput, child_frames, make_transforms
+from softrobot_twin.ros.transforms import TransformOutput, make_transforms
 
 pytestmark = pytest.mark.libraries
 
@@ -100,16 +99,6 @@ def test_without_an_orientation_it_is_not_turned_and_without_a_place_it_is_left_
     assert found[0].transform.rotation.w == 1.0
 
 
-def test_frames_have_names_of_their_own():
-    assert child_frames("base_link", "left/", ["palm", "tip"], ["tip", "end"]) == (
-        "left/palm", "left/tip", "left/tip_effector", "left/end",
-    )  # fmt: skip
-    with pytest.raises(ParameterError, match="tf_prefix"):
-        child_frames("tip", "", [], ["tip"])
-    with pytest.raises(ParameterError, match="tip_effector"):
-        child_frames("base_link", "", ["tip", "tip_effector"], ["tip"])
-
-
 def output_of(node, audience=None, simulation=None, **given):
     """An output of a node, with some parameters."""
     values = {"frame_id": "base_link", "tf": "auto", "tf_prefix": "", "tf_base_frame": "",
@@ -141,20 +130,6 @@ def test_the_base_is_in_the_frame_that_is_given(with_tf2):
     assert (last.header.frame_id, last.child_frame_id) == ("world", "base_link")
     assert last.header.stamp == HEADER.stamp
     assert last.transform.translation.x == 1.0 and last.transform.rotation.z == 1.0
-
-
-@pytest.mark.parametrize("pose", [
-    POSE[:6], (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (np.nan, *POSE[1:]), (*POSE[:6], 2.0), (),
-])  # fmt: skip
-def test_a_base_that_is_no_pose_is_refused(with_tf2, pose):
-    with pytest.raises(ParameterError, match="tf_base_pose"):
-        output_of(Node(), tf_base_frame="world", tf_base_pose=pose)
-
-
-def test_the_base_is_not_below_itself(with_tf2):
-    for frame in ("base_link", "tip"):
-        with pytest.raises(ParameterError, match="tf_base_frame"):
-            output_of(Node(), tf_base_frame=frame)
 
 
 @pytest.mark.parametrize(("wanted", "warnings"), [("auto", 0), ("on", 1), ("off", 0)])

@@ -2,23 +2,17 @@
 
 import time
 from dataclasses import replace
-from types import SimpleNamespace
 
-import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PointStamped
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterType, ParameterValue
-from rcl_interfaces.srv import DescribeParameters, SetParameters
+from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 
-from softrobot_twin.ros.diagnostics import setpoint_differences
 from softrobot_twin.ros.twin_node import TwinNode
 from softrobot_twin.simulation import Status
-from softrobot_twin.simulation.building.actuator_kinds import Quantity
-from softrobot_twin.simulation.building.cable_actuator import CableActuator
-from softrobot_twin.simulation.building.slide_actuator import SlideActuator
 
 PARTS = {"loop", "solver", "limits", "markers", "device", "target", "view", "graph", "calibration"}
 OK, WARN, ERROR = b"\x00", b"\x01", b"\x02"
@@ -220,14 +214,6 @@ def test_statuses_carry_the_full_name_of_the_node(world, small_scene_file):
     assert names == {f"left/arm/twin: {part}" for part in PARTS}
 
 
-def test_a_parameter_is_described_with_unit_and_range(world, make_twin):
-    make_twin()
-    request = DescribeParameters.Request(names=["speed_limit", "scene_file"])
-    speed, scene = world.ask(DescribeParameters, "/twin/describe_parameters", request).descriptors
-    assert "[m/s]" in speed.description and speed.floating_point_range
-    assert scene.read_only
-
-
 @pytest.mark.exhaustive
 def test_the_error_of_the_mesh_is_reported_once_it_is_estimated(
         world, make_twin, diagnostics, monkeypatch):
@@ -246,11 +232,6 @@ def test_the_error_of_the_mesh_is_reported_once_it_is_estimated(
     assert float(solver["quadratic_error_at_forces_percent"]) < float(
         solver["mesh_error_at_forces_percent"]
     )
-
-
-def test_without_the_estimate_the_status_reports_it(world, make_twin, diagnostics):
-    make_twin()
-    assert diagnostics("solver").values["mesh_error"] == "not requested"
 
 
 @pytest.mark.exhaustive
@@ -312,10 +293,3 @@ def test_a_deadline_without_time_for_a_linearization_is_a_warning(make_twin, lat
     values = {value.key: value.value for value in solver.values}
     assert solver.level == DiagnosticStatus.WARN and "overload" in solver.message
     assert values["overloaded"] == "1" and values["late"] == str(int(late))
-
-
-def test_differences_to_the_device_are_in_the_quantities_of_its_actuators():
-    cavity = SimpleNamespace(setpoint=Quantity("volume", "m3"))
-    kinds = (CableActuator(), cavity, CableActuator(), SlideActuator())
-    told = setpoint_differences(SimpleNamespace(kinds=kinds), np.array([1e-3, 3e-6, 2e-3, 5e-4]))
-    assert told == pytest.approx({"length_difference_mm": 2.0, "volume_difference_m3": 3e-6})

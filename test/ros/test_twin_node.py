@@ -111,35 +111,6 @@ def test_a_bad_target_is_refused_and_moves_nothing(world, make_twin, position, h
     )
 
 
-def test_an_overtaken_target_is_refused(world, make_twin):
-    twin = make_twin()
-    targets = world.speaker(PointStamped, "/twin/target/tip")
-    targets.publish(world.target_message(INSIDE))
-    world.until(lambda: twin.loop.targets.age(twin.monotonic()) < 10.0)
-    targets.publish(world.target_message((0.0, 0.0, 0.13), seconds_ago=0.3))
-    world.until(lambda: twin.loop.targets.refusals.of(Refusal.OUT_OF_ORDER) == 1)
-
-
-def test_invalid_markers_are_refused_and_counted(world, make_twin):
-    twin = make_twin()
-    ids = twin.loop.simulation.marker_ids
-    places = twin.loop.simulation.marker_positions()
-    markers = world.speaker(PointCloud2, "/twin/markers")
-    header = Header(stamp=world.stamp(), frame_id="base_link")
-    short = markers_message(ids, places, header)
-    short.data = short.data[:-1]
-    bad = {
-        Refusal.WRONG_SIZE: short,
-        Refusal.WRONG_FRAME: markers_message(ids, places, Header(frame_id="camera")),
-        Refusal.WRONG_FIELDS: PointCloud2(header=header),
-        Refusal.NOT_FINITE: markers_message(ids, np.full_like(places, np.inf), header),
-    }
-    for refusal, message in bad.items():
-        markers.publish(message)
-        world.until(lambda refusal=refusal: twin.loop.markers.refusals.of(refusal) == 1)
-    assert np.isnan(twin.loop.markers.positions).all()
-
-
 def test_measured_markers_give_the_misfit_and_a_hidden_one_is_omitted(world, make_twin):
     twin = make_twin()
     markers = world.speaker(PointCloud2, "/twin/markers")
@@ -189,13 +160,6 @@ def test_velocity_messages_move_the_effector_and_it_stops_without_them(world, ma
     assert np.array_equal(here, later)
 
 
-def test_a_velocity_that_is_not_finite_is_refused(world, make_twin):
-    twin = make_twin()
-    keys = world.speaker(Twist, "/twin/target_velocity")
-    keys.publish(Twist(linear=Vector3(x=math.nan)))
-    world.until(lambda: twin.loop.targets.refusals.of(Refusal.NOT_FINITE) == 1)
-
-
 @pytest.mark.parametrize("by_length", [True, False])
 def test_in_direct_mode_cables_are_commanded_by_length_or_tension(world, make_twin, by_length):
     twin = make_twin(mode="direct")
@@ -222,12 +186,6 @@ def test_in_direct_mode_cables_are_commanded_by_length_or_tension(world, make_tw
     bad = JointState(header=Header(stamp=world.stamp()), name=names[:2], position=lengths[:2])
     commands.publish(bad)
     world.until(lambda: twin.loop.direct.refusals.of(Refusal.WRONG_NAMES) == 1)
-
-
-def test_in_direct_mode_targets_are_ignored(world, make_twin):
-    twin = make_twin(mode="direct")
-    assert twin.count_subscribers("/twin/target/tip") == 0
-    assert twin.count_subscribers("/twin/target_velocity") == 0
 
 
 def test_the_path_of_a_slack_cable_is_shorter_than_its_length_and_is_given_to_who_listens(

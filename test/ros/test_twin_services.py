@@ -1,23 +1,15 @@
 """The twin as a node: its services, its view, and inputs with which it does not start."""
 
-import itertools
-import sys
-from dataclasses import replace
-from functools import partial
 
-import numpy as np
 import pytest
 from geometry_msgs.msg import PointStamped
-from rcl_interfaces.msg import Log
-from rclpy.logging import LoggingSeverity
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import SetBool
 
 from softrobot_twin.control.engagement import Activity
 from softrobot_twin.errors import ParameterError, SceneError
 from softrobot_twin.ros.messages import cables_message
-from softrobot_twin.simulation import Hold, Status
 
 INSIDE = (0.008, 0.004, 0.134)
 
@@ -80,66 +72,6 @@ def test_lost_markers_are_reported_and_the_loop_continues_open(world, make_twin,
     make_twin(closed_loop=True, on_lost_markers="open_loop", marker_timeout=0.2)
     status = diagnostics("markers", lambda status: "lost" in status.message)
     assert status.level == b"\x01" and status.message == "markers lost: open loop"
-
-
-def test_a_model_that_cannot_follow_the_device_is_reported_in_the_log(
-    world, make_twin, monkeypatch
-):
-    twin = make_twin(use_device=True, device_timeout=5.0)
-    told = world.hear(Log, "/rosout")
-    # Messages logged before the listener is connected are lost.
-    world.until(lambda: told or twin.get_logger().info("is this heard?"))
-    simulation = twin.loop.simulation
-    device = world.speaker(JointState, "/twin/measured_cables")
-    device.publish(measured(world, twin, simulation.rest_setpoints - [0.006, 0.002, 0.0, 0.004]))
-    world.until(lambda: twin.loop.device.setpoints is not None)
-    failed = replace(simulation.step(Hold()), status=Status.DIVERGED)
-    monkeypatch.setattr(simulation, "step", lambda command, budget=None: failed)
-    # A node of the previous test may still be in the graph; then enabling is refused.
-    world.until(lambda: enable(world).success)
-    world.until(lambda: any(message.msg.startswith("disabled: ") for message in told))
-    line = next(message for message in told if message.msg.startswith("disabled: "))
-    assert "the model cannot be moved to where the robot is: diverged" in line.msg
-    assert line.level == LoggingSeverity.ERROR
-    assert not twin.loop.is_enabled
-
-
-def tick_in_time(tick, times, now, ros_time):
-    """A tick of a loop at 50 Hz, whenever it is called."""
-    return tick(0.02 * next(times), ros_time)
-
-
-def test_reset_gives_the_same_run_to_the_bit(world, make_twin, monkeypatch):
-    twin = make_twin(message_timeout=0.0)
-    twin.stop()
-    # Ticks by hand come sooner than the rate allows, and would move the cables less far.
-    times = itertools.count()
-    monkeypatch.setattr(twin.loop, "tick", partial(tick_in_time, twin.loop.tick, times))
-    targets = world.speaker(PointStamped, "/twin/target/tip")
-
-    def run():
-        targets.publish(world.target_message(INSIDE))
-        world.until(lambda: twin.loop.targets.age(twin.monotonic()) < 1e3)
-        lengths = []
-        for _ in range(8):
-            twin.tick()
-            lengths.append(twin.loop.simulation.state.setpoints.copy())
-        return np.array(lengths)
-
-    first = run()
-    for _ in range(2):
-        answer = world.ask(Trigger, "/twin/reset", Trigger.Request())
-        assert answer.success and answer.message == "returning to rest"
-        while twin.loop.simulation.state.step_count:
-            twin.tick()
-        assert np.array_equal(run(), first)
-
-
-def test_rerun_is_imported_only_when_a_view_is_requested(world, make_twin):
-    before = {name for name in sys.modules if name.startswith("rerun")}
-    make_twin()
-    after = {name for name in sys.modules if name.startswith("rerun")}
-    assert after == before
 
 
 def test_a_view_can_be_recorded(world, make_twin, diagnostics, tmp_path):

@@ -2,18 +2,14 @@
 
 import numpy as np
 import pytest
-from builtin_interfaces.msg import Time
-from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
-from std_msgs.msg import ColorRGBA, Header
+from std_msgs.msg import Header
 from visualization_msgs.msg import Marker, MarkerArray
 
-from softrobot_twin.ros.message_bytes import Content, MarkerBytes
 from softrobot_twin.ros.topics import NEWEST
 from softrobot_twin.ros.twin_node import TwinNode
 from softrobot_twin.ros.visualization import OBSTACLES_EVERY, RobotMarkers
 from softrobot_twin.simulation.colours import tension_colours
-from softrobot_twin.view import Entity
 
 pytestmark = pytest.mark.libraries
 
@@ -130,14 +126,6 @@ def test_markers_come_at_the_rate_of_the_parameter(world, make_twin, made):
     assert len(made) - before == 1
 
 
-def test_a_rate_of_zero_publishes_none(world, make_twin, made):
-    make_twin(visualization_rate=0.0)
-    cables = world.hear(JointState, "/twin/cables", 100)
-    world.hear(MarkerArray, TOPIC, NEWEST)
-    world.until(lambda: len(cables) > 10)
-    assert not made
-
-
 def test_obstacles_rigid_bodies_and_targets_are_shown(world):
     twin = world.add(TwinNode, scene_file="scenes/trunk_cylinders.yaml", rate=5.0)
     twin.stop()
@@ -165,84 +153,3 @@ def test_obstacles_rigid_bodies_and_targets_are_shown(world):
     assert OBSTACLES_EVERY >= 0.5
     some = by_kind(heard[-1]).keys() | by_kind(heard[-2]).keys()
     assert ("surfaces", 0) in some
-
-
-def random_markers(random):
-    """Prototypes of markers and what changes of them, and the messages that they should become."""
-    prototypes, contents, whole = [], [], []
-    stamp = Time(sec=int(random.integers(2**31)), nanosec=int(random.integers(10**9)))
-    for number in range(int(random.integers(1, 6))):
-        count = int(random.integers(1, 9))
-        name = "".join(random.choice(list("abcé"), int(random.integers(0, 9))))
-        points, pose = random.normal(size=(count, 3)), random.normal(size=7)
-        colour = random.random(4)
-        colours = random.random((count, 4)) if random.random() < 0.5 else None
-        kind = int(random.integers(1, 9))
-        both = [Marker(ns=name, id=number, type=kind, text=name[1:]) for _ in range(2)]
-        for marker in both:
-            marker.header.frame_id = f"{name}/frame"
-            marker.scale.y, marker.lifetime.sec = 7.0, 7
-            marker.texture.data = [1, 2, 3]
-            marker.mesh_file.filename = "none"
-        prototypes.append(both[0])
-        contents.append(Content(points, colours, colour, pose[:3], pose[3:]))
-        full = both[1]
-        full.header.stamp = stamp
-        place, turn = full.pose.position, full.pose.orientation
-        place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w = map(float, pose)
-        full.color.r, full.color.g, full.color.b, full.color.a = map(float, colour)
-        for x, y, z in points.tolist():
-            point = type(place)(x=x, y=y, z=z)
-            full.points.append(point)
-        for r, g, b, a in () if colours is None else colours.tolist():
-            full.colors.append(ColorRGBA(r=r, g=g, b=b, a=a))
-        whole.append(full)
-    return prototypes, contents, whole, stamp
-
-
-def test_the_bytes_are_those_of_the_message():
-    seed = int(np.random.default_rng().integers(2**32))
-    print(f"seed {seed}")
-    random = np.random.default_rng(seed)
-    for _ in range(30):
-        prototypes, contents, whole, stamp = random_markers(random)
-        maker = MarkerBytes(prototypes, [one.colours is not None for one in contents])
-        found = maker.message((stamp.sec, stamp.nanosec), contents)
-        # Colours are rounded to 32 bits on the way; padding may be any bytes.
-        wanted = deserialize_message(serialize_message(MarkerArray(markers=whole)), MarkerArray)
-        assert deserialize_message(found, MarkerArray) == wanted
-        # A message after it, with other numbers of points.
-        fewer = [one._replace(points=one.points[:1],
-                              colours=None if one.colours is None else one.colours[:1])
-                 for one in contents]  # fmt: skip
-        again = deserialize_message(maker.message((1, 2), fewer), MarkerArray)
-        assert [len(marker.points) for marker in again.markers] == [1] * len(fewer)
-        assert again.markers[-1].text == whole[-1].text
-
-
-def test_a_marker_without_points_or_with_too_few_colours_is_refused():
-    prototype = Marker(type=Marker.LINE_LIST)
-    plain, coloured = MarkerBytes([prototype], [False]), MarkerBytes([prototype], [True])
-    points = np.zeros((2, 3))
-    with pytest.raises(ValueError, match="needs points"):
-        plain.message((0, 0), [Content(np.empty((0, 3)))])
-    with pytest.raises(ValueError, match="colours as it was announced"):
-        plain.message((0, 0), [Content(points, np.zeros((2, 4)))])
-    with pytest.raises(ValueError, match="one colour for each point"):
-        coloured.message((0, 0), [Content(points, np.zeros((1, 4)))])
-
-
-def test_a_body_with_nothing_to_show_is_left_out(make_twin):
-    twin = make_twin()
-    twin.stop()
-    twin.tick()
-    markers = RobotMarkers(twin.loop.simulation, "base_link", 3.0)
-    triangles, points = np.array([[0, 1, 2]]), np.ones((3, 3))
-    markers.entities = [Entity(f"/obstacles/{many}", "solid", triangles=triangles[:many], points=points,
-                               kind="obstacle") for many in (0, 1)]
-    found = deserialize_message(
-        markers.message(twin.window.newest, (1, 2), True), MarkerArray
-    ).markers
-    assert [(marker.ns, marker.id) for marker in found if marker.ns == "obstacles"] == [
-        ("obstacles", 1)
-    ]

@@ -5,7 +5,6 @@ import pytest
 
 from softrobot_twin.constraints.cable_friction import FrictionCables
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, FollowTargets, Status
-from softrobot_twin.solvers.dense_stiffness import DenseStiffness
 from test.scene_changes import repeat_step
 
 SHARES = "cable_friction_0.shares"
@@ -147,13 +146,3 @@ def test_a_beam_in_motion_comes_to_rest_at_the_capstan_equation(beam):
     tensions, angles = of_east(simulation)
     least, most = (tensions[0] * np.exp(s * 0.3 * angles.sum()) for s in (-1, 1))
     assert least * (1 - 1e-9) <= tensions[-1] <= most * (1 + 1e-9)
-
-
-def test_scenes_without_friction_have_none_of_it(beam):
-    simulation = beam()
-    assert simulation.model.actuators.conserves
-    assert simulation.state.memory == {} and simulation.parts == ()
-    assert not any(term.name == "cable_friction" for term in simulation.terms)
-    assert not isinstance(simulation.model.factorization, DenseStiffness)
-    assert simulation.model.rows.displacement_rows() is None
-    assert simulation.model.rows.told is None

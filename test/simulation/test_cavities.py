@@ -256,19 +256,6 @@ def test_a_state_is_complete_and_a_reset_gives_the_same_bits(inflatable):
     np.testing.assert_allclose(on.state.positions, first[3].state.positions, atol=1e-12)
 
 
-@pytest.mark.parametrize("scale", [1e-2, 1e2])
-def test_similar_cavities_behave_alike(inflatable, scale):
-    size = tuple(scale * length for length in (0.02, 0.02, 0.06))
-    results = []
-    for own in ((0.02, 0.02, 0.06), size):
-        simulation = inflatable(pressure=[0.0, 5e3], body={"size": own, "cells": (4, 4, 6)})
-        result = settled(simulation, CommandSetpoints([4e3], STEP))
-        results.append(result.state.positions / own[2])
-        beyond = settled(simulation, CommandSetpoints([9e3], STEP), 2)
-        assert beyond.report.active_limits == ("air.pressure_max",)
-    np.testing.assert_allclose(results[0], results[1], atol=1e-6)
-
-
 def between_slabs(simulate, body_of, block, tmp_path, **entries):
     """Two slabs, one beside the other, and a cavity that fills the gap between them."""
     bodies = []
@@ -360,23 +347,6 @@ def test_a_cavity_that_is_not_on_its_body_is_refused(inflatable):
 def test_a_slip_of_a_unit_is_told(inflatable, entries, message):
     assert any(message in note for note in inflatable(**entries).notes)
     assert not any("is the limit" in note for note in inflatable().notes)
-
-
-def test_a_scene_without_cavities_computes_nothing_of_them(inflatable, monkeypatch):
-    from softrobot_twin.constraints.cavity import Cavities
-
-    def fail(*arguments, **named):
-        raise AssertionError("computed")
-    without = changed({
-        "cavities": [],
-        "cables": [{"name": "down", "pull_point": [0.0, 0.0, 0.0], "points": [[0.0, 0.0, 0.06]]}],
-    })  # fmt: skip
-    for name in ("__init__", "evaluate", "add_stiffness", "largest_share"):
-        monkeypatch.setattr(Cavities, name, fail)
-    simulation = inflatable(without)
-    assert simulation.step(CommandSetpoints(simulation.rest_setpoints - 1e-3, STEP)).status is Status.OK
-    with pytest.raises(AssertionError, match="computed"):
-        inflatable()
 
 
 # --- sealed gas and liquids ----------------------------------------------------------------------

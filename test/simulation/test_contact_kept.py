@@ -81,25 +81,6 @@ def test_contact_forces_do_not_depend_on_the_time_step(finger):
         assert tension == pytest.approx(found[0][1], rel=1e-3)
 
 
-@pytest.mark.parametrize("integration", ["quasi_static", "dynamic"])
-def test_a_reset_gives_the_same_run_to_the_bit(finger, integration):
-    simulation = finger(integration)
-
-    def run():
-        states = []
-        for shortening in (0.002, 0.004, 0.006, 0.006, 0.003):
-            result = wind(simulation, shortening, 3)
-            states.append((result.state.positions.tobytes(), result.contacts.forces.tobytes(),
-                           result.efforts.tobytes()))  # fmt: skip
-        return states
-
-    first = run()
-    simulation.reset()
-    assert run() == first
-    simulation.reset()
-    assert run() == first
-
-
 def test_unsolved_contacts_are_reported(finger):
     simulation = finger(most_sweeps=1, tolerance=1e-14)
     unsolved = []

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.constraints.elastic_cable import ElasticCables
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, FollowTargets, Hold, Status
 from test.scene_changes import repeat_step
 
@@ -151,15 +150,6 @@ def test_restored_states_go_on_as_they_did(beam):
     second = pull(simulation, 0.01, 0.002, 0.0, 0.0)
     np.testing.assert_array_equal(first.state.positions, second.state.positions)
     np.testing.assert_array_equal(first.efforts, second.efforts)
-
-
-def test_only_scenes_with_elastic_cables_have_a_term_that_yields(beam):
-    plain, without = beam(), beam(stretching(np.inf))
-    for simulation in (plain, without):
-        assert not any(isinstance(term, ElasticCables) for term in simulation.terms)
-        assert simulation.model.rows.own_compliance() is None
-        assert simulation.model.rows.stretch_compliance() is None
-    assert any(isinstance(term, ElasticCables) for term in beam(stretching()).terms)
 
 
 def test_cables_with_and_without_stretch_are_mixed(beam):

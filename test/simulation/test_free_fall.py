@@ -44,18 +44,6 @@ def test_a_rigid_body_falls_without_rotation(simulate):
     np.testing.assert_allclose(moves, expected, atol=1e-13)
 
 
-def test_the_fall_of_a_point_mass_does_not_depend_on_its_mass(simulate):
-    falling = simulate(
-        mass_springs=[
-            {"name": "points", "points": [[0, 0, 0], [1, 0, 0]], "masses": [0.001, 50.0]}
-        ],
-        integration="dynamic",
-    )  # fmt: skip
-    moves = fallen(falling, 0.01, 10)
-    np.testing.assert_allclose(moves[:, 0, 2], closed_form(0.01, 10), rtol=1e-12)
-    np.testing.assert_allclose(moves[:, 1], moves[:, 0], rtol=1e-12)
-
-
 def test_the_distance_fallen_converges_to_half_g_t_squared_with_the_time_step(simulate):
     errors = []
     for count in (10, 20, 40):
@@ -65,30 +53,3 @@ def test_the_distance_fallen_converges_to_half_g_t_squared_with_the_time_step(si
         )
         errors.append(fallen(falling, 0.4 / count, count)[-1, 0, 2] + 0.5 * G * 0.4**2)
     np.testing.assert_allclose(np.array(errors[:-1]) / errors[1:], 2.0, rtol=1e-9)
-
-
-def test_all_bodies_of_a_scene_fall_alike(simulate, body_of, block):
-    scene = simulate(
-        body=body_of(block(size=(0.04, 0.04, 0.04), cells=(1, 1, 1))),
-        rigid_bodies=[{"name": "box", "box": HOUSE, "mass": 0.3, "position": [0.2, 0, 0]}],
-        mass_springs=[{"name": "point", "points": [[0.5, 0, 0]], "masses": [0.1]}],
-        integration="dynamic",
-    )
-    moves = fallen(scene, 0.005, 8)
-    np.testing.assert_allclose(moves[:, :, 2], closed_form(0.005, 8)[:, None] + 0 * moves[:, :, 2],
-                               rtol=1e-8)  # fmt: skip
-
-
-def test_a_body_thrown_up_returns_with_its_initial_speed(simulate):
-    thrown = simulate(
-        rigid_bodies=[{"name": "box", "box": HOUSE, "mass": 0.1, "velocity": [1.0, 0, 3.0]}],
-        integration="dynamic",
-    )
-    time_step, count = 0.01, 60
-    moves = fallen(thrown, time_step, count)[:, 0]
-    n = np.arange(1, count + 1)
-    np.testing.assert_allclose(moves[:, 0], time_step * n, rtol=1e-11)
-    np.testing.assert_allclose(
-        moves[:, 2], 3.0 * time_step * n + closed_form(time_step, count), atol=1e-12
-    )
-    assert thrown.state.velocities[0, 2] == pytest.approx(3.0 - G * time_step * count, rel=1e-11)

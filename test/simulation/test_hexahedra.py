@@ -89,21 +89,6 @@ def test_a_coarse_bar_bends_as_a_fine_one(bar, poisson):
     assert np.linalg.norm(mixed) < np.linalg.norm(fine)
 
 
-def test_a_bar_is_brought_to_a_target(bar):
-    pulled, simulation = bar(), bar()
-    result = repeat_step(pulled, CommandEfforts(np.array([0.4, 0.1]), 0.1), 5)
-    reached = repeat_step(simulation, FollowTargets(result.effector_positions, 0.1), 10)
-    assert reached.effector_errors[0] < 1e-6
-
-
-def test_the_state_is_complete(bar):
-    first, second = bar(), bar()
-    repeat_step(first, CommandEfforts(np.array([0.3, 0.0]), 0.1), 3)
-    second.restore(first.state)
-    ahead, again = (s.step(CommandEfforts(np.array([0.1, 0.2]), 0.1)) for s in (first, second))
-    np.testing.assert_array_equal(ahead.state.positions, again.state.positions)
-
-
 def test_a_material_of_a_box_is_that_of_its_cells_of_both_kinds(bar):
     stiff = {"young_modulus": 1e6, "box": {"minimum": [-1, -1, 0.04], "maximum": [1, 1, 0.0801]}}
     mesh = mixed_block((0.02, 0.02, 0.1), (1, 1, 5))
@@ -115,32 +100,6 @@ def test_a_material_of_a_box_is_that_of_its_cells_of_both_kinds(bar):
 
 
 # --- motion --------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("mass", ["lumped", "consistent", "uniform"])
-def test_a_free_block_falls_undeformed(simulate, body_of_hexahedra, mass):
-    block = body_of_hexahedra(mixed_block((0.02, 0.02, 0.04), (2, 2, 4)), mass=mass)
-    simulation = simulate(gravity=[0.0, 0.0, -9.81], integration="dynamic", body=block)
-    step, rest = 0.01, simulation.state.positions
-    result = repeat_step(simulation, Hold(step), 5)
-    fallen = 9.81 * step**2 * 15
-    expected = rest - [0.0, 0.0, fallen]
-    np.testing.assert_allclose(result.state.positions, expected, atol=1e-9)
-
-
-@pytest.mark.parametrize("mass", ["lumped", "consistent"])
-def test_a_free_plate_on_a_block_falls_with_it(simulate, body_of_hexahedra, mass):
-    top = {"to": "plate", "box": {"minimum": [-1, -1, 0.0199], "maximum": [1, 1, 0.0201]}}
-    block = body_of_hexahedra(read_box((0.02, 0.02, 0.02), (2, 2, 2), of_hexahedra=True).mesh, mass=mass, attached=[top])
-    plate = {"name": "plate", "mass": 0.01, "position": [0.01, 0.01, 0.025],
-             "box": {"size": [0.02, 0.02, 0.01]}}  # fmt: skip
-    simulation = simulate(
-        gravity=[0.0, 0.0, -9.81], integration="dynamic", body=block, rigid_bodies=[plate]
-    )
-    rest = simulation.state.positions[: simulation.node_count]
-    result = repeat_step(simulation, Hold(0.01), 5)
-    fallen = rest - [0.0, 0.0, 9.81 * 0.01**2 * 15]
-    np.testing.assert_allclose(result.state.positions[: len(rest)], fallen, atol=1e-9)
 
 
 def test_a_carried_surface_moves_with_hexahedra(tmp_path, bar):
@@ -176,20 +135,6 @@ def test_a_clamped_bar_vibrates_at_the_frequency_of_beam_theory(simulate, body_o
     assert len(crossings) == 1
     # A quarter of a period passes until the first zero.
     assert 0.25 / (crossings[0] * step) == pytest.approx(expected, rel=0.04)
-
-
-def test_strain_rate_damping_ends_the_motion_of_a_bar(bar):
-    def damped(beta):
-        def change(mapping):
-            mapping.update(integration="dynamic", gravity=[3.0, 0.0, 0.0])
-            mapping["body"]["damping"] = {"stiffness": beta}
-
-        simulation = bar(change)
-        result = repeat_step(simulation, Hold(0.005), 30)
-        return result.state.velocities
-
-    free, slow = damped(0.0), damped(0.5)
-    assert np.abs(slow).max() < 0.3 * np.abs(free).max()
 
 
 # --- contact and pressure ------------------------------------------------------------------------

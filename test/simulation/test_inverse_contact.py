@@ -7,12 +7,7 @@ import daqp
 import numpy as np
 import pytest
 
-from softrobot_twin.simulation import (
-    CommandSetpoints,
-    FollowTargets,
-    Hold,
-    Status,
-)
+from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Status
 from softrobot_twin.solvers import inverse_solver
 from softrobot_twin.solvers.pivoting import solve_by_pivoting
 from test.edge_of_touch import check_rest_at_the_edge
@@ -193,14 +188,3 @@ def test_friction_at_given_lengths_stays_in_its_cone(beam, rod):
         normal = force @ outward / np.linalg.norm(outward)
         assert normal > 0.1
         assert 0.0 < np.linalg.norm(force) ** 2 - normal**2 <= (0.3 * normal) ** 2 * (1 + 1e-3)
-
-
-def test_the_same_run_twice_is_the_same_to_the_bit(beam, rod):
-    simulation = beam(lambda m: rod(m))
-    targets = list(circling(simulation, 1, 30))
-    runs = []
-    for _ in range(2):
-        simulation.reset()
-        runs.append([simulation.step(FollowTargets(t, 0.05)).state.positions for t in targets])
-    np.testing.assert_array_equal(runs[0], runs[1])
-    assert simulation.step(Hold()).status is not Status.UNSOLVED

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.simulation import CommandSetpoints, Hold, Simulation, Status, mesh_error
+from softrobot_twin.simulation import CommandSetpoints, Hold, Simulation, Status
 from softrobot_twin.simulation.mesh_error import (
     ActuatorLoads,
     MeshErrorEstimator,
@@ -236,18 +236,6 @@ def test_a_state_in_contact_has_no_estimate(beam, rod):
         estimator.at(ActuatorLoads.of(simulation, False))
 
 
-def test_a_passive_step_builds_nothing_for_the_estimate(bar, monkeypatch):
-    def build(*arguments):
-        raise AssertionError("built")
-
-    monkeypatch.setattr(mesh_error, "MeshErrorEstimator", build)
-    simulation = Simulation(bar((6, 1, 1)).model_copy(update={"cables": ()}))
-    simulation.warm_up()
-    assert simulation.step(Hold()).status is Status.OK
-    with pytest.raises(AssertionError, match="built"):
-        mesh_error.MeshErrorEstimator(simulation.scene)
-
-
 def test_a_state_with_every_cable_twice_has_the_error_of_one_with_each_once(diamond):
     """W of the cables is singular then."""
 
@@ -263,18 +251,6 @@ def test_a_state_with_every_cable_twice_has_the_error_of_one_with_each_once(diam
     assert errors[0] > 0.0 and errors[1] == pytest.approx(errors[0], rel=1e-3)
 
 
-def test_a_body_defined_by_mass_has_the_error_of_one_defined_by_density(bar):
-    by_density = bar((6, 1, 1))
-    body = by_density.body
-    mass = Simulation(by_density).model.bodies[0].mass
-    material = body.material.model_copy(update={"density": None, "total_mass": mass})
-    by_mass = by_density.model_copy(update={"body": body.model_copy(update={"material": material})})
-    loads = [MeshErrorEstimator(scene).at_rest().own.loads for scene in (by_density, by_mass)]
-    assert loads[0] and [load.load for load in loads[0]] == [load.load for load in loads[1]]
-    for expected, found in zip(*loads, strict=True):
-        assert found.forces == pytest.approx(expected.forces, rel=1e-6)
-
-
 def test_without_load_or_motion_the_state_has_no_error(diamond):
     simulation = diamond(lambda m: m.update(gravity=[0.0, 0.0, 0.0]))
     assert discretization_error(simulation) == pytest.approx(0.0, abs=1e-9)
@@ -284,12 +260,6 @@ def test_without_load_or_motion_the_state_has_no_error(diamond):
 def test_linear_elements_near_incompressibility_are_warned_of(bar, element, told):
     notes = Simulation(bar((6, 1, 1), 0.485, element)).notes
     assert any("poisson_ratio = 0.485" in note and "lock" in note for note in notes) == told
-
-
-def test_elements_are_quadratic_by_default(bar):
-    mapping = bar((6, 1, 1)).model_dump(mode="json")
-    del mapping["body"]["element"]
-    assert scene_from_mapping(mapping).body.element == "quadratic"
 
 
 @builder

@@ -221,13 +221,6 @@ def test_a_mounting_that_moves_what_it_cannot_is_refused_by_name(stage, message)
         strip(stage, rigid_bodies=bodies, cables=[UP])
 
 
-def test_a_scene_without_mounting_has_none():
-    simulation = Simulation(load_scene(SCENES / "strider.yaml"), with_warnings=False)
-    assert simulation.mounted is None and simulation.model.nodes.kinds[0].hinges is not None
-    layout_rest = simulation.model.nodes.rest_positions
-    np.testing.assert_array_equal(simulation.state.positions, layout_rest)
-
-
 @pytest.mark.exhaustive
 def test_twelve_elements_a_strip_are_within_a_tenth_of_a_millimetre():
     seed = np.random.SeedSequence().entropy % 2**32

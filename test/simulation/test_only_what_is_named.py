@@ -5,7 +5,6 @@ import pytest
 
 from softrobot_twin.constraints.contact import Contacts
 from softrobot_twin.constraints.row_stack import RowStack
-from softrobot_twin.mechanics.kinematics import CarriedTerm
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold
 from softrobot_twin.simulation.step.contact_solvers import ContactSolvers
 from test.builder import builder
@@ -56,27 +55,6 @@ def test_an_effect_alone_adds_only_its_own_terms_and_stages(bar, effect):
     assert model.slides is None and not model.actuators.count and model.effectors is None
 
 
-@pytest.mark.parametrize("effect", EFFECTS)
-def test_only_free_rigid_bodies_bring_unknowns_and_carried_points(bar, effect):
-    nodes = bar(effect).model.nodes
-    free = 2 if effect == "free" else 0
-    assert nodes.free_node_count == len(nodes.free_nodes) + free
-    assert (nodes.carried is not None) == (effect == "free")
-    assert bool(nodes.kinds) == (effect in ("free", "guided"))
-
-
-@pytest.mark.parametrize("effect", EFFECTS)
-def test_no_term_is_folded_where_it_holds_no_carried_point(bar, effect):
-    assert not any(isinstance(term, CarriedTerm) for term in bar(effect).model.forces)
-
-
-@pytest.mark.parametrize("effect", EFFECTS)
-def test_only_terms_with_a_memory_are_called_at_the_start_of_a_step(bar, effect):
-    remembering = {"dynamic": 1, "first_order": 1, "springs": 1, "guided": 1, "free": 2,
-                   "contact": 1}  # fmt: skip
-    assert len(bar(effect).model.beginners) == remembering.get(effect, 0)
-
-
 def test_the_diamond_stores_no_contacts_frames_or_velocities(diamond):
     simulation = diamond()
     model, rows = simulation.model, simulation.model.rows
@@ -96,12 +74,6 @@ def test_the_diamond_stores_no_contacts_frames_or_velocities(diamond):
     simulation.step(CommandSetpoints(simulation.rest_setpoints - 0.002, 0.02))
     result = simulation.step(FollowTargets(simulation.effector_positions(), 0.02))
     assert "detect" not in result.report.stage_times and result.report.contact_count == 0
-
-
-def test_the_trunk_among_cylinders_stores_contacts_and_frames(coarse_trunk):
-    model = coarse_trunk().model
-    assert model.contacts is not None and "detect" in model.stages
-    assert model.rows.row_capacity > model.actuators.row_count + model.effectors.row_count
 
 
 CABLE = {
@@ -126,16 +98,6 @@ def built(simulate, write_block, /, more):
 def above(height):
     return {"obstacles": [{**FLOOR, "position": [0, 0, height]}],
             "contact": {"between": [{"pair": ["bar", "floor"]}]}}  # fmt: skip
-
-
-def test_an_effect_allocates_rows_for_itself_only(built):
-    alone = built(PULLED).model.rows
-    touching = built({**PULLED, **above(-0.011)}).model.rows
-    assert (alone.row_capacity, touching.row_capacity) == (4, 4 + touching.terms[-1].row_capacity)
-    assert alone.groups.contacts == slice(4, 4)
-    cables, effectors = alone.terms
-    assert len(alone.blocks) == len(cables.entry_rows) + len(effectors.entry_rows)
-    assert len(built({}).model.rows.blocks) == 0
 
 
 @pytest.fixture

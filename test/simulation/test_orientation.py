@@ -161,31 +161,12 @@ def test_a_target_that_turns_is_followed_without_a_growing_error(posed):
     assert np.degrees(last) < 1.0
 
 
-def test_what_follows_a_reset_is_the_same_to_the_bit(posed):
-    simulation = posed(pointing=[0.0, 0.0, 1.0])
-    turn = quaternion(5.0, 3.0, 0.0)
-    first = led(simulation, turn, steps=6).state.positions
-    led(simulation, quaternion(-5.0, 9.0, 0.0), steps=3)
-    simulation.reset()
-    assert (led(simulation, turn, steps=6).state.positions == first).all()
-
-
 def test_without_a_wanted_orientation_the_position_alone_is_followed(posed, beam):
     shift = (0.004, 0.002, -0.002)
     made, reference = led(posed(), None, shift), led(beam(), None, shift)
     assert made.status is reference.status
     assert np.isnan(made.orientation_errors).all()
     np.testing.assert_allclose(made.effector_positions, reference.effector_positions, atol=1e-6)
-
-
-def test_a_scene_without_orientations_tells_none(beam):
-    simulation = beam()
-    result = simulation.step(Hold(STEP))
-    assert result.effector_orientations is None
-    assert result.orientation_errors is None
-    assert simulation.effector_orientations() is None
-    with pytest.raises(CommandError, match="no effector of this scene asks"):
-        led(simulation, quaternion(1.0, 0.0, 0.0), steps=1)
 
 
 @pytest.mark.parametrize("wrong", [np.zeros((1, 4)), np.array([[0, 0, np.inf, 1.0]]), np.ones(4)])

@@ -1,6 +1,5 @@
 """Facts of steps that have no time for a linearization, with a clock that makes each one late."""
 
-from __future__ import annotations
 
 import copy
 import math
@@ -12,7 +11,6 @@ from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
 from softrobot_twin.simulation.step.step_report import NEAR_BALANCE
 from test.builder import builder
-from test.scene_changes import repeat_step
 
 BUDGET = 1.0e-6
 PERIOD = 0.01
@@ -108,52 +106,6 @@ def test_a_stale_factor_without_progress_leads_to_a_full_step_that_is_late(
     assert given_up
 
 
-@pytest.mark.parametrize("factor", [-1.0, 10.0, np.nan])
-def test_a_stale_factor_that_increases_the_residual_is_dropped(
-    diamond, overloaded, monkeypatch, factor
-):
-    simulation, whole = overloaded(diamond()), diamond()
-    whole.step(Hold(PERIOD))
-    factorization = simulation.model.factorization
-    expand, fresh = factorization.expand, []
-    build = factorization.factor
-
-    def factor_anew():
-        fresh.append(True)
-        return build()
-
-    monkeypatch.setattr(factorization, "factor", factor_anew)
-    monkeypatch.setattr(
-        factorization, "expand",
-        lambda multipliers: expand(multipliers) * (1.0 if fresh else factor),
-    )  # fmt: skip
-    command = CommandSetpoints(simulation.rest_setpoints - [1e-3, 0.0, 0.0, 0.0], 1.0)
-    result, expected = simulation.step(command, budget=BUDGET), whole.step(command)
-    assert fresh and result.report.is_late and result.report.iterations == 2
-    np.testing.assert_array_equal(result.state.positions, expected.state.positions)
-
-
-def test_a_slowly_converging_factor_is_replaced_in_the_next_step_although_late(diamond, overloaded):
-    simulation = overloaded(diamond())
-    tip, ages = simulation.effector_positions(), []
-    for tick in range(300):
-        target = tip + [[1e-4 * tick, 0.0, 0.0]]
-        worn = simulation.newton.is_worn
-        report = simulation.step(FollowTargets(target, PERIOD), budget=BUDGET).report
-        if worn:
-            assert report.factor_age == 0 and report.is_late and report.iterations == 1
-        ages.append(report.factor_age)
-    assert max(ages) > 1 and ages.count(0) > 1
-
-
-def test_at_an_unchanged_target_a_stale_factor_is_never_replaced(diamond, overloaded):
-    simulation = overloaded(diamond())
-    command = FollowTargets(simulation.effector_positions(), PERIOD)
-    repeat_step(simulation, command, 30, budget=BUDGET)
-    ages = [simulation.step(command, budget=BUDGET).report.factor_age for _ in range(50)]
-    assert ages == list(range(ages[0], ages[0] + 50)) and ages[0] > 0
-
-
 def test_in_overload_a_state_at_rest_costs_one_late_step_and_then_none(diamond, overloaded):
     """The factor is made once more, at the state that is kept; then no step is made, nor late."""
     simulation, reports = overloaded(diamond()), []
@@ -179,10 +131,3 @@ def test_a_step_on_time_is_not_reported_as_late(diamond):
     for budget in (None, 1e9):
         report = simulation.step(Hold(PERIOD), budget=budget).report
         assert not report.is_overloaded and not report.is_late
-
-
-def test_in_dynamics_a_factor_of_another_time_step_is_not_used(diamond, overloaded):
-    simulation = overloaded(diamond(lambda m: m.update(integration="dynamic")))
-    repeat_step(simulation, Hold(PERIOD), 5, budget=BUDGET)
-    assert simulation.step(Hold(PERIOD), budget=BUDGET).report.factor_age > 0
-    assert simulation.step(Hold(0.5 * PERIOD), budget=BUDGET).report.is_late

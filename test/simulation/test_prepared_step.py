@@ -1,12 +1,10 @@
 """A step that was prepared is the same, to the bit, as one that was not."""
 
-from itertools import count
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from softrobot_twin.errors import CommandError
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import (
     CommandEfforts,
@@ -102,14 +100,6 @@ def prepared(simulation, command):
     return simulation
 
 
-@pytest.mark.parametrize("command", [Hold(0.5 * STEP), CommandEfforts(np.ones(4), STEP)])
-def test_another_duration_or_kind_of_command_does_without(diamond, command):
-    simulation, plain = prepared(diamond(), Hold(STEP)), diamond()
-    plain.step(Hold(STEP))
-    result = simulation.step(command)
-    assert not was_prepared(result) and same(result, plain.step(command))
-
-
 def test_a_reset_a_restored_state_and_a_look_at_the_model_drop_what_was_prepared(diamond):
     simulation = diamond()
     for drop in (simulation.reset, lambda: simulation.restore(simulation.state),
@@ -117,38 +107,3 @@ def test_a_reset_a_restored_state_and_a_look_at_the_model_drop_what_was_prepared
         drop = prepared(simulation, Hold(STEP)) and drop
         drop()
         assert not was_prepared(simulation.step(Hold(STEP)))
-
-
-def test_a_step_is_taken_once_and_one_that_was_refused_leaves_it(diamond):
-    simulation = prepared(diamond(), CommandSetpoints(diamond().rest_setpoints, STEP))
-    with pytest.raises(CommandError):
-        simulation.step(CommandSetpoints(np.full(4, np.nan), STEP))
-    command = CommandSetpoints(simulation.rest_setpoints, STEP)
-    assert was_prepared(simulation.step(command)) and not was_prepared(simulation.step(command))
-
-
-def test_what_is_prepared_leaves_the_result_of_the_step_before(diamond):
-    command = CommandSetpoints(diamond().rest_setpoints - 0.004, STEP)
-    simulation, plain = diamond(), diamond()
-    kept, whole = simulation.step(command), plain.step(command)
-    simulation.prepare(command)
-    assert same(kept, whole) and kept.report.residual == whole.report.residual
-    assert simulation.state is kept.state
-
-
-def test_in_overload_a_prepared_step_has_a_new_factor(diamond):
-    ticks = count()
-    simulation = diamond()
-    simulation.now = lambda: float(next(ticks))
-    command = CommandSetpoints(simulation.rest_setpoints - 0.004, STEP)
-    for _ in range(3):
-        simulation.step(command, budget=1e-3)
-    assert simulation.step(command, budget=1e-3).report.is_overloaded
-    simulation.prepare(command)
-    result = simulation.step(command, budget=1e-3)
-    assert was_prepared(result) and not result.report.is_overloaded
-
-
-def test_a_command_that_does_not_fit_is_not_prepared_for(diamond):
-    with pytest.raises(CommandError, match="time_step"):
-        diamond().prepare(Hold(-STEP))

@@ -5,7 +5,6 @@ import pytest
 
 from softrobot_twin.mechanics import elements
 from softrobot_twin.mechanics.element_assembly import deform_all
-from softrobot_twin.mechanics.strain_watch import extreme_eigenvalues
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.material_presets import MATERIAL_PRESETS, POISSON_RATIO
 from softrobot_twin.simulation import Hold
@@ -83,21 +82,3 @@ def test_the_strain_of_the_state_after_a_step_needs_no_second_deformation(hung, 
     moved = np.nextafter(x, np.inf)
     np.testing.assert_allclose(watch.elements.extreme_squares(moved, 1.0, 1.0), squares, rtol=1e-9)
     assert len(deformed) == 1 and squares[1] > 1.001
-
-
-def test_scenes_without_a_range_watch_no_strain(hung):
-    simulation = hung(9.81, law="neo_hookean", young_modulus=1e5, poisson_ratio=0.45,
-                      density=1000.0)  # fmt: skip
-    assert simulation.model.strain_watches == ()
-    assert simulation.step(Hold()).report.strains == ()
-
-
-def test_extreme_eigenvalues_are_those_of_numpy():
-    rng = np.random.default_rng(3)
-    for scale in (1e-6, 0.1, 1.0):
-        for _ in range(20):
-            F = np.eye(3) + scale * rng.standard_normal((3, 3))
-            C = F.T @ F
-            found = extreme_eigenvalues(tuple(map(tuple, C)))
-            np.testing.assert_allclose(found, np.linalg.eigvalsh(C)[[0, 2]], rtol=1e-7, atol=1e-7)
-    assert extreme_eigenvalues(((2.0, 0.0, 0.0), (0.0, 2.0, 0.0), (0.0, 0.0, 2.0))) == (2.0, 2.0)

@@ -186,11 +186,6 @@ def test_forces_and_stiffness_are_the_slopes_of_the_energy(simulate, drawn_rng):
     assert np.sum(bends * direction) == pytest.approx(-work, rel=1e-6)
 
 
-def test_nothing_is_built_for_bodies_that_are_not_joined(simulate):
-    scene = simulate(rigid_bodies=[bar("rod", 0.0)], integration="dynamic")
-    assert not {"joints", "hinges"} & {term.name for term in scene.model.forces}
-
-
 @pytest.mark.parametrize(("changes", "message"), [
     ({"joined": [{**WORLD_HINGE, "axis": None}]}, r"rigid_bodies\[0\].joined\[0\].*a hinge has an axis"),
     ({"joined": [{**WORLD_HINGE, "by": "ball"}]}, "a ball joint has none"),

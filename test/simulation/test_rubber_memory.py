@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from softrobot_twin.mechanics.laws import law_named
-from softrobot_twin.mechanics.remembering_elements import RememberingElements
 from softrobot_twin.simulation import Hold
 from test.builder import builder
 
@@ -117,14 +116,6 @@ def test_a_softened_bar_sags_further_when_it_is_loaded_again(bar):
     ))  # fmt: skip
     lighter.step(Hold())
     assert -lighter.state.positions[:, 2].min() > -softened[:, 2].min() + 1e-5
-
-
-def test_scenes_without_memory_have_no_history_and_plain_elements(bar):
-    simulation = bar()
-    assert simulation.state.memory == {} and simulation.parts == ()
-    assert not any(isinstance(term, RememberingElements) for term in simulation.model.forces)
-    assert simulation.model.beginners == ()
-    assert {term.name for term in simulation.model.forces} == {"neo_hookean elements", "gravity"}
 
 
 def test_a_part_may_be_viscous_alone_or_be_left_out(simulate, write_block):

@@ -53,14 +53,6 @@ def moved(simulation, rotation, shift):
     simulation.restore(State(positions, state.setpoints.copy(), state.efforts.copy()))
 
 
-def test_without_a_surface_of_its_own_a_body_is_drawn_by_its_mesh(diamond):
-    simulation = diamond()
-    (skin,), (points,) = simulation.skins, simulation.skin_positions()
-    assert skin.name == "body"
-    assert np.array_equal(skin.triangles, simulation.surface_triangles)
-    assert np.array_equal(points, simulation.surface_positions())
-
-
 @pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
 def test_a_carried_surface_at_rest_is_the_one_of_the_file(fine_surface, dressed, element):
     path = fine_surface(swelling=1.05)
@@ -142,16 +134,3 @@ def test_a_shape_away_from_its_body_s_origin_stays_at_its_place_in_the_scene():
     assert points[:, 0].min() == pytest.approx(0.2) and points[:, 0].max() == pytest.approx(0.4)
     placed = Rotation.from_quat(quaternion).apply(points) + position
     assert placed.mean(axis=0) == pytest.approx([1.0, 0.3, 0.0])
-
-
-def test_a_plane_is_shown_as_a_square_about_the_bodies(grasper):
-    (floor,) = grasper.obstacle_skins()
-    assert floor.name == "floor"
-    assert floor.points[:, 2] == pytest.approx([-0.124] * 4)
-    assert np.abs(floor.points[:, :2].mean(axis=0)).max() < 0.02
-    assert np.ptp(floor.points, axis=0)[0] > grasper.model.nodes.size
-
-
-def test_a_scene_without_solids_has_none_to_show():
-    simulation = Simulation.from_scene_file(SCENES / "diamond.yaml")
-    assert simulation.rigid_skins() == () and simulation.obstacle_skins() == ()

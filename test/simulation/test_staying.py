@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, FollowTargets, Hold
-from softrobot_twin.simulation.command import are_same
 from test.scene_changes import repeat_step
 
 STEP = 0.01
@@ -149,21 +148,3 @@ def test_a_body_in_motion_and_one_in_contact_are_never_at_rest(scene_of):
         contact={"friction": 0.5, "between": [{"pair": ["box", "floor"]}]},
     )  # fmt: skip
     assert rests(simulation) is None
-
-
-@pytest.mark.parametrize("first, second, are", [
-    (Hold(0.1), Hold(0.1), True),
-    (Hold(0.1), Hold(0.2), False),
-    (Hold(0.1), CommandSetpoints(np.zeros(2), 0.1), False),
-    (CommandEfforts(np.array([np.nan, 1.0]), 0.1), CommandEfforts(np.array([np.nan, 1.0]), 0.1),
-     True),
-    (CommandSetpoints(np.zeros(2), 0.1), CommandSetpoints(np.array([0.0, 1e-300]), 0.1), False),
-    (FollowTargets(np.zeros((1, 3)), 0.1), FollowTargets(np.zeros((1, 3)), 0.1, np.zeros(2)),
-     False),
-    (FollowTargets(np.zeros((1, 3)), 0.1, np.zeros(2)), FollowTargets(np.zeros((1, 3)), 0.1), False),
-    (FollowTargets([[0.0, 0.0, 0.0]], 0.1), FollowTargets(np.zeros((1, 3)), 0.1), True),
-    (FollowTargets(np.zeros((1, 3)), 0.1, None, None, [[0.0, 1.0, 2.0]]),
-     FollowTargets(np.zeros((1, 3)), 0.1, None, None, np.zeros((1, 3))), False),
-])  # fmt: skip
-def test_commands_are_compared_to_the_bit(first, second, are):
-    assert are_same(first, second) is are

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softrobot_twin.scene import load_scene, scene_from_mapping
+from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.loading import read_yaml, written_out
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
 from test.builder import builder
@@ -150,22 +150,3 @@ def test_a_trunk_pulled_against_a_cylinder_presses_on_it(trunk):
     assert forces[0] > 0.1  # the left cylinder pushes it to the right
     assert result.contacts.gaps.min() > -1e-6
     assert depth(simulation).max() < 1e-6
-
-
-def test_the_device_has_other_parameters_than_its_twin():
-    twin, device = load_scene(CONFIG / "scenes/trunk_cylinders.yaml"), load_scene(
-        CONFIG / "scenes/trunk_device.yaml"
-    )
-    assert device.mesh_path != twin.mesh_path
-    assert device.body.material.young_modulus == pytest.approx(
-        1.1 * twin.body.material.young_modulus
-    )
-    assert (twin.contact.friction, device.contact.friction) == (0.0, 0.3)
-    assert [c.points for c in device.cables] == [c.points for c in twin.cables]
-
-
-def test_the_path_starts_and_ends_in_front_and_is_never_fast(path):
-    np.testing.assert_allclose(path[[0, -1], 0], [[0, 0, 0.185]] * 2, atol=1e-4)
-    speeds = np.linalg.norm(np.diff(path[:, 0], axis=0), axis=1) / TIME_STEP
-    assert speeds.max() < 0.026
-    assert path[:, 0, 2].max() > 0.212 + 0.015  # beyond the cylinders

@@ -38,15 +38,6 @@ def sag(simulation):
     return -float((result.state.positions - rest)[end, 2].mean())
 
 
-def test_a_body_that_names_no_patches_has_no_term_for_them(bar):
-    for element in ("linear", "quadratic"):
-        terms = bar(element=element).model.forces
-        assert not any(isinstance(term, PatchVolumes) for term in terms)
-    forces = bar(body={"volume": "patches"}).model.forces
-    (term,) = [term for term in forces if isinstance(term, PatchVolumes)]
-    assert 12 * term.patch_count == pytest.approx(12 * 2 * 2 * 6, rel=0.2)
-
-
 def test_a_body_without_much_bulk_modulus_needs_no_patches(bar):
     terms = bar(poisson=0.1, element="quadratic", body={"volume": "patches"}).model.forces
     assert not any(isinstance(term, PatchVolumes) for term in terms)

@@ -124,15 +124,6 @@ def test_newton_on_the_matrix_solves_problems_that_sweeps_do_not(seed):
     assert found.converged and gap <= 1.01 * GAP and share <= 1.01 * SHARE
 
 
-def test_a_solution_is_recognized_without_a_step():
-    problem = bodies(1)
-    first = solve(problem)
-    for given in (problem, problem.with_matrix()):
-        again = ContactProximalNewton(10.0 * GAP, 10.0 * SHARE).solve(given, first.multipliers)
-        assert again.converged and again.sweeps == 0
-        np.testing.assert_array_equal(again.multipliers, first.multipliers)
-
-
 def test_the_last_answer_reduces_the_steps_of_the_next():
     cold = warm = 0
     for seed in range(10):
@@ -142,14 +133,6 @@ def test_the_last_answer_reduces_the_steps_of_the_next():
         cold += solve(moved).sweeps
         warm += solve(moved, first.multipliers).sweeps
     assert warm < 0.5 * cold
-
-
-def test_the_same_input_gives_the_same_bits():
-    for problem in (bodies(3), bodies(3).with_matrix()):
-        first = solve(problem).multipliers
-        solve(bodies(4, contacts=60))
-        solve(bodies(4, contacts=60).with_matrix())
-        np.testing.assert_array_equal(solve(problem).multipliers, first)
 
 
 def test_a_contact_without_compliance_has_zero_force():
@@ -185,11 +168,3 @@ def test_a_non_finite_problem_has_no_solution_and_a_finite_answer(where):
         problem = problem._replace(**{where: broken})
     found = solve(problem, guess)
     assert not found.converged and np.isfinite(found.multipliers).all()
-
-
-def test_inconsistent_sizes_are_refused():
-    problem = bodies(0)
-    with pytest.raises(ValueError):
-        solve(problem._replace(Yt=problem.Yt[:-1]))
-    with pytest.raises(ValueError):
-        solve(problem._replace(friction=-problem.friction - 0.1))

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.solvers import inverse_problem
 from softrobot_twin.solvers.inverse_problem import (
     InverseSystem,
     build_inverse_problem,
@@ -115,21 +114,6 @@ def test_with_nothing_to_track_the_robot_rests(robot_in_contact):
     np.testing.assert_allclose(answer.unknowns, 0.0, atol=1e-12)
 
 
-def test_a_platform_alone_moves_the_effector_to_its_target(robot_in_contact):
-    robot = robot_in_contact(0, contacts=1, moves=1, rows=1)
-    system = robot.system
-    system = system._replace(
-        W_ea=system.W_ea[:, :0], W_aa=np.zeros((0, 0)), W_ac=system.W_ac[:0],
-        G_e=np.array([[1.0]]), G_a=np.zeros((0, 1)), G_c=np.zeros((1, 1)),
-        effectors=np.array([-5e-4]), actuators=np.zeros(0), gaps=np.array([1.0]),
-    )  # fmt: skip
-    bounds = type(robot.bounds)(*(bound[:0] for bound in robot.bounds))
-    robot = robot._replace(system=system, bounds=bounds, tensions=np.zeros(0))
-    answer = solve_by_pivoting(build(robot, energy_weight=1e-6), robot.held, robot.touching)
-    assert answer.solved
-    assert answer.unknowns[0] == pytest.approx(5e-4, rel=1e-5)
-
-
 def test_a_platform_stops_at_an_obstacle_and_presses_no_harder_than_allowed(robot_in_contact):
     """The obstacle is 2 mm ahead, with compliance 1 mm/N; the target 10 mm, 1 N is allowed."""
     robot = robot_in_contact(0, contacts=1, moves=1, rows=1)
@@ -199,19 +183,6 @@ def test_without_any_target_the_proximal_term_has_no_effect(robot_in_contact, co
     assert not near.g.any()
 
 
-@pytest.mark.parametrize("moves", [0, 2])
-def test_compiled_and_interpreted_objectives_agree(robot_in_contact, monkeypatch, moves):
-    robot = robot_in_contact(0, moves=moves)
-    last = np.random.default_rng(0).standard_normal(len(robot.held))
-    given = robot.given(np.array([1.0, 0.0, 2.0]), 1e-4)
-    compiled = build_inverse_problem(*given, last, 9.0)
-    kernel = inverse_problem.tracking_and_energy
-    monkeypatch.setattr(inverse_problem, "tracking_and_energy", kernel.py_func)
-    plain = build_inverse_problem(*given, last, 9.0)
-    np.testing.assert_allclose(compiled.P, plain.P, rtol=1e-13)
-    np.testing.assert_allclose(compiled.g, plain.g, rtol=1e-13, atol=1e-15)
-
-
 def augmented(system, stiffness, reference):
     """A system in λ̂ = λ + ρ (δ_a - δ_ref) in place of λ, by elimination of λ by hand."""
     W, rho = system.W_aa, np.diag(stiffness)
@@ -249,19 +220,6 @@ def test_with_effort_rows_the_optimum_is_that_of_the_problem_in_efforts(robot_in
     np.testing.assert_allclose(
         efforts, found.unknowns - stiffness * (displacements - reference), atol=1e-9
     )
-
-
-def test_the_bounds_of_efforts_decide_some_of_these_problems(robot_in_contact):
-    """Otherwise the rows would not be tested."""
-    decided = set()
-    for seed in range(10):
-        robot = robot_in_contact(seed, contacts=0, actuators=3, moves=0, rows=4)
-        efforts = solve_by_pivoting(
-            build(robot, np.ones(4), 0.0), robot.tensions, robot.touching
-        ).unknowns
-        bounds = robot.bounds
-        decided |= set(np.flatnonzero(np.abs(efforts - bounds.effort_min) < 1e-9))
-    assert {1, 2} <= decided
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -3,19 +3,9 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.solvers.inverse_problem import (
-    Bounds,
-    InverseSystem,
-    build_inverse_problem,
-    with_effort_rows,
-)
-from softrobot_twin.solvers.inverse_solver import (
-    NO_CONTACTS,
-    QP_SOLVERS,
-    InverseSolver,
-    proved_efforts,
-)
-from softrobot_twin.solvers.quadratic_program import DAQPSolver, OSQPSolver, whiten
+from softrobot_twin.solvers.inverse_problem import Bounds, InverseSystem, build_inverse_problem
+from softrobot_twin.solvers.inverse_solver import QP_SOLVERS, InverseSolver
+from softrobot_twin.solvers.quadratic_program import DAQPSolver, whiten
 
 STEPS = 100
 
@@ -73,82 +63,6 @@ def test_the_warm_start_finds_the_optimum_of_an_exact_solver(n):
     assert bound > STEPS
 
 
-def systems_around(n, seed, is_move):
-    """Condensed systems of one robot whose violations change a little from one to the next."""
-    rng = np.random.default_rng((n, seed))
-    root = rng.standard_normal((n + 3, n + 5))
-    W = 1e-3 * root @ root.T
-    W[:n][is_move], W[:n, :n][:, is_move] = 0.0, 0.0
-    W[:n, :n][is_move, is_move] = 1.0
-    for _ in range(STEPS):
-        path = W[:n, :n] @ rng.uniform(0.0, 4.0, n)
-        room = 0.3 * np.abs(path).max()
-        bounds = Bounds(path - room, path + room, np.zeros(n), np.full(n, 10.0))
-        held, centre = path + 0.5 * room * rng.standard_normal(n), rng.uniform(0.0, 2.0, n)
-        yield W, 0.01 * rng.standard_normal(3), 1e-4 * rng.standard_normal(n), held, centre, bounds
-
-
-@pytest.mark.parametrize("move_count", [0, 1])
-@pytest.mark.parametrize("augmented_count", [0, 1, 3])
-@pytest.mark.parametrize("proximal_weight", [0.0, 3.0])
-@pytest.mark.parametrize("n", [1, 4, 8])
-def test_posed_by_one_kernel_a_problem_has_the_same_solution_to_the_bit(
-    n, proximal_weight, augmented_count, move_count
-):
-    is_move = np.arange(n) >= n - move_count
-    proved = 0
-    stiffness, reference = np.zeros(n), np.zeros(n)
-    stiffness[:augmented_count] = np.where(is_move[:augmented_count], 0.0, 40.0)
-    by_kernel, weights = solver_of(n), np.array([1.0, 0.0, 2.0])
-    by_problem = solver_of(n, is_exact=move_count > 0)
-    for W, errors, free, held, centre, bounds in systems_around(n, 5, is_move):
-        bounds.effort_min[is_move], bounds.effort_max[is_move] = -np.inf, np.inf
-        system = InverseSystem.without_contacts(W[n:, :n], W[:n, :n], errors, free)
-        system = system._replace(is_move=is_move)
-        within = bounds._replace(
-            displacement_min=np.minimum(bounds.displacement_min, held),
-            displacement_max=np.maximum(bounds.displacement_max, held),
-        )
-        problem = build_inverse_problem(
-            system, weights, 1e-4, within, centre=centre, proximal_weight=proximal_weight
-        )
-        if augmented_count:
-            problem = with_effort_rows(problem, stiffness, reference, free)
-        by_kernel.active = by_problem.active
-        inside = 0.25 * (bounds.displacement_min + bounds.displacement_max) + 0.5 * held
-        at_rest = np.linalg.solve(W[:n, :n], inside - free)
-        efforts, guess = None, by_kernel.guess
-        if guess is not None:
-            is_proved, efforts, guess = proved_efforts(
-                W, (n, n + 3), errors, weights, 1e-4, proximal_weight, centre, free, *within,
-                is_move, stiffness, reference, at_rest, guess,
-            )  # fmt: skip
-            efforts = efforts if is_proved else None
-        expected = by_problem.solve(problem, at_rest, last=NO_CONTACTS)
-        assert (efforts is None) == (proved == 0 or expected.solver != "warm start")
-        if efforts is not None:
-            np.testing.assert_array_equal(efforts, expected.unknowns)
-            np.testing.assert_array_equal(guess, expected.active)
-        proved += 1
-    assert proved == STEPS
-
-
-def test_without_a_last_solution_or_a_warm_start_no_guess_is_made():
-    assert solver_of(4).guess is None
-    cold = solver_of(4, uses_warm_start=False)
-    cold.active = np.zeros(8, dtype=np.int64)
-    assert cold.guess is None
-
-
-@pytest.mark.parametrize("n", [4, 8])
-def test_with_a_well_conditioned_energy_the_efforts_are_those_of_an_exact_solver(n):
-    solver, exact = solver_of(n), DAQPSolver(tolerance=1e-13)
-    for problem in circle_problems(n, 0, energy_weight=1e-2):
-        found, expected = solver.solve(problem, np.zeros(n)), exact.solve(whiten(problem))
-        size = np.abs(expected.unknowns).max()
-        np.testing.assert_allclose(found.unknowns, expected.unknowns, atol=1e-9 * size)
-
-
 @pytest.mark.parametrize("kind", list(QP_SOLVERS))
 def test_a_failed_guess_is_answered_by_a_general_solver(kind, drawn_rng):
     """Each actuator is given twice: dependent bounds are not proved.
@@ -178,22 +92,6 @@ def test_bounds_are_never_exceeded():
     for problem in circle_problems(8, 1, twice=True):
         z = solver.solve(problem, np.zeros(8)).unknowns
         assert np.all(z >= problem.lower) and np.all(z <= problem.upper)
-
-
-def test_without_a_warm_start_the_given_solver_answers():
-    solver = InverseSolver([OSQPSolver(), DAQPSolver()], uses_warm_start=False)
-    answered = {solver.solve(problem, np.zeros(4)).solver for problem in circle_problems(4, 0)}
-    assert answered <= {"OSQP", "DAQP"} and "OSQP" in answered
-
-
-def test_after_a_reset_a_run_repeats_to_the_bit():
-    solver, problems = solver_of(4, "osqp"), list(circle_problems(4, 2))
-    first = [solver.solve(problem, np.zeros(4)) for problem in problems]
-    solver.reset()
-    for before, problem in zip(first, problems, strict=True):
-        again = solver.solve(problem, np.zeros(4))
-        assert again.solver == before.solver
-        np.testing.assert_array_equal(again.unknowns, before.unknowns)
 
 
 @pytest.mark.parametrize("field", ["g", "P", "row_lower"])

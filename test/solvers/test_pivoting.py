@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
-from softrobot_twin.solvers.pivoting import MUCH_LOWER, WARM_START, solve_by_pivoting
+from softrobot_twin.solvers.pivoting import MUCH_LOWER, solve_by_pivoting
 from softrobot_twin.solvers.qpcc import Stationarity
 from softrobot_twin.solvers.quadratic_program import DAQPSolver, whiten
 
@@ -132,29 +132,6 @@ def test_a_second_start_stays_within_the_budget(robot_in_contact, most_programs)
         assert both.objective <= first.objective
 
 
-def test_a_second_start_follows_a_proved_guess_too(robot_in_contact):
-    """The answers from the last active set and from the search alone are the same."""
-    proved = 0
-    for seed in range(10):
-        robot = robot_in_contact(seed)
-        problem = robot.problem()
-        last = solve(robot, problem)
-        guess = {"last": last.touching, "active": last.active}
-        first, both = from_all_open(robot, problem, guess)
-        proved += first.solver == WARM_START
-        expected = from_all_open(robot, problem)[1]
-        np.testing.assert_allclose(both.objective, expected.objective, rtol=1e-9, atol=1e-15)
-    assert proved > 0
-
-
-def test_no_second_start_changes_nothing(robot_in_contact):
-    robot = robot_in_contact(0)
-    without = solve(robot)
-    with_none = solve(robot, second_start=lambda z: None)
-    np.testing.assert_array_equal(without.unknowns, with_none.unknowns)
-    assert without.programs == with_none.programs
-
-
 @pytest.mark.parametrize("seed", range(20))
 def test_duplicate_contacts_neither_cycle_nor_change_the_motion(
     robot_in_contact, complementarity_residual, eliminated, seed
@@ -240,98 +217,3 @@ def test_the_deadline_is_checked_before_each_program(robot_in_contact):
     assert answer.solved and answer.programs == 1
     assert answer.stationarity is Stationarity.BUDGET
     assert not solve(robot, expired=lambda: True).solved
-
-
-def test_the_same_problem_has_the_same_bits(robot_in_contact):
-    robot = robot_in_contact(3)
-    first, second = solve(robot), solve(robot)
-    np.testing.assert_array_equal(first.unknowns, second.unknowns)
-
-
-@pytest.mark.parametrize("seed", range(10))
-def test_commanded_actuators_are_optimised_around(
-    robot_in_contact, complementarity_residual, eliminated, seed
-):
-    """One tension and one length are given."""
-    robot = robot_in_contact(seed)
-    bounds = robot.bounds._replace(
-        effort_min=robot.bounds.effort_min.copy(), effort_max=robot.bounds.effort_max.copy(),
-        displacement_min=robot.bounds.displacement_min.copy(),
-        displacement_max=robot.bounds.displacement_max.copy(),
-    )  # fmt: skip
-    bounds.effort_min[0] = bounds.effort_max[0] = robot.tensions[0]
-    wanted = 0.5 * (bounds.displacement_min + bounds.displacement_max)[1]
-    bounds.displacement_min[1] = bounds.displacement_max[1] = wanted
-    commanded = robot._replace(bounds=bounds)
-    problem = commanded.problem()
-    answer = solve(commanded, problem)
-    assert answer.solved and answer.objective < answer.held_objective
-    assert answer.unknowns[0] == robot.tensions[0]
-    assert (problem.A @ answer.unknowns)[1] == pytest.approx(wanted, abs=1e-13)
-    assert complementarity_residual(problem, answer.unknowns) < ADMISSIBLE
-    free = eliminated(robot.problem(), answer.touching)
-    if free is not None:
-        assert answer.objective >= robot.problem().objective(free) * (1.0 + 1e-9)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_eight_cables_in_three_directions_move_as_smoothly_as_the_target(robot_in_contact, seed):
-    """While no contact is made or lost, the admissible x = (λ_a, u) are a convex set, and the
-
-    target moves only the gradient g of ½ xᵀHx + gᵀx. Its least point is the projection of -H⁻¹g onto
-    the set in the norm of H, which brings no two points farther apart: |Δx|_H ≤ |Δg|_H⁻¹.
-    """
-    robot, steps, last = robot_in_contact(seed, contacts=2), 250, None
-    start = -robot.system.W_ea @ robot.tensions
-    kept, moved_by = 0, 0.0
-    for share in np.linspace(0.02, 0.3, steps + 1):
-        effectors = (1.0 - share) * start + share * robot.system.effectors
-        problem = robot._replace(system=robot.system._replace(effectors=effectors)).problem()
-        answer = solve(robot, problem, last=None if last is None else last[1].touching)
-        assert answer.solved
-        if last is not None and np.array_equal(answer.touching, last[1].touching):
-            E = without_forces(problem, answer.touching)
-            H, change = E.T @ problem.P @ E, E.T @ (problem.g - last[0].g)
-            move = (answer.unknowns - last[1].unknowns)[: len(H)]
-            most = np.sqrt(change @ np.linalg.solve(H, change))
-            assert np.sqrt(move @ H @ move) <= (1.0 + 1e-6) * most
-            kept, moved_by = kept + 1, max(moved_by, np.abs(move).max())
-        last = problem, answer
-    assert kept > 0.8 * steps
-    assert moved_by > 1e-3
-
-
-def without_forces(problem, touching):
-    """E of z = E (λ_a, u) + e in a piece: the forces of its contacts follow from zero gaps."""
-    own = len(problem.g) - problem.contact_count
-    E, forces = np.eye(len(problem.g))[:, :own], own + np.flatnonzero(touching)
-    E[forces] = -np.linalg.solve(problem.C[touching][:, forces], problem.C[touching][:, :own])
-    return E
-
-
-def test_the_answer_is_that_of_least_energy_among_equal_ones(robot_in_contact):
-    """Any other tensions that move the effectors alike store more energy."""
-    robot = robot_in_contact(5, contacts=1, moves=0)
-    system = robot.system._replace(gaps=np.array([1.0]), effectors=robot.system.effectors * 0.05)
-    wide = np.full(8, np.inf)
-    robot = robot._replace(system=system, tensions=np.full(8, 3.0), bounds=robot.bounds._replace(
-        displacement_min=-wide, displacement_max=wide, effort_min=-wide
-    ))  # fmt: skip
-    tensions = solve(robot).unknowns[:8]
-    _, _, directions = np.linalg.svd(system.W_ea)
-    slope = directions[3:] @ (system.W_aa + 1e-3 * np.diag(np.diag(system.W_aa))) @ tensions
-    assert np.abs(slope).max() < 1e-6 * np.abs(system.W_aa @ tensions).max()
-
-
-def test_each_of_two_identical_cables_has_half_the_tension(robot_in_contact):
-    robot = robot_in_contact(4, contacts=3, actuators=4)
-    of = np.array([0, 1, 2, 3, 0])
-    system = robot.system._replace(
-        W_ea=robot.system.W_ea[:, of], W_aa=robot.system.W_aa[np.ix_(of, of)],
-        W_ac=robot.system.W_ac[of], G_a=robot.system.G_a[of], actuators=np.zeros(5),
-    )  # fmt: skip
-    bounds = type(robot.bounds)(*(bound[of] for bound in robot.bounds))
-    shared = robot.tensions[of] * np.array([0.5, 1, 1, 1, 0.5])
-    answer = solve(robot._replace(system=system, bounds=bounds, tensions=shared))
-    assert answer.solved
-    assert answer.unknowns[0] == pytest.approx(answer.unknowns[4], rel=1e-5, abs=1e-6)

@@ -12,7 +12,7 @@ from specimens import column_mesh
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import CommandSetpoints, Simulation
 from softrobot_twin.study import accuracy_study, choice, reduced_models as reduced_models_study
-from softrobot_twin.study.accuracy import full_row, level_named
+from softrobot_twin.study.accuracy import full_row
 from softrobot_twin.study.accuracy_study import (
     MESH,
     NEWTON,
@@ -46,7 +46,6 @@ from softrobot_twin.study.reduced_models import (
     with_ranges,
     write_training_scene,
 )
-from softrobot_twin.study.terminal import approximate_duration
 
 CELLS = {10: (1, 1, 5), 20: (2, 2, 10), 30: (3, 3, 15)}
 
@@ -175,15 +174,6 @@ def test_on_the_diamond_displacements_have_smaller_errors_than_forces(tmp_path):
     assert coarsest.error_lengths < 0.5 * coarsest.error_tensions
 
 
-def test_rows_are_read_as_they_were_written(study, tmp_path):
-    write_rows(tmp_path / "rows.csv", study.rows)
-    for read, row in zip(read_rows(tmp_path / "rows.csv"), study.rows, strict=True):
-        assert (read.mesh, read.element, read.law, read.dof_count) == (
-            row.mesh, row.element, row.law, row.dof_count)
-        assert read.error_lengths == pytest.approx(row.error_lengths, rel=1e-5)
-        assert np.isnan(read.error_added)
-
-
 @pytest.mark.exhaustive
 def test_the_command_writes_a_table_and_a_picture(family, trained, tmp_path, call, monkeypatch):
     # Times do not matter here, and another test trains in processes.
@@ -224,16 +214,6 @@ def test_choose_writes_a_scene_that_loads_and_runs(family, study, tmp_path, caps
     assert written.read_text().startswith("# Made from column.yaml by 'choose' for 500 Hz")
     simulation = Simulation(scene)
     simulation.step(CommandSetpoints(simulation.rest_setpoints, 0.01))
-
-
-def test_choose_by_forces_says_so(family, study, tmp_path, capsys):
-    write_rows(tmp_path / "rows.csv", study.rows)
-    written = tmp_path / "chosen.yaml"
-    done = choose(family, 500.0, tmp_path / "rows.csv", written, fake_clock, forces_given=True)
-    assert done == 0 and load_scene(written).body.element == "smoothed"
-    told = capsys.readouterr().out
-    assert "Expected error of the effector for given cable tensions" in told
-    assert "Chosen by the error for given cable tensions" in told
 
 
 @pytest.mark.exhaustive
@@ -302,13 +282,6 @@ def test_a_mesh_of_another_body_or_that_cannot_be_read_is_excluded_by_name(tmp_p
     assert len(said) == 1 and said[0].startswith("arm_2.vtk is left out") and reason in said[0]
 
 
-def test_versions_of_a_robot_are_not_a_mesh_family(tmp_path):
-    for version in (1, 2):
-        write_mesh(tmp_path / f"arm_v{version}.vtk", column_mesh((0.02, 0.02, 0.1), (1, 1, 4)))
-    names, said = left_out_of(column_scene(tmp_path, "arm_v1.vtk"), tmp_path)
-    assert names == ["arm_v1", "arm_v1_refined_1", "arm_v1_refined_2"] and said == []
-
-
 def test_a_choice_with_a_large_error_is_warned_of_on_the_terminal_and_in_the_scene(
         family, study, tmp_path, capsys):
     rows = [replace(row, error_lengths=0.46 + 0.1 * row.error_lengths, uncertainty_lengths=0.01)
@@ -320,20 +293,6 @@ def test_a_choice_with_a_large_error_is_warned_of_on_the_terminal_and_in_the_sce
     assert "given cable lengths the error of the effector is 4" in head[0]
     assert "warning: CAUTION" in capsys.readouterr().err
     load_scene(tmp_path / "chosen.yaml")
-
-
-def test_a_study_predicts_its_duration(lonely, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(choice, "QUICK", Limits(200, 2_000, 8))
-    monkeypatch.setattr(choice, "study_meshes", lambda *_: 1 / 0)
-    with pytest.raises(ZeroDivisionError):
-        choose(lonely, 100.0, None, tmp_path / "chosen.yaml", fake_clock)
-    assert "Their study takes about " in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("seconds, words", [
-    (1.0, "about 5 s"), (42.0, "about 40 s"), (300.0, "about 5 minutes")])
-def test_durations_are_printed_in_rounded_units(seconds, words):
-    assert approximate_duration(seconds) == words
 
 
 def test_a_reduced_model_is_found_by_what_it_was_made_from(trained, levels):
@@ -369,22 +328,6 @@ def test_the_error_of_a_reduced_model_includes_that_of_its_mesh(trained, study, 
     # What `choose` measures where there is no study is the distance from the full model.
     apart = differences(model.level.scene, model.scene)
     assert 0.0 < apart.moved < 0.02 and 0.0 < apart.pressed < 0.05
-
-
-def test_rows_of_reduced_models_are_read_as_they_were_written(study, tmp_path):
-    made = replace(study.rows[0], knob=REDUCED, file="a_reduced.npz", mode_count=45, point_count=3)
-    write_rows(tmp_path / "rows.csv", [made])
-    (read,) = read_rows(tmp_path / "rows.csv")
-    assert (read.file, read.mode_count, read.point_count) == ("a_reduced.npz", 45, 3)
-
-
-def test_a_file_of_before_there_were_reduced_models_is_read(study, tmp_path):
-    write_rows(tmp_path / "rows.csv", study.rows[:2])
-    lines = (tmp_path / "rows.csv").read_text().splitlines()
-    (tmp_path / "rows.csv").write_text(
-        "\n".join(line.rpartition(",")[0].rpartition(",")[0].rpartition(",")[0]
-                  for line in lines) + "\n")
-    assert [(row.file, row.mode_count) for row in read_rows(tmp_path / "rows.csv")] == [("", 0)] * 2
 
 
 def test_a_scene_with_patterns_is_copied_with_its_cables_written_out(tmp_path):
@@ -471,16 +414,6 @@ def test_choose_tells_what_a_training_costs_and_buys_and_trains_where_it_is_aske
     choose(family, 500.0, rows, written, clock_of_reduced, train=True, options=few)
     assert "nothing is trained" in capsys.readouterr().err
     assert load_scene(written).body.reduced is not None
-
-
-def test_a_mesh_to_train_is_named_with_its_element(levels):
-    every = every_level(levels, ())
-    assert level_named("column_30:quadratic", every).scene.body.element == "quadratic"
-    assert level_named("column_30", every).scene.body.element == "linear"
-    with pytest.raises(AccuracyError, match="column_30:linear, column_30:quadratic"):
-        level_named("column_30:cubic", every)
-    with pytest.raises(AccuracyError, match="is not one of column_10:linear"):
-        level_named("row_1", every)
 
 
 def test_a_training_of_choose_has_the_range_of_the_study_or_the_one_that_is_asked_for(family):

@@ -24,9 +24,7 @@ from softrobot_twin.study.calibration import (
     RestModel,
     Unknown,
     calibrate,
-    deviations_with,
     estimate,
-    not_told,
     suggestions,
     unknowns_of,
     usual_keys,
@@ -315,12 +313,6 @@ def test_what_a_suggestion_promises_comes_true(bar, random):
     assert best.deviations[own] / 3.0 < got < 3.0 * best.deviations[own]
 
 
-def test_more_measurements_never_make_a_number_less_known(random):
-    J, more = random.normal(size=(2, 12, 4))
-    assert np.all(deviations_with(J, more) < deviations_with(J))
-    assert not_told(np.zeros((5, 2))) == [(0,), (1,)]
-
-
 # --- what is not accepted ------------------------------------------------------------------------
 
 
@@ -375,36 +367,6 @@ def test_a_wrong_model_says_what_it_cannot_know_and_halves_its_error_at_new_pose
         distances.append(np.nanmedian(model.distances))
     print(f"at new poses {1e3 * distances[0]:.2f} mm before, {1e3 * distances[1]:.2f} mm after")
     assert distances[1] < 0.5 * distances[0]
-
-
-def test_numbers_joined_by_plus_change_together_by_the_same_amount(bar, random):
-    shift = "cables[0].points.*[1]+cables[0].pull_point[1]"
-    (one,) = unknowns_of(bar, [shift])
-    assert one.start == 0.0 and one.parameter.unit == "m"
-    truth = changed_scene(bar, one.parameter.changes(7e-4))
-    assert truth.cables[0].pull_point[1] == truth.cables[0].points[1][1] == 7e-4
-    poses = measured(truth, poses_at(bar, 0.004 + 0.3 * drawn(random, 6)), 0.2, random)
-    found = calibrate(bar, poses, [shift, E])
-    assert found.estimate.values[0] == pytest.approx(7e-4, abs=1e-4)
-    assert found.scene.cables[0].points[0][1] == pytest.approx(7e-4, abs=1e-4)
-
-
-class Curved:
-    """A model whose valley is curved: a full step by its tangent goes up, and far from it it does not rest."""
-
-    def predict(self, numbers, with_jacobian):
-        x, y = numbers
-        lost = abs(y - x**2) > 8.0
-        values = np.array([1.0 - x, 10.0 * (y - x**2), np.nan if lost else 0.0])
-        return Prediction(values, np.array([[-1.0, 0.0], [-20.0 * x, 10.0], [0.0, 0.0]]))
-
-
-def test_a_fit_goes_along_a_curved_valley_and_around_what_does_not_rest(bar, random):
-    handles = parameters(bar, "cables[0].offset", "cables[1].offset")
-    start = random.uniform([-1.6, 0.0], [-1.0, 4.0])
-    unknowns = [Unknown(one, float(at), 3.0, False) for one, at in zip(handles, start, strict=True)]
-    measured = Measurements(np.zeros(3), np.array([MARKERS] * 3), np.zeros(3, int))
-    assert estimate(Curved(), measured, unknowns).values == pytest.approx([1.0, 1.0], abs=0.1)
 
 
 def test_numbers_that_the_scene_does_not_take_are_a_pose_that_is_lost(bar):

@@ -1,6 +1,5 @@
 """The samples of a demo as a file of a run."""
 
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -52,11 +51,3 @@ def test_the_targets_of_a_demo_can_be_followed_again_and_drawn(tmp_path):
     np.testing.assert_allclose(path.position(0.1), [0.01 * 7.12, 0.0, 0.0], atol=1e-12)
     titles = [panel.title for panel in panels_of(read_series(tmp_path / "open_loop.csv"))]
     assert titles == ["position", "error", "length", "tension"]
-
-
-def test_a_run_without_common_times_is_a_header(tmp_path):
-    late = SimpleNamespace(**{name: getattr(record(), name) for name in (
-        "target", "twin", "actuator_names", "setpoints", "efforts", "reference")},
-        device=line(np.array([90.0, 91.0]), (0.0, 0.0, 0.0)))
-    write_demo_table(tmp_path / "run.csv", late, "tip", KINDS)
-    assert len((tmp_path / "run.csv").read_text().splitlines()) == 1

@@ -1,6 +1,5 @@
 """Files of ``simulate`` are written completely or not at all, and never replace an input."""
 
-import os
 
 import pytest
 
@@ -125,17 +124,6 @@ def test_a_file_is_written_through_a_link_and_keeps_its_mode(tmp_path):
         assert target.read_text() == OLD
     assert link.is_symlink() and target.read_text() == "new"
     assert target.stat().st_mode & 0o777 == 0o640
-
-
-def test_a_device_file_is_written_to_directly(column, targets, call):
-    done = call("simulate", column, "--targets", targets, "--output", os.devnull)
-    assert done.code == 0, done.errors
-    assert not os.path.isfile(os.devnull)
-
-
-def test_a_folder_is_refused_as_output(tmp_path):
-    with pytest.raises(OutputError, match="is a folder"), output_file(tmp_path):
-        pytest.fail("nothing may be run for it")
 
 
 @pytest.mark.parametrize("follows", [True, False])

@@ -6,14 +6,7 @@ import sys
 import pytest
 
 from softrobot_twin.study import terminal
-from softrobot_twin.study.terminal import (
-    FirstSteps,
-    PipedProgress,
-    announce,
-    console,
-    progress,
-    table,
-)
+from softrobot_twin.study.terminal import FirstSteps, PipedProgress, console, table
 
 pytestmark = pytest.mark.libraries
 
@@ -47,11 +40,6 @@ def test_a_long_run_prints_a_line_for_each_tenth_or_half_minute_with_the_time_le
     assert {place: lines[place] for place in told} == told
 
 
-def test_standard_error_that_is_no_terminal_gets_lines(monkeypatch):
-    monkeypatch.setattr(sys, "stderr", io.StringIO())
-    assert isinstance(progress(), PipedProgress)
-
-
 def test_the_duration_of_a_long_run_is_told_once_from_its_first_steps(clock):
     said = []
     first = FirstSteps(10_000, "steps", "a lower --rate shortens it",
@@ -62,14 +50,6 @@ def test_the_duration_of_a_long_run_is_told_once_from_its_first_steps(clock):
     ((seconds, what, shorter),) = said
     assert seconds == pytest.approx(0.03125 * (10_000 - 32))
     assert what == "10000 steps of 31.2 ms" and shorter == "a lower --rate shortens it"
-
-
-def test_only_work_longer_than_half_a_minute_is_announced(capsys):
-    announce(20.0, "100 samples", "fewer shorten it")
-    assert capsys.readouterr().err == ""
-    announce(200.0, "100 samples", "fewer shorten it")
-    assert capsys.readouterr().err == (
-        "100 samples: about 3 minutes on this machine; fewer shorten it\n")
 
 
 def test_an_activity_that_takes_long_is_named_through_a_pipe(monkeypatch):

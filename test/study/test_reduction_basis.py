@@ -9,15 +9,12 @@ from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation.building.scene_layout import lay_out
 from softrobot_twin.solvers import FACTORIZATIONS
-from softrobot_twin.study import reduction_basis
 from softrobot_twin.study.reduction_basis import (
     blocks_of,
     leading,
     mode_count_of,
     proper_modes,
     rest_stiffness,
-    sampled_points,
-    sparse_weights,
     work_of,
 )
 
@@ -135,55 +132,3 @@ def test_work_of_all_points_is_that_of_the_elements(body, drawn_rng):
         forces = forces_of(body, modes.basis @ state)
         along = -np.tensordot(forces, modes.basis, 2) / np.sqrt(modes.stiffness)
         np.testing.assert_allclose(total, along, atol=1e-6 * np.abs(total).max())
-
-
-def test_few_points_do_the_work_of_all_at_other_states(body, drawn_rng):
-    K, displacements = rest_stiffness(body), bent(body, drawn_rng, 60)
-    modes = leading(proper_modes(displacements[:40], K, 3), 3)
-    states = modes.coordinates(K, displacements)
-    found, error = sampled_points(body, modes, states[:40], 1e-2, np.random.default_rng(0))
-    assert error <= 1e-2 and (found.weights > 0.0).all()
-    assert (np.diff(found.cells) >= 0).all()
-    whole = work_of(body, modes, states[40:], np.random.default_rng(0))
-    assert len(found.cells) < 0.3 * whole.columns.shape[1]
-    keys = 1000 * whole.points.cells + whole.points.points
-    places = np.searchsorted(keys, 1000 * found.cells + found.points, sorter=np.argsort(keys))
-    columns = whole.columns[:, np.argsort(keys)[places]]
-    left = np.linalg.norm(columns @ found.weights - whole.total)
-    assert left <= 3e-2 * np.linalg.norm(whole.total)
-
-
-def test_of_many_points_the_drawn_ones_suffice(body, drawn_rng, monkeypatch):
-    K, displacements = rest_stiffness(body), bent(body, drawn_rng, 20)
-    modes = leading(proper_modes(displacements, K, 3), 3)
-    states = modes.coordinates(K, displacements)
-    work = work_of(body, modes, states, np.random.default_rng(0), 60)
-    assert 30 <= work.columns.shape[1] <= 60
-    monkeypatch.setattr(reduction_basis, "CHUNK", 7)
-    again = work_of(body, modes, states, np.random.default_rng(0), 60)
-    np.testing.assert_array_equal(work.points.cells, again.points.cells)
-    # Gradients of some points are in single precision.
-    np.testing.assert_allclose(work.total, again.total, atol=1e-6 * np.abs(work.total).max())
-    np.testing.assert_allclose(work.columns, again.columns, atol=1e-6 * np.abs(work.columns).max())
-
-
-def test_sparse_weights_are_found_where_they_exist(drawn_rng):
-    columns = drawn_rng.normal(size=(60, 200)).astype(np.float32)
-    truth = np.zeros(200)
-    truth[[3, 50, 120]] = 2.0, 0.5, 7.0
-    found = sparse_weights(columns, columns.astype(float) @ truth, 1e-6)
-    whole = np.zeros(200)
-    whole[found.chosen] = found.weights
-    np.testing.assert_allclose(whole, truth, atol=1e-4)
-    assert found.error <= 1e-6
-
-
-def test_no_weight_is_negative_where_only_that_would_do(drawn_rng):
-    columns = drawn_rng.normal(size=(30, 10)).astype(np.float32)
-    total = columns.astype(float) @ np.array([1.0, -1.0, 2.0, -3.0, 1.0, 0, 0, 0, 0, 0])
-    found = sparse_weights(columns, total, 1e-8)
-    assert (found.weights > 0.0).all() and found.error > 0.05
-    # Karush, Kuhn and Tucker: no other column would lower the residual.
-    residual = total - columns[:, found.chosen].astype(float) @ found.weights
-    gain = columns.T.astype(float) @ residual
-    assert gain.max() <= 1e-3 * np.abs(gain).max()

@@ -18,17 +18,14 @@ from softrobot_twin.study.reduction_states import (
     Sampling,
     StateFinder,
     StateStore,
-    TargetBox,
     chains,
     columns_of,
     find_states,
     refuse_unreducible,
     samples_of,
-    spread_of,
-    spread_points,
     training_scene,
 )
-from softrobot_twin.study.sample_workers import Job, RunError, SampleOutcome, scene_fingerprint
+from softrobot_twin.study.sample_workers import RunError, SampleOutcome, scene_fingerprint
 from softrobot_twin.study.workspace import sampled_axes
 from test.scene_changes import repeat_step
 
@@ -44,77 +41,6 @@ def finder(column):
 def samples(finder, count, seed=0, boxes=(), sampling=SAMPLING):
     axes = sampled_axes(finder.simulation)
     return samples_of(finder.simulation, axes, sampling, boxes, count, seed)
-
-
-def test_samples_begin_at_rest_and_more_begin_with_the_same(finder):
-    few, many = samples(finder, 20), samples(finder, 90)
-    np.testing.assert_array_equal(few, many[:20])
-    setpoints, targets, forces, gravity = columns_of(finder.simulation).split(few[0])
-    np.testing.assert_array_equal(setpoints, finder.simulation.rest_setpoints)
-    assert np.isnan(targets).all() and not forces.any() and gravity.tolist() == [0.0, 0.0, -9.81]
-    assert (samples(finder, 20, seed=1)[1:] != few[1:]).any()
-
-
-def test_a_training_has_the_corners_of_the_box_where_they_are_few(finder):
-    axes = sampled_axes(finder.simulation)
-    assert len(axes) == 4
-
-    def setpoints(count, with_corners):
-        drawn = samples_of(finder.simulation, axes, SAMPLING, (), count, 0, with_corners)
-        return columns_of(finder.simulation).split(drawn)[0]
-
-    plain, cornered = setpoints(80, False), setpoints(80, True)
-    np.testing.assert_array_equal(cornered[17:], plain[17:])
-    np.testing.assert_array_equal(cornered[0], plain[0])
-    ends = np.sort(np.unique(cornered[1:17], axis=0), axis=0)
-    assert len(ends) == 16
-    wound = (finder.simulation.rest_setpoints - cornered[1:17]).round(9)
-    for axis, column in zip(axes, wound.T, strict=True):
-        assert sorted(set(column)) == pytest.approx([axis.least, axis.most])
-    np.testing.assert_array_equal(setpoints(60, True), plain[:60])
-
-
-def test_half_of_the_samples_is_loaded_at_one_point_each(finder):
-    _, _, forces, _ = columns_of(finder.simulation).split(samples(finder, 201))
-    sizes = np.linalg.norm(forces, axis=2)
-    assert sizes.max() <= 0.05 and sizes.max() > 0.04
-    assert ((sizes > 0.0).sum(axis=1) <= 1).all()
-    assert (sizes > 0.0).sum(axis=0).tolist() == [50, 50]
-    # All directions: their mean is far shorter than one of them.
-    directions = forces[sizes > 0.0] / sizes[sizes > 0.0][:, None]
-    assert np.linalg.norm(directions.mean(axis=0)) < 0.2
-
-
-def test_gravity_is_tilted_up_to_the_angle_and_keeps_its_size(finder):
-    *_, gravity = columns_of(finder.simulation).split(samples(finder, 201))
-    np.testing.assert_allclose(np.linalg.norm(gravity, axis=1), 9.81)
-    angles = np.degrees(np.arccos(np.clip(-gravity[:, 2] / 9.81, -1.0, 1.0)))
-    assert 28.0 < angles.max() <= 30.0 + 1e-9 and angles[0] == 0.0
-    turn = np.arctan2(gravity[1:, 1], gravity[1:, 0])
-    assert np.histogram(turn, 4, (-np.pi, np.pi))[0].min() > 30
-
-
-def test_targets_are_sampled_in_their_box(finder):
-    box = TargetBox("tip", (0.0, 0.0, 0.09), (0.02, 0.02, 0.1))
-    _, targets, _, _ = columns_of(finder.simulation).split(samples(finder, 80, boxes=[box]))
-    assert np.isnan(targets[0]).all()
-    assert (targets[1:, 0] >= box.low).all() and (targets[1:, 0] <= box.high).all()
-    assert np.ptp(targets[1:, 0], axis=0).min() > 0.009
-
-
-def test_chains_visit_every_sample_once_by_short_ways(finder):
-    drawn = samples(finder, 100)
-    spread = spread_of(drawn)
-    tours = chains(drawn, spread, 12)
-    order = np.concatenate(tours)
-    assert sorted(order) == list(range(100)) and order[0] == 0
-    assert max(map(len, tours)) <= 12 and len(tours) == 9
-    places = np.nan_to_num(drawn) / spread
-
-    def way(order):
-        return np.linalg.norm(np.diff(places[order], axis=0), axis=1).sum()
-
-    assert way(order) < 0.7 * way(np.arange(100))
 
 
 def test_a_state_is_an_equilibrium_of_the_scene(column):
@@ -216,15 +142,6 @@ def test_a_state_that_is_not_found_is_told_and_the_chain_goes_on(finder):
     assert len(states.found().samples) == 3
 
 
-def test_spread_points_lie_on_the_free_surface_far_from_each_other(column):
-    (body,) = lay_out(load_scene(column), []).bodies
-    points = spread_points(body, 6)
-    assert points.shape == (6, 3) and points[0, 2] == pytest.approx(0.1)
-    assert (points[:, 2] > 0.001).all()
-    apart = np.linalg.norm(points[:, None] - points, axis=2)[~np.eye(6, dtype=bool)]
-    assert apart.min() > 0.015
-
-
 def chain_of(value, columns=Columns(2, 1, 0)):
     return np.full((3, columns.width), float(value))
 
@@ -281,13 +198,6 @@ def test_a_worker_refuses_another_scene(column, tmp_path):
     mesh.write_bytes(mesh.read_bytes() + b"\n")
     with pytest.raises(RunError, match="is not the scene of this run"):
         maker(tmp_path / "copy" / column.name, content)
-
-
-def test_jobs_of_the_same_sampling_are_the_same(column):
-    """A worker of a cluster builds its scene once for equal jobs."""
-    jobs = [Job(FinderMaker(Sampling("body", 0.1, ((TIP,),))), column, "x") for _ in range(2)]
-    assert jobs[0] == jobs[1]
-    assert jobs[0] != Job(FinderMaker(Sampling("body", 0.2, ((TIP,),))), column, "x")
 
 
 @pytest.mark.parametrize("key, value, told", [

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.study.touch_report import draw_presses, presses_of, touch_report, untouched
+from softrobot_twin.study.touch_report import presses_of, touch_report, untouched
 from softrobot_twin.study.tracking import TimedValues
 
 NOTHING = TimedValues(np.empty(0), np.empty((0, 0)))
@@ -62,8 +62,3 @@ def test_what_a_finger_displaced_is_left_out():
     kept = untouched(values, touch)
     assert kept.times.tolist() == [0.5, 2.5] and kept.values[1].tolist() == [6.0, 7.0, 8.0]
     assert untouched(values, NOTHING) is values
-
-
-def test_presses_are_drawn(tmp_path):
-    draw_presses("pad", record(), wanted(), tmp_path / "presses.png")
-    assert (tmp_path / "presses.png").stat().st_size > 5000

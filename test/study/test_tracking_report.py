@@ -11,7 +11,6 @@ from softrobot_twin.study.tracking import (
     TimedValues,
     TrackingRecord,
     distances,
-    draw_panels,
     draw_tracking,
     save_records,
     tracking_figures,
@@ -110,32 +109,3 @@ def test_saved_samples_read_back_bit_by_bit(tmp_path):
         np.testing.assert_array_equal(read["open_loop.setpoints.times"], made.setpoints.times)
         assert tuple(read["open_loop.actuator_names"]) == made.actuator_names
         assert tuple(read["open_loop.setpoint_units"]) == ("m", "Pa")
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("names", [("open_loop",), ("open_loop", "closed_loop")])
-def test_the_picture_of_one_run_or_two_is_drawn(tmp_path, names):
-    pytest.importorskip("matplotlib")
-    runs = {name: record((0.0, 0.0, -0.002)) for name in names}
-    draw_tracking("diamond", runs, tmp_path / "tracking.png")
-    assert (tmp_path / "tracking.png").read_bytes().startswith(b"\x89PNG")
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("actuators", [2, 4, 14])
-def test_no_text_of_the_picture_is_clipped_or_overlaps_another(actuators, check_texts):
-    pyplot = pytest.importorskip("matplotlib.pyplot")
-    from matplotlib.legend import Legend
-    times = np.arange(0.0, 4.0, 0.02)
-    values = TimedValues(times, np.outer(times, np.arange(1.0, actuators + 1.0)))
-    made = replace(record((0.0, 0.0, -0.002)), setpoints=values, efforts=values,
-                   actuator_names=tuple(f"accordion_{index}_upper" for index in range(actuators)),
-                   setpoint_units=("m",) * actuators, effort_units=("N",) * actuators)
-    figure = pyplot.figure(figsize=(12.0, 11.5), layout="constrained")
-    figure.suptitle("a title", x=0.01, ha="left")
-    draw_panels(figure, {"open_loop": made, "closed_loop": made})
-    check_texts(figure)
-    boxes = [axes.get_window_extent() for axes in figure.axes]
-    for legend in figure.findobj(Legend):
-        assert not any(legend.get_window_extent().overlaps(box) for box in boxes)
-    pyplot.close(figure)

@@ -16,13 +16,10 @@ from softrobot_twin.simulation.apparent_compliance import apparent_compliance
 from softrobot_twin.study import sample_workers
 from softrobot_twin.study.sample_workers import DaskWorkers, Job, LocalWorkers
 from softrobot_twin.study.workspace import (
-    Cloud,
     SampleComputer,
     UnfinishedFile,
-    clouds,
     sampled_axes,
     sampled_setpoints,
-    views_of,
 )
 from test.run_files import rows_of
 from test.scene_changes import repeat_step
@@ -67,15 +64,6 @@ def test_the_first_sample_is_the_robot_at_rest(sampled, column):
     row, simulation = rows_of(sampled)[0], Simulation.from_scene_file(column)
     for name, length in zip(simulation.actuator_names, simulation.rest_setpoints):
         assert float(row[f"{name}_length_m"]) == length
-
-
-@pytest.mark.libraries
-def test_the_picture_has_its_size(sampled):
-    from matplotlib.image import imread
-    picture = imread(sampled.with_suffix(".png"))
-    assert picture.shape[0] > 500 and picture.shape[1] > 1200
-    # The scale of colours is there: neither grey nor white alone.
-    assert (np.ptp(picture[..., :3], axis=2) > 0.3).sum() > 1000
 
 
 @pytest.mark.libraries
@@ -288,21 +276,6 @@ def test_a_cluster_that_is_not_there_is_refused_by_name(column, call, tmp_path, 
         monkeypatch.setattr(sample_workers, "CONNECTION_TIMEOUT", 1.0)
     done = call("workspace", column, "--output", tmp_path / "w.csv", "--samples", 2, *NOBODY.split())
     assert done.code == 2 and told in done.errors
-
-
-def test_the_views_show_the_widest_planes():
-    points = np.array([[0.0, 0.0, 0.0], [1.0, 5.0, 3.0]])
-    assert views_of(points) == ((1, 2), (0, 1))
-
-
-def test_clouds_tell_failed_samples_apart():
-    header = ["sample", "tip_x_m", "tip_y_m", "tip_z_m", "tip_stiffness_1_N_per_m", "status"]
-    rows = [["0", "1", "2", "3", "10.0", "ok"], ["1", "nan", "nan", "nan", "nan", "lost"],
-            ["2", "4", "5", "6", "20.0", "not_converged"],
-            ["3", "4", "5", "7", "30.0", "saturated"]]
-    (cloud,) = clouds(["tip"], header, rows)
-    assert isinstance(cloud, Cloud) and cloud.is_good.tolist() == [True, False, True]
-    np.testing.assert_array_equal(cloud.rest, [1.0, 2.0, 3.0])
 
 
 @pytest.fixture(scope="module")

@@ -7,53 +7,6 @@ import pytest
 from softrobot_twin.view.drawing_thread import DrawingThread, LatestItem, RateLimit, every_nth
 
 
-def test_the_newest_item_is_taken():
-    slot = LatestItem()
-    for item in range(5):
-        slot.put(item)
-    assert slot.take() == 4
-    assert (slot.put_count, slot.taken_count, slot.dropped_count) == (5, 1, 4)
-
-
-def test_putting_an_item_does_not_block():
-    slot = LatestItem()
-    for item in range(10_000):
-        slot.put(item)
-    assert slot.dropped_count == 9_999
-
-
-def test_taking_blocks_until_there_is_an_item():
-    slot = LatestItem()
-    taken = []
-    taker = threading.Thread(target=lambda: taken.append(slot.take()))
-    taker.start()
-    taker.join(0.05)
-    assert taken == []
-    slot.put("late")
-    taker.join(5.0)
-    assert taken == ["late"]
-
-
-def test_a_closed_slot_gives_its_last_item_and_then_none():
-    slot = LatestItem()
-    slot.put("last")
-    slot.close()
-    slot.put("too late")
-    assert slot.take() == "last"
-    assert slot.take() is None
-    assert slot.take() is None
-
-
-def test_closing_wakes_a_waiting_thread():
-    slot = LatestItem()
-    taken = []
-    taker = threading.Thread(target=lambda: taken.append(slot.take()))
-    taker.start()
-    slot.close()
-    taker.join(5.0)
-    assert taken == [None]
-
-
 def test_each_item_is_taken_once_in_order_or_counted_as_dropped():
     slot = LatestItem()
     taken = []
@@ -73,11 +26,6 @@ def test_each_item_is_taken_once_in_order_or_counted_as_dropped():
     assert len(taken) + slot.dropped_count == slot.put_count == 20_000
 
 
-def test_the_first_of_every_n_frames_is_drawn():
-    is_chosen = every_nth(3)
-    assert [is_chosen() for _ in range(7)] == [True, False, False] * 2 + [True]
-
-
 def passed(thinning, times):
     return sum(map(thinning.passes, times))
 
@@ -87,16 +35,6 @@ def test_the_mean_rate_is_held_although_frames_do_not_fall_on_its_grid(offered_r
     thinning = RateLimit(50.0)
     times = [100.0 + k / offered_rate for k in range(int(10 * offered_rate))]
     assert passed(thinning, times) == pytest.approx(500, abs=2)
-
-
-def test_slow_frames_are_all_drawn():
-    assert passed(RateLimit(50.0), [100.0 + 0.1 * k for k in range(30)]) == 30
-
-
-def test_frames_missed_in_a_pause_are_not_drawn_later():
-    thinning = RateLimit(50.0)
-    assert passed(thinning, [100.0]) == 1
-    assert passed(thinning, [200.0 + 0.001 * k for k in range(40)]) == 2
 
 
 @pytest.mark.parametrize("time", [0.1, 66_800.123, 5_711_234.567])

@@ -1,12 +1,11 @@
 """Content of an .rrd file after frames have been drawn into it."""
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
 
-from softrobot_twin.simulation.colours import pressure_colours, tension_colours
+from softrobot_twin.simulation.colours import tension_colours
 from softrobot_twin.view import Drawn, Entity
 
 pytestmark = pytest.mark.libraries
@@ -39,13 +38,6 @@ def test_triangles_are_logged_once_and_positions_at_each_step(draw, make_frame, 
             frame.drawn["/robot/surface/body"].points, abs=1e-8)
 
 
-def test_the_surface_has_unit_normals_that_follow_it(draw, make_frame):
-    normals = draw([make_frame(0), make_frame(50)]).at_steps(
-        "/robot/surface/body", "Mesh3D:vertex_normals")
-    assert np.linalg.norm(normals[0], axis=1) == pytest.approx(np.ones(4), abs=1e-6)
-    assert np.abs(np.subtract(normals[50], normals[0])).max() > 0.1
-
-
 def test_cables_are_lines_coloured_by_tension(draw, make_frame, stage):
     cables = make_frame(5).drawn["/robot/cables"]._replace(values=np.array([3.0, 19.0]))
     recorded = draw([make_frame(5, {"/robot/cables": cables})])
@@ -56,13 +48,6 @@ def test_cables_are_lines_coloured_by_tension(draw, make_frame, stage):
     expected = tension_colours(cables.values, (0.0, 20.0))
     assert colours.view(np.uint8).reshape(-1, 4).tolist() == expected.tolist()
     assert recorded.static("/robot/cables", "LineStrips3D:labels") == ["left", "right"]
-
-
-def test_points_that_never_move_are_logged_once(draw, make_frame, stage):
-    fixed = np.array([[0.0, 0.0, 0.0], [0.01, 0.0, 0.02]])
-    entity = Entity("/robot/fixed", "points", (0, 0, 0), points=fixed)
-    recorded = draw([make_frame(0)], replace(stage, entities=(*stage.entities, entity)))
-    assert np.array(recorded.static("/robot/fixed", "Points3D:positions")) == pytest.approx(fixed)
 
 
 def test_points_are_at_the_positions_of_the_frame(draw, make_frame):
@@ -98,13 +83,6 @@ def test_the_trail_ends_at_the_effector(draw, make_frame):
     assert np.array(effector_path) == pytest.approx(expected, abs=1e-8)
 
 
-def test_an_effector_of_nan_position_does_not_break_the_trail(draw, make_frame):
-    lost = np.full((1, 3), np.nan)
-    frames = [make_frame(0), make_frame(10, {"/robot/effector_trail": Drawn(lost)}), make_frame(20)]
-    (effector_path,) = draw(frames).at_steps("/robot/effector_trail", "LineStrips3D:strips")[20]
-    assert np.isfinite(effector_path).all()
-
-
 def test_curves_have_their_names_and_times_are_milliseconds(draw, make_frame):
     recorded = draw([make_frame(4)])
     assert recorded.curve_names("/plots/cable_lengths") == ["left", "right"]
@@ -112,18 +90,6 @@ def test_curves_have_their_names_and_times_are_milliseconds(draw, make_frame):
     assert recorded.curves("/plots/residual")[4] == pytest.approx([1e-6])
     assert recorded.curve_names("/plots/stage_times") == ["whole step", "assembly", "factor"]
     assert recorded.curves("/plots/stage_times")[4] == pytest.approx([3.0, 1.0, 1.5])
-
-
-def test_a_stage_that_appears_later_gets_its_own_curve(draw, make_frame):
-    whole = {"whole step": 0.003}
-    recorded = draw([make_frame(0, times={**whole, "assembly": 0.001}),
-                     make_frame(1, times={**whole, "contact": 0.002, "assembly": 0.001}),
-                     make_frame(2, times={**whole, "contact": 0.002})])
-    assert recorded.curve_names("/plots/stage_times") == ["whole step", "assembly", "contact"]
-    curves = recorded.curves("/plots/stage_times")
-    assert curves[0] == pytest.approx([3.0, 1.0])
-    assert curves[1] == pytest.approx([3.0, 1.0, 2.0])
-    assert curves[2] == pytest.approx([3.0, np.nan, 2.0], nan_ok=True)
 
 
 def test_the_status_is_logged_when_it_changes(draw, make_frame):
@@ -168,17 +134,3 @@ def test_arrows_have_their_origins_and_vanish_with_what_they_show(draw, make_fra
     assert np.array(drawn[0]) == pytest.approx(forces, abs=1e-7) and drawn[1] == []
     origins = recorded.at_steps(arrows.path, "Arrows3D:origins")
     assert np.array(origins[0]) == pytest.approx(places, abs=1e-7)
-
-
-def test_the_colour_of_a_surface_is_that_of_its_value(draw, make_frame, stage):
-    cavity = replace(stage.entities[0], path="/robot/cavities/left", colour=None,
-                     colours_of=partial(pressure_colours, pressure_range=(-5.0e3, 20.0e3)))
-    points = make_frame(0).drawn["/robot/surface/body"].points
-    frames = [make_frame(step, {cavity.path: Drawn(points, values=np.array([pressure]))})
-              for step, pressure in enumerate((0.0, 20.0e3))]
-    recorded = draw(frames, replace(stage, entities=(*stage.entities, cavity)))
-    colours = recorded.at_steps(cavity.path, "Mesh3D:albedo_factor")
-    for step, frame in enumerate(frames):
-        (colour,) = pressure_colours(frame.drawn[cavity.path].values, (-5.0e3, 20.0e3)).astype(int)
-        red, green, blue, alpha = map(int, colour)
-        assert colours[step] == [red << 24 | green << 16 | blue << 8 | alpha]

@@ -30,10 +30,9 @@ from softrobot_twin.simulation.building.actuator_kinds import (
     register_actuator,
     withdraw_actuator,
 )
-from softrobot_twin.simulation.runs.input_tables import TableFileError, read_commands, read_targets
+from softrobot_twin.simulation.runs.input_tables import TableFileError, read_targets
 from softrobot_twin.simulation.runs.run_columns import RunColumns, actuator_cells
 from softrobot_twin.study.explain import effects
-from softrobot_twin.study.scene_picture import take_snapshot
 from test.builder import builder
 from test.scene_changes import change_scene, changed, repeat_step
 
@@ -191,12 +190,6 @@ def inflated(chambers, beam, /, change=None):
     return beam(add)
 
 
-def test_a_kind_that_is_registered_twice_is_refused(chambers):
-    with pytest.raises(ValueError, match="chambers"):
-        register_actuator(ChamberActuator())
-    assert chambers in actuator_kinds()
-
-
 def test_a_section_name_in_use_is_refused():
     class Spring(ChamberActuator):
         section = "springs"
@@ -302,21 +295,6 @@ def test_it_reaches_a_volume_and_the_same_pressure_holds_it_there(inflated, sett
     assert result.efforts[4] > result.efforts[5] > 0.0
 
 
-def test_work_of_its_pressure_is_the_energy_of_the_beam(inflated, settle, energies):
-    simulation = inflated(lambda mapping: mapping.update(cables=[]))
-    work = pressure = 0.0
-    volume = simulation.rest_setpoints[0]
-    for target in np.linspace(0.0, 400.0, 21)[1:]:
-        result = settle(simulation, CommandEfforts([target, 0.0], 1.0))
-        assert result.status is Status.OK
-        np.testing.assert_allclose(result.efforts, [target, 0.0], atol=1e-6)
-        work += 0.5 * (target + pressure) * (result.setpoints[0] - volume)
-        pressure, volume = target, result.setpoints[0]
-    stored, _ = energies(simulation)
-    assert work > 1e-6
-    assert stored == pytest.approx(work, rel=1e-2)
-
-
 def test_it_brings_an_effector_to_its_target_together_with_cables(inflated):
     simulation = inflated()
     target = simulation.effector_positions() + [0.006, 0.001, -0.001]
@@ -324,48 +302,6 @@ def test_it_brings_an_effector_to_its_target_together_with_cables(inflated):
     assert result.status is Status.OK
     assert result.effector_errors[0] < 1e-4
     assert np.abs(result.efforts[4:]).max() > 1.0
-
-
-def test_a_two_sided_actuator_commanded_beside_targets_reaches_its_command(inflated):
-    simulation = inflated()
-    target = simulation.effector_positions() + [0.004, 0.0, -0.001]
-    commanded = np.full(6, np.nan)
-    commanded[4] = simulation.rest_setpoints[4] + 8.0e-7
-    result = repeat_step(simulation, FollowTargets(target, STEP, commanded), 60)
-    volumes = simulation.actuators.terms[1].volumes(result.state.positions)
-    assert result.setpoints[4] == pytest.approx(commanded[4], rel=1e-9)
-    assert volumes[0] == pytest.approx(commanded[4], rel=1e-6)
-    # The beam goes further: only a pressure below that of the air keeps the volume small.
-    assert result.efforts[4] < 0.0
-    assert result.effector_errors[0] < 1e-4 and result.status is Status.OK
-
-
-def test_binding_limits_are_named_in_its_own_terms(inflated):
-    simulation = inflated()
-    volumes = simulation.rest_setpoints.copy()
-    volumes[4] += 1.0
-    seen = set()
-    for _ in range(30):
-        seen.update(simulation.step(CommandSetpoints(volumes, STEP)).report.active_limits)
-    assert {"left.rate", "left.expansion_max"} <= seen
-    weak = inflated(lambda m: [c.update(pressure=[-100.0, 100.0]) for c in m["chambers"]])
-    result = weak.step(CommandEfforts([0.0, 0.0, 0.0, 0.0, 1e3, -1e3], 1.0))
-    assert {"left.pressure_max", "right.pressure_min"} <= set(result.report.active_limits)
-    assert result.status is Status.SATURATED
-
-
-def test_a_chamber_pushes_a_beam_against_a_rod(inflated, rod):
-    simulation = inflated(lambda mapping: rod(mapping, x=0.028))
-    volumes = simulation.rest_setpoints.copy()
-    volumes[4] += 1.5e-6
-    volumes[5] -= 1.0e-6
-    result = repeat_step(simulation, CommandSetpoints(volumes, STEP), 20)
-    assert result.report.contact_count > 0
-    np.testing.assert_allclose(result.setpoints, volumes, rtol=1e-6)
-    simulation.reset()
-    target = simulation.effector_positions() + [0.004, 0.0, -0.001]
-    result = repeat_step(simulation, FollowTargets(target, STEP), 30)
-    assert result.report.contact_count > 0 and np.abs(result.efforts[4:]).max() > 1.0
 
 
 def test_a_state_with_it_is_complete(inflated):
@@ -409,20 +345,6 @@ def test_a_file_of_targets_drives_it_by_volume_or_pressure(inflated, tmp_path):
         read_targets(path, simulation)
 
 
-def test_a_file_of_commands_drives_it_by_its_expansion(inflated, tmp_path):
-    simulation = inflated(lambda mapping: mapping.update(cables=[]))
-    path = tmp_path / "commands.csv"
-    path.write_text("time_s,left_expansion_m3,right_volume_m3\n0,0,2e-6\n1,1e-7,2e-6\n")
-    command = read_commands(path, simulation).command(1.0, STEP)
-    np.testing.assert_allclose(command.setpoints, [2.1e-6, 2e-6])
-    path.write_text("time_s,left_expansion_m3,right_pressure_Pa\n0,0,0\n1,1e-7,0\n")
-    with pytest.raises(TableFileError, match="cannot be combined with"):
-        read_commands(path, simulation)
-    path.write_text("time_s,left_expansion_mm3\n0,0\n1,1\n")
-    with pytest.raises(TableFileError, match="<chamber>_volume_m3.*chambers: left, right"):
-        read_commands(path, simulation)
-
-
 def test_explain_lists_it_with_its_units(inflated):
     simulation = inflated()
     told = {effect.entry: (effect.content, effect.result) for effect in effects(simulation)}
@@ -431,8 +353,3 @@ def test_explain_lists_it_with_its_units(inflated):
                      "pressure [-20, 20] kPa, rate 100 cm³/s")  # fmt: skip
     assert made == "term chambers"
     assert "shortening [0, 20] mm, tension [0, 40] N" in told["cables: east"][0]
-
-
-def test_a_picture_of_the_robot_with_it_is_drawn(inflated):
-    shot = take_snapshot(inflated(), None, "now")
-    assert len(shot.of_kind("cable")) == 4

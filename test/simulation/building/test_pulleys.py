@@ -95,10 +95,3 @@ def test_a_command_beyond_an_angle_limit_stops_there(beam):
     result = step(simulation, 0.015, 0.0, 0.0, 0.0)
     assert simulation.pulleys.angles(result.setpoints)[0] == pytest.approx(0.4, abs=1e-9)
     assert "east.angle_max" in result.report.active_limits
-
-
-def test_scenes_without_pulleys_have_none(beam):
-    simulation = beam()
-    assert simulation.pulleys.count == 0 and not simulation.pulleys.is_wound.any()
-    assert simulation.pulleys.angles(simulation.rest_setpoints).shape == (0,)
-    assert simulation.pulleys.torques(np.zeros(4)).shape == (0,)

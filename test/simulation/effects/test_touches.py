@@ -5,7 +5,6 @@ import pytest
 import yaml
 
 from softrobot_twin.errors import CommandError
-from softrobot_twin.mechanics.touch_loads import TouchLoads
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import FollowTargets, Hold, Simulation, Touched
 from test.scene_changes import repeat_step
@@ -142,16 +141,6 @@ def test_in_motion_a_constant_force_ends_at_the_displacement_of_statics(column, 
     for _ in range(60):
         result = moving.step(Hold(STEP), None, force)
     assert np.allclose(result.touches.points[0], at_rest, atol=1e-6)
-
-
-def test_a_scene_without_touches_has_no_such_term(column):
-    mapping = mapping_of(column)
-    del mapping["touches"]
-    simulation = Simulation(scene_from_mapping(mapping))
-    assert not any(isinstance(term, TouchLoads) for term in simulation.terms)
-    assert simulation.touches is None and simulation.touch_names == ()
-    with pytest.raises(CommandError, match="nothing in this scene can be touched"):
-        simulation.step(Hold(STEP), None, by_force(1.0, 0.0, 0.0))
 
 
 @pytest.mark.parametrize("touched, reason", [

@@ -10,7 +10,6 @@ from softrobot_twin.solvers.multifrontal.front_tasks import (
     FRONTS,
     TILE,
     UPDATE,
-    list_schedule,
     plan_tasks,
 )
 from test.solvers.multifrontal.conftest import PATTERNS, System
@@ -77,28 +76,6 @@ def test_an_indefinite_matrix_is_found_by_all_threads(seed, threads_pay):
     system.A[3 * node, 3 * node] *= -1.0
     system.assemble()
     assert system.solver.factor()
-
-
-@pytest.mark.parametrize("name", PATTERNS)
-def test_tasks_wait_for_earlier_ones_and_do_every_front_once(name, threads_pay):
-    solver = System(PATTERNS[name]).solver
-    tasks, waits, *_ = plan_tasks(solver.elimination, solver.layout, 3)
-    for number, task in enumerate(tasks):
-        assert np.all(waits[task["wait_start"] : task["wait_end"]] < number)
-    done = np.zeros(len(solver.layout.fronts), int)
-    for task in tasks[tasks["kind"] == FRONTS]:
-        done[task["first"] : task["end"]] += 1
-    columns = np.zeros_like(done)
-    np.add.at(columns, tasks["front"][tasks["kind"] == DIAGONAL],
-              (tasks["end"] - tasks["first"])[tasks["kind"] == DIAGONAL])  # fmt: skip
-    np.testing.assert_array_equal(np.where(done, solver.layout.fronts["columns"], columns),
-                                  solver.layout.fronts["columns"])
-    assert np.all(done <= 1) and not np.any(columns[done == 1])
-
-
-def test_a_list_schedule_takes_the_longest_way_first():
-    order, length = list_schedule([1.0, 1.0, 5.0, 1.0], [(), (), (), (2,)], 2)
-    assert order[0] == 2 and length == 6.0
 
 
 def test_small_systems_take_one_thread():
