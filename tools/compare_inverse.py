@@ -101,7 +101,7 @@ def random_robot(rng: np.random.Generator, exploration: bool = False) -> Robot:
     """Draws a robot, which may look for nearer poses by simulation, and its targets."""
     length, count = rng.uniform(0.08, 0.2), int(rng.integers(2, 6))
     is_beam = bool(rng.random() < 0.5)
-    body, point, on, tension = (_beam if is_beam else _bar)(rng, length)
+    body, point, on, tension = (draw_beam if is_beam else draw_bar)(rng, length)
     first = rng.uniform(0.0, 2.0 * np.pi)
     limit = (None, None, 0.03, 0.1)[int(rng.integers(0, 4))]
     cables = []
@@ -168,7 +168,7 @@ def random_robot(rng: np.random.Generator, exploration: bool = False) -> Robot:
     return Robot(scene, targets, weights, turns, stiff, length, words)
 
 
-def _beam(rng, length: float):
+def draw_beam(rng, length: float):
     """A straight beam; its points by share of its length and angle, and its scale of tension."""
     radius, young = rng.uniform(0.002, 0.004), 10 ** rng.uniform(6.0, 7.0)
     beam = dict(
@@ -186,7 +186,7 @@ def _beam(rng, length: float):
     return dict(beams=[beam]), point, dict(body="b"), tension
 
 
-def _bar(rng, length: float):
+def draw_bar(rng, length: float):
     """The same of a bar of hexahedra."""
     width, young = length * rng.uniform(0.14, 0.22), 10 ** rng.uniform(4.9, 5.6)
     body = dict(
