@@ -13,7 +13,7 @@ import numpy as np
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.command import DEFAULT_TIME_STEP
-from softrobot_twin.simulation.step.interpretation import why_not_followed
+from softrobot_twin.simulation.step.inverse_choice import why_not_followed
 
 
 class Mode(Enum):

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 
 import numpy as np
+
+from softrobot_twin.errors import CommandError
 
 DEFAULT_TIME_STEP = 0.02
 """Duration of a step where nothing else is asked [s]: of Python, of the command line and of a
@@ -94,12 +97,12 @@ TIMES = ("time_step", "reach_time")
 
 
 def may_move(command: Command) -> bool:
-    """Whether a command leaves the actuators time to move at their rates.
+    """Whether a command leaves the actuators time to do what it asks: to move at their rates, or to stay.
 
     Args:
         command: The command.
     """
-    reach_time = getattr(command, "reach_time", None)
+    reach_time = getattr(command, "reach_time", LONG)
     return (command.time_step if reach_time is None else reach_time) > 0.0
 
 
@@ -125,3 +128,27 @@ def are_same(first: Command, second: Command, besides: tuple[str, ...] = ()) -> 
         if one.shape != other.shape or one.tobytes() != other.tobytes():
             return False
     return True
+
+
+def fitting(name: str, array, shape: tuple[int, ...], nan_allowed: bool) -> np.ndarray:
+    """An array of a command, checked.
+
+    Args:
+        name: Its name, for errors.
+        array: Its values.
+        shape: The shape that it must have.
+        nan_allowed: Whether it may hold NaN; it must not hold infinite values in any case.
+
+    Raises:
+        CommandError: It does not fit.
+    """
+    array = np.asarray(array, dtype=float)
+    if array.shape != shape:
+        raise CommandError(name, f"must have shape {shape}, not {array.shape}")
+    # Faster than a check of the array, which has few entries.
+    if all(map(math.isfinite, array.ravel().tolist())):
+        return array
+    bad = np.isinf(array) if nan_allowed else ~np.isfinite(array)
+    if bad.any():
+        raise CommandError(name, f"holds {array[bad][0]}")
+    return array

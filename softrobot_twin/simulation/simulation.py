@@ -21,9 +21,6 @@ from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.command import (
     TIMES,
     Command,
-    CommandEfforts,
-    CommandSetpoints,
-    FollowTargets,
     Hold,
     are_same,
     may_move,
@@ -35,9 +32,8 @@ from softrobot_twin.simulation.result import Status, StepResult
 from softrobot_twin.simulation.scene_warnings import stability_notes
 from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.step.actuation import INVERSION, PASSING, Actuation
-from softrobot_twin.simulation.step.augmented_tangent import HeldActuators
 from softrobot_twin.simulation.step.direct_actuation import DirectActuation
-from softrobot_twin.simulation.step.interpretation import Asked, Interpretation
+from softrobot_twin.simulation.step.goals import Goal, Goals
 from softrobot_twin.simulation.step.inverse_choice import build_inverse
 from softrobot_twin.simulation.step.linearized import Linearized
 from softrobot_twin.simulation.step.newton import Newton
@@ -46,7 +42,6 @@ from softrobot_twin.simulation.step.step_report import (
     Balance,
     Outcome,
     StepResults,
-    are_within,
     balance,
 )
 from softrobot_twin.simulation.step.target_trust import NO_LOADS, Approach
@@ -63,14 +58,6 @@ MOST_SHARES = 10
 # Moves of bodies that are brought near balance, at most, and the length of one, by the body's size,
 # that is near.
 MOST_MOVES_TO_NEAR, NEAR = 12, 0.01
-# A step in balance that moves no node by more than this share of the body's size, and changes no
-# effort by more than this share of its scale, keeps the state: at rest round-off leaves 1e-14.
-KEPT_SHARE = 1.0e-12
-# The same of a step towards targets, which moves setpoints too: where they come from an inverse
-# problem, round-off leaves 1e-11.
-KEPT_SHARE_TOWARDS_TARGETS = 1.0e-10
-# And where the inverse lets the actuators stay: a soft, stable body turns round-off into so much.
-KEPT_SHARE_WHILE_STAYING = 1.0e-6
 # Steps towards the same targets that keep the state before further ones need not be made. Within
 # fewer the inverse tries all that it will try from there, but one step for each actuator.
 STEPS_UNTIL_REST = 120
@@ -115,23 +102,23 @@ class Prepared(NamedTuple):
 
     Attributes:
         state: Where it begins.
-        command: A command like its own.
+        goal: A goal like its own.
         time: How long the linearization took [s].
     """
 
     state: State
-    command: Command
+    goal: Goal
     time: float
 
-    def serves(self, state: State, command: Command) -> bool:
+    def serves(self, state: State, goal: Goal) -> bool:
         """Whether it is the beginning of a step.
 
         Args:
             state: Where the step begins.
-            command: What is asked of it.
+            goal: What is asked of it.
         """
-        is_alike = type(command) is type(self.command)
-        return state is self.state and is_alike and command.time_step == self.command.time_step
+        is_alike = goal.driven_by == self.goal.driven_by and state is self.state
+        return is_alike and goal.command.time_step == self.goal.command.time_step
 
 
 class Simulation(Readouts):
@@ -195,7 +182,7 @@ class Simulation(Readouts):
         # The result of the last step, as long as somebody keeps it and nobody has read it.
         self._unread: weakref.ref[StepResult] | None = None
         self._prepared: Prepared | None = None
-        self._reading = Interpretation(self.model)
+        self._goals = Goals(self.model, self.direct, self.inverse)
         self._find_surface()
         self.take_parts(parts)
         self.reset()
@@ -216,7 +203,7 @@ class Simulation(Readouts):
         self._keeping = those_with(parts, "memory_at_rest", "may_keep")
         self._loading = those_with(parts, "loads", "load")
         self._depends_on_time = any(part.depends_on_time for part in parts)
-        self._results = StepResults(self.model, parts, self.newton, self.inverse)
+        self._results = StepResults(self.model, parts, self.newton)
         # Dynamic scenes, contacts and some parts remember more than a state that is kept tells of.
         may_all = all(part.may_rest for part in parts)
         self.may_rest = may_all and not (self.model.is_dynamic or self.model.rows.varies)
@@ -350,11 +337,11 @@ class Simulation(Readouts):
         if self._parts_with["begin"] or self._parts_with["lead"]:
             return
         clock = StageClock(self.now)
-        held = self._held_actuators(command, self._reading.read(command, self.state))
+        goal = self._goals.read(command, self.state)
         self._recall_parts()
-        self._begin_motion(command, False)
-        if self.newton.prepare(self._positions, self.state.efforts, clock, held):
-            self._prepared = Prepared(self.state, command, clock.total)
+        self._begin_motion(goal, False)
+        if self.newton.prepare(self._positions, self.state.efforts, clock, goal.held):
+            self._prepared = Prepared(self.state, goal, clock.total)
 
     def step(
         self, command: Command, budget: float | None = None, measured: object | None = None
@@ -387,12 +374,12 @@ class Simulation(Readouts):
             if done is not None:
                 return done
         command, has_other_stiffness = self._begin_parts(command, measured)
-        asked = self._reading.read(command, self.state)
-        if isinstance(command, FollowTargets):
+        goal = self._goals.read(command, self.state)
+        if goal.follows:
             for part in self._parts_with["read"]:
                 part.read(command)
         positions, efforts = self._positions, self.state.efforts
-        ahead = self._begin_motion(command, has_other_stiffness)
+        ahead = self._begin_motion(goal, has_other_stiffness)
         newton, time_budget = self.newton, self._time_budget
         if self.inverse is not None:
             self._begin_inverse(positions)
@@ -403,31 +390,32 @@ class Simulation(Readouts):
         )
         hurry = pressed and newton.may_keep_factor
         first, iterations, enough, rows = None, 0, False, self.model.rows
-        doing, sought = (command, asked), None
+        doing, sought = goal, None
         inverted = newton.inverted_count
         while not enough:
             iterations, begin, ahead = iterations + 1, clock.total - ahead, 0.0
             before = positions.copy() if hurry else positions
-            done = self._iterate(positions, efforts, *doing, clock, hurry)
+            done = self._iterate(positions, efforts, doing, clock, hurry)
             if done is None:
-                return self._failed(command, clock, iterations)
+                return self._failed(goal, clock, iterations)
             first = first or (done.linear, done.still)
             if hurry and not self._stale_factor_serves(done, inverted):
                 positions[:], hurry = before, False
                 continue
             if done.share == 0.0:
-                return self._failed(command, clock, iterations, *_why_kept(done.actuation))
+                return self._failed(goal, clock, iterations, *_why_kept(done.actuation))
             efforts = done.actuation.efforts
             if not hurry:
                 time_budget.learn(clock.total - begin)
             asks_again = rows.ask_again(positions)
             may_end = hurry and not asks_again
             enough = may_end or self._is_enough(done, iterations, clock.total, budget, asks_again)
-            if sought is None and self._seeks_once(command, done):
+            if doing.seeks_once and done.actuation.solved and done.linear.contact_row_count > 0:
+                # Bodies come to balance under what was found before something else is sought.
                 sought = done.actuation
-                doing = self._as_commanded(sought, command, asked)
+                doing = goal.as_found(sought)
         if asks_again and rows.lag(positions):
-            return self._failed(command, clock, iterations, Status.REFUSED, (PASSING,))
+            return self._failed(goal, clock, iterations, Status.REFUSED, (PASSING,))
         if sought is not None and iterations > 1:
             done = done._replace(actuation=self.inverse.told(done.actuation, sought))
         reached = self._balance(done, budget) if led and not asks_again else Balance.MISSED
@@ -439,7 +427,7 @@ class Simulation(Readouts):
             positions.copy(), done.actuation, done.held, done.linear, reached,
             done.residual, iterations, first, pressed,
         )  # fmt: skip
-        return self._succeeded(command, asked, outcome, clock)
+        return self._succeeded(goal, outcome, clock)
 
     def finish_result(self) -> None:
         """Make the result of the last step, if somebody keeps it, before the model changes.
@@ -500,8 +488,7 @@ class Simulation(Readouts):
         """
         # Where nothing depends on time, it is the same how long actuators are held, and how long a
         # step is that would have had time to move them.
-        is_held = isinstance(command, Hold) or (may_move(command) and may_move(before))
-        is_any_time = is_held and not self._depends_on_time
+        is_any_time = may_move(command) and may_move(before) and not self._depends_on_time
         return are_same(command, before, TIMES if is_any_time else ())
 
     def _begin_inverse(self, positions: np.ndarray) -> None:
@@ -544,27 +531,27 @@ class Simulation(Readouts):
         for part in self._parts_with["recall"]:
             part.recall(self.state)
 
-    def _begin_motion(self, command: Command, has_other_stiffness: bool) -> float:
+    def _begin_motion(self, goal: Goal, has_other_stiffness: bool) -> float:
         """Let all that remembers begin a step, at the state and in a time step.
 
         Args:
-            command: What is asked.
+            goal: What is asked.
             has_other_stiffness: Whether parts make the stiffness another than before.
 
         Returns:
             Time of the first linearization, where that is prepared [s]; zero where it is not.
         """
         prepared, self._prepared = self._prepared, None
-        if prepared is not None and prepared.serves(self.state, command):
+        if prepared is not None and prepared.serves(self.state, goal):
             return prepared.time
         self._positions[:] = self.state.positions
         is_changed = self._motion.begin_step(
             self._beginners, self._positions, self.state.velocities, self.state.past,
-            command.time_step, isinstance(command, FollowTargets),
+            goal.command.time_step, goal.follows,
         )
         if is_changed or has_other_stiffness:
             self.newton.take_other_tangent()
-        self.newton.expect(command.time_step)
+        self.newton.expect(goal.command.time_step)
         if self._goes_on and not self.newton.projected_tangent:
             self.newton.go_on()
         return 0.0
@@ -573,16 +560,15 @@ class Simulation(Readouts):
         return sum((part.load for part in self._loading), 0.0)
 
     def _iterate(
-        self, positions: np.ndarray, efforts: np.ndarray, command: Command, asked: Asked,
-        clock: StageClock, with_stale_factor: bool,
+        self, positions: np.ndarray, efforts: np.ndarray, goal: Goal, clock: StageClock,
+        with_stale_factor: bool,
     ) -> Correction | None:  # fmt: skip
         """Linearize and condense, solve for λ, correct the positions, and take the residual.
 
         Args:
             positions: Node positions [m], shape (node_count, 3); moved.
             efforts: Efforts of the actuators there [N], shape (actuator_count,).
-            command: What is asked.
-            asked: The same, read.
+            goal: What is asked.
             clock: Books the stages.
             with_stale_factor: Whether to keep the factor of an earlier state.
 
@@ -591,46 +577,31 @@ class Simulation(Readouts):
         """
         linear = self.newton.linearize(
             positions, efforts, clock, with_stale_factor,
-            self._held_actuators(command, asked) if self.newton.asks_for_held else None,
+            goal.held if self.newton.asks_for_held else None,
         )  # fmt: skip
         if linear is None:
             return None
-        still = self.direct.held(linear, asked.drives, asked.bounds, command)
-        rows = None
-        if self._parts_with["rows"] and isinstance(command, FollowTargets):
-            rows = self._rows_of_parts(positions, efforts, clock)
-        actuation, held = self._actuate(linear, command, asked, still, rows)
+        still = self.direct.held(linear, goal.drives, goal.bounds, goal.needs_held)
+        rows = self._rows_of_parts(positions, efforts, clock) if goal.follows else None
+        actuation, held = goal.solve(linear, still, rows)
         if self._optimises:
             clock.mark("optimise")
         # Bodies that follow a prescribed move gain energy by it.
         is_judged = not self.model.rows.lag(positions)
         if with_stale_factor:
             share, residual, actuation = self._move(positions, actuation, clock)
-        elif isinstance(command, FollowTargets) and is_judged and not self.model.is_dynamic:
+        elif goal.follows and is_judged and not self.model.is_dynamic:
             share, residual, actuation = self._approach(positions, actuation, held, clock)
         else:
-            is_judged = is_judged and not isinstance(command, FollowTargets)
+            is_judged = is_judged and not goal.follows
             share, residual, actuation = self._move_and_settle(positions, actuation, clock, is_judged)
         return Correction(linear, actuation, held, still, share, residual)
-
-    def _seeks_once(self, command: Command, done: Correction) -> bool:
-        """Whether bodies come to balance under what was found before something else is sought."""
-        follows = isinstance(command, FollowTargets) and done.actuation.solved
-        return follows and self.inverse.seeks_once and done.linear.contact_row_count > 0
-
-    def _as_commanded(
-        self, found: Actuation, command: Command, asked: Asked
-    ) -> tuple[Command, Asked]:
-        """What moves the actuators as they were found, while the bodies come to balance."""
-        drives = found.drives(self.limits)
-        setpoints = self.actuators.setpoints(drives)
-        return CommandSetpoints(setpoints, command.time_step), asked._replace(wanted=drives)
 
     def _rows_of_parts(
         self, positions: np.ndarray, efforts: np.ndarray, clock: StageClock
     ) -> object | None:
         """Rows that a part adds to those of the effectors; see `StepPart.rows`."""
-        if any(part.holds_robot for part in self.parts):
+        if not self._parts_with["rows"] or any(part.holds_robot for part in self.parts):
             return None
         state = self.newton.linearized_state(positions, efforts)
         for part in self._parts_with["rows"]:
@@ -654,29 +625,15 @@ class Simulation(Readouts):
         Returns:
             Efforts of the actuators after it; None where there is no way.
         """
-        hold, newton = Hold(time_step), self.newton
-        still = self._reading.read(hold, self.state)
+        newton, goal = self.newton, self._goals.read(Hold(time_step), self.state)
         for _ in range(MOST_MOVES_TO_NEAR):
-            done = self._iterate(positions, efforts, hold, still, clock, False)
+            done = self._iterate(positions, efforts, goal, clock, False)
             if done is None or done.share == 0.0:
                 return None
             efforts = done.actuation.efforts
             if done.share == 1.0 and newton.last_move <= NEAR * self.model.nodes.size:
                 break
         return efforts
-
-    def _held_actuators(self, command: Command, asked: Asked) -> HeldActuators | None:
-        """What the actuators are held at, or a step towards targets starts from.
-
-        Returns:
-            It; None where efforts are prescribed.
-        """
-        if isinstance(command, CommandEfforts):
-            return None
-        drives = asked.wanted if isinstance(command, CommandSetpoints) else asked.drives
-        return HeldActuators(
-            drives, asked.bounds, asked.reach, not isinstance(command, FollowTargets)
-        )
 
     def _is_enough(
         self, done: Correction, iterations: int, elapsed: float, budget: float | None,
@@ -712,33 +669,6 @@ class Simulation(Readouts):
         """Sum of the forces of actuators, contacts and parts, by magnitude [N]."""
         own = self.actuators.load(actuation.efforts) + actuation.contact.load
         return own + self._load_of_parts()
-
-    def _actuate(
-        self, linear: Linearized, command: Command, asked: Asked, held: Actuation | None,
-        rows: Any,
-    ) -> tuple[Actuation, Actuation | None]:  # fmt: skip
-        """Find λ as the command asks for it.
-
-        Args:
-            linear: The condensed system.
-            command: What is asked.
-            asked: The same, read.
-            held: What the actuators do when they stay; None where nothing asks for it.
-            rows: Rows of parts, below those of the effectors; None without any.
-
-        Returns:
-            The actuation, and the one that a shorter step begins with.
-        """
-        direct, wanted, bounds = self.direct, asked.wanted, asked.bounds
-        if isinstance(command, CommandSetpoints):
-            prescribed = self.actuators.limits.drives_within(wanted, bounds)
-            return direct.at_drives(linear, prescribed, bounds), held
-        if isinstance(command, CommandEfforts):
-            found = direct.at_efforts(linear, wanted, held, bounds)
-            return found._replace(are_efforts_given=True), held
-        if isinstance(command, FollowTargets):
-            return self.inverse.solve(linear, wanted, held, bounds, rows)
-        return held, held
 
     def _move(
         self, positions: np.ndarray, actuation: Actuation, clock: StageClock,
@@ -811,86 +741,50 @@ class Simulation(Readouts):
         is_near = self._balance(done, 0.0) is not Balance.MISSED
         return is_near and newton.inverted_count <= inverted and newton.makes_progress()
 
-    def _succeeded(
-        self, command: Command, asked: Asked, outcome: Outcome, clock: StageClock
-    ) -> StepResult:
-        before = self.state
-        motion = self._motion.end_step(
-            before, outcome.positions, outcome.actuation, command.time_step
-        )
+    def _succeeded(self, goal: Goal, outcome: Outcome, clock: StageClock) -> StepResult:
+        before, time_step, newton = self.state, goal.command.time_step, self.newton
+        motion = self._motion.end_step(before, outcome.positions, outcome.actuation, time_step)
         if motion.actuation is not outcome.actuation:
             outcome = outcome._replace(actuation=motion.actuation)
         state = State(
             outcome.positions,
             self.actuators.setpoints(outcome.actuation.drives(self.limits)),
-            outcome.actuation.efforts, before.step_count + 1, before.time + command.time_step,
+            outcome.actuation.efforts, before.step_count + 1, before.time + time_step,
             motion.velocities, motion.past, self._memory([
                 part.remembered(part.end(outcome.positions, outcome.actuation.efforts))
                 for part in self._parts_with["end"]
             ]),
         )  # fmt: skip
-        is_kept = self._is_kept(command, asked, outcome, state)
-        self.state = before.kept_through(command.time_step) if is_kept else state
-        result = StepResult.when_read(self.state, partial(
-            self._results.of_step, command, asked, outcome, clock, before, self.state
-        ))  # fmt: skip
-        self._note_rest(command, result, is_kept)
+        # What is changed by nothing but round-off is kept.
+        is_kept = (
+            self.may_rest and outcome.balance is Balance.REACHED and not newton.inverted_count
+            and goal.keeps(before, state, not newton.projected_tangent)
+            and all(part.may_keep(before, state) for part in self._keeping)
+        )  # fmt: skip
+        self.state = before.kept_through(time_step) if is_kept else state
+        result = StepResult.when_read(
+            self.state, partial(self._results.of_step, goal, outcome, clock, before, self.state)
+        )
+        self._note_rest(goal, result, is_kept)
         self._unread = weakref.ref(result)
         return result
 
-    def _is_kept(
-        self, command: Command, asked: Asked, outcome: Outcome, state: State
-    ) -> bool:
-        """Whether a step changed nothing but by round-off: then the state before it is kept.
-
-        Args:
-            command: What was asked.
-            asked: The same, read.
-            outcome: What the linearizations came to.
-            state: The state after them.
-        """
-        before, size = self.state, self.model.nodes.size
-        if not self.may_rest or outcome.balance is not Balance.REACHED:
-            return False
-        follows = isinstance(command, FollowTargets)
-        share = KEPT_SHARE_TOWARDS_TARGETS if follows else KEPT_SHARE
-        slack = share * self.limits.drive_scale if follows else np.zeros(len(state.setpoints))
-        if not are_within(state.setpoints, before.setpoints, slack):
-            return False
-        if self.newton.inverted_count or not math.isfinite(size):
-            return False
-        if not all(part.may_keep(before, state) for part in self._keeping):
-            return False
-        stays = follows and self.inverse.trust.approach is Approach.REST
-        if stays and not self.newton.projected_tangent:
-            share = KEPT_SHARE_WHILE_STAYING
-        return (
-            not (follows and self._is_slow(asked, slack))
-            and bool((np.abs(state.positions - before.positions) <= share * size).all())
-            and bool((np.abs(state.efforts - before.efforts) <= share * self.limits.effort_scale).all())
-        )
-
-    def _is_slow(self, asked: Asked, slack: np.ndarray) -> bool:
-        """Whether rates are so small that a robot under way looks like one at rest."""
-        least, most = self.limits.drive_bounds(asked.bounds)
-        return bool(((least < most) & (most - least <= 4.0 * slack)).any())
-
-    def _note_rest(self, command: Command, result: StepResult, is_kept: bool) -> None:
+    def _note_rest(self, goal: Goal, result: StepResult, is_kept: bool) -> None:
         """Note whether a step left a state at which `stay` can answer.
 
         Args:
-            command: What was asked.
+            goal: What was asked.
             result: Its result.
             is_kept: Whether the step kept the state.
         """
-        newton = self.newton
+        newton, command = self.newton, goal.command
         before, self.kept = self.kept, None
         if not is_kept:
             return
         result.make()
         is_again = before is not None and self.asks_as(before.command, command)
-        count, follows = before.count + 1 if is_again else 0, isinstance(command, FollowTargets)
-        if follows:
+        count = before.count + 1 if is_again else 0
+        if goal.follows:
             self.direct.remember(self.state.efforts)
             waits = [
                 part.steps_until_rest(command, result)
@@ -910,20 +804,20 @@ class Simulation(Readouts):
             compute_time=0.0, iterations=0, factor_age=0, is_late=False, is_resting=True,
         )  # fmt: skip
         self.kept = Kept(command, count, replace(result, report=report))
-        if follows:
+        if goal.follows:
             for part in self._parts_with["rest"]:
                 part.rest(self, command, self.kept.result)
 
     def _failed(
-        self, command, clock, iterations, status=Status.DIVERGED, limits=()
+        self, goal, clock, iterations, status=Status.DIVERGED, limits=()
     ) -> StepResult:
         """The last good state, told as a failure. Its time has passed all the same."""
         self._goes_on = False
         self.kept = None
-        self.state = self.state.kept_through(command.time_step)
+        self.state = self.state.kept_through(goal.command.time_step)
         self.model.rows.tell_efforts(self.state.efforts)
         return self._results.of_failure(
-            command, clock, iterations, status, limits, self.state, self.effector_positions()
+            goal, clock, iterations, status, limits, self.state, self.effector_positions()
         )
 
 

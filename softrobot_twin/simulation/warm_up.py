@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from softrobot_twin.simulation.command import CommandEfforts, CommandSetpoints, FollowTargets, Hold
-from softrobot_twin.simulation.step.interpretation import why_not_followed
+from softrobot_twin.simulation.step.inverse_choice import why_not_followed
 
 # Positive, and short enough to change the state little [s].
 TIME_STEP = 1.0e-3

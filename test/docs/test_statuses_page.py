@@ -17,7 +17,7 @@ from softrobot_twin.simulation.building.limits import ANGLE
 from softrobot_twin.simulation.effects.fallback import ENRICH, FULL_MODEL
 from softrobot_twin.simulation.result import BURST, COARSE, GRIP, RATE, SAMPLED, STRAINED, UNSTABLE
 from softrobot_twin.simulation.step.actuation import INVERSION
-from softrobot_twin.simulation.step.step_report import ENERGY, REACH
+from softrobot_twin.simulation.step.goals import ENERGY, REACH
 
 ROOT = Path(__file__).resolve().parents[2]
 TEXT = (ROOT / "docs" / "statuses.md").read_text()

@@ -17,8 +17,8 @@ from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.observed_loads import ObservedLoads, ObservedPlace
 from softrobot_twin.simulation.building.model import Model
+from softrobot_twin.simulation.command import fitting
 from softrobot_twin.simulation.state import State
-from softrobot_twin.simulation.step.interpretation import fitting
 from softrobot_twin.simulation.step.step_part import StepPart
 
 

@@ -19,9 +19,8 @@ import numpy as np
 from softrobot_twin.errors import CommandError
 from softrobot_twin.mechanics.touch_loads import TouchLoads, TouchState
 from softrobot_twin.simulation.building.model import Model
-from softrobot_twin.simulation.command import Command, CommandSetpoints, FollowTargets
+from softrobot_twin.simulation.command import Command, CommandSetpoints, FollowTargets, fitting
 from softrobot_twin.simulation.state import State
-from softrobot_twin.simulation.step.interpretation import fitting
 from softrobot_twin.simulation.step.step_part import StepPart
 
 

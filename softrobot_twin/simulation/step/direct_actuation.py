@@ -13,7 +13,6 @@ import numpy as np
 
 from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.simulation.building.model import Model
-from softrobot_twin.simulation.command import CommandSetpoints
 from softrobot_twin.simulation.step.actuation import Actuation, ContactLoads
 from softrobot_twin.simulation.step.contact_solvers import FORCE_SHARE, ContactSolvers
 from softrobot_twin.simulation.step.linearized import Linearized, row_motion
@@ -155,17 +154,16 @@ class DirectActuation:
         return self._before, self._contacts.last_multipliers
 
     def held(
-        self, linear: Linearized, drives: np.ndarray, bounds: Bounds, command
+        self, linear: Linearized, drives: np.ndarray, bounds: Bounds, is_needed: bool
     ) -> Actuation | None:
         """The actuation with all actuators held; see `at_drives`.
 
         Returns:
-            The actuation; None with contact pairs and commanded setpoints, where it is not needed.
+            The actuation; None with contact pairs, where it is not needed.
         """
         self._before = self._efforts
-        if self.solvers is not None and isinstance(command, CommandSetpoints):
-            return None
-        return self.at_drives(linear, drives, bounds)
+        needed = is_needed or self.solvers is None
+        return self.at_drives(linear, drives, bounds) if needed else None
 
     def at_drives(self, linear: Linearized, drives: np.ndarray, bounds: Bounds) -> Actuation:
         """Efforts and contact forces where each actuator holds its displacement, or its effort.

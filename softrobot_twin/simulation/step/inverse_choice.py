@@ -4,10 +4,20 @@ from __future__ import annotations
 
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.step.direct_actuation import DirectActuation
-from softrobot_twin.simulation.step.interpretation import why_not_followed
 from softrobot_twin.simulation.step.inverse_actuation import InverseActuation
 from softrobot_twin.simulation.step.inverse_with_friction import InverseWithFriction
 from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT
+
+
+def why_not_followed(model: Model) -> str:
+    """Reason why a scene's effectors cannot follow targets; empty if they can.
+
+    Args:
+        model: The model of a simulation.
+    """
+    if model.effectors is None or not model.actuators.count:
+        return "this scene has no effectors or no actuators"
+    return ""
 
 
 def build_inverse(

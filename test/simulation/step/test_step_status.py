@@ -17,7 +17,8 @@ from softrobot_twin.simulation import (
 from softrobot_twin.simulation.result import RATE
 from softrobot_twin.simulation.step import inverse_actuation
 from softrobot_twin.simulation.step.actuation import INVERSION, Actuation
-from softrobot_twin.simulation.step.step_report import ENERGY, NEAR_BALANCE, REACH, Balance, judge
+from softrobot_twin.simulation.step.goals import ENERGY, REACH
+from softrobot_twin.simulation.step.step_report import NEAR_BALANCE, Balance, judge
 from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT
 from test.scene_changes import repeat_step
 
