@@ -38,12 +38,7 @@ from softrobot_twin.simulation.step.inverse_choice import build_inverse
 from softrobot_twin.simulation.step.linearized import Linearized
 from softrobot_twin.simulation.step.newton import Newton
 from softrobot_twin.simulation.step.step_part import StepPart, parts_by_method, those_with
-from softrobot_twin.simulation.step.step_report import (
-    Balance,
-    Outcome,
-    StepResults,
-    balance,
-)
+from softrobot_twin.simulation.step.step_report import NEAR_BALANCE, Balance, Outcome, StepResults
 from softrobot_twin.simulation.step.target_trust import NO_LOADS, Approach
 from softrobot_twin.simulation.step.time_budget import StageClock, TimeBudget
 from softrobot_twin.simulation.step.time_integration import Dynamics, GeneralizedAlpha, Statics
@@ -375,9 +370,6 @@ class Simulation(Readouts):
                 return done
         command, has_other_stiffness = self._begin_parts(command, measured)
         goal = self._goals.read(command, self.state)
-        if goal.follows:
-            for part in self._parts_with["read"]:
-                part.read(command)
         positions, efforts = self._positions, self.state.efforts
         ahead = self._begin_motion(goal, has_other_stiffness)
         newton, time_budget = self.newton, self._time_budget
@@ -582,7 +574,7 @@ class Simulation(Readouts):
         if linear is None:
             return None
         still = self.direct.held(linear, goal.drives, goal.bounds, goal.needs_held)
-        rows = self._rows_of_parts(positions, efforts, clock) if goal.follows else None
+        rows = self._rows_of_parts(positions, efforts, goal, clock)
         actuation, held = goal.solve(linear, still, rows)
         if self._optimises:
             clock.mark("optimise")
@@ -598,14 +590,15 @@ class Simulation(Readouts):
         return Correction(linear, actuation, held, still, share, residual)
 
     def _rows_of_parts(
-        self, positions: np.ndarray, efforts: np.ndarray, clock: StageClock
+        self, positions: np.ndarray, efforts: np.ndarray, goal: Goal, clock: StageClock
     ) -> object | None:
         """Rows that a part adds to those of the effectors; see `StepPart.rows`."""
-        if not self._parts_with["rows"] or any(part.holds_robot for part in self.parts):
+        parts = self._parts_with["rows"] if goal.follows else ()
+        if not parts or any(part.holds_robot for part in self.parts):
             return None
         state = self.newton.linearized_state(positions, efforts)
-        for part in self._parts_with["rows"]:
-            rows = part.rows(state)
+        for part in parts:
+            rows = part.rows(state, goal.command)
             if rows is not None:
                 clock.mark(part.name)
                 return rows
@@ -657,18 +650,23 @@ class Simulation(Readouts):
         return not self._time_budget.has_time(iterations, elapsed, budget, most)
 
     def _balance(self, done: Correction, budget: float | None) -> Balance:
-        """How near to balance the last correction came."""
-        solver = self.model.scene.solver
-        return balance(
-            done.residual, done.share == 1.0 and done.actuation.is_exact,
-            budget is not None or solver.newton_iterations == 1, solver,
-            self.newton.constant_load, lambda: self._load(done.actuation),
-        )  # fmt: skip
+        """How near to balance the last correction came.
 
-    def _load(self, actuation: Actuation) -> float:
-        """Sum of the forces of actuators, contacts and parts, by magnitude [N]."""
-        own = self.actuators.load(actuation.efforts) + actuation.contact.load
-        return own + self._load_of_parts()
+        Near is where the scene or the deadline stopped the linearizations before they could converge,
+        and the residual is small beside the forces at rest, and of actuators, contacts and parts.
+        """
+        solver, weight = self.model.scene.solver, self.newton.constant_load
+        actuation = done.actuation
+        if done.share != 1.0 or not actuation.is_exact:
+            return Balance.MISSED
+        if done.residual <= solver.residual_tolerance:
+            return Balance.REACHED
+        if budget is None and solver.newton_iterations != 1:
+            return Balance.MISSED
+        if done.residual > NEAR_BALANCE * weight:
+            load = self.actuators.load(actuation.efforts) + actuation.contact.load
+            weight += load + self._load_of_parts()
+        return Balance.NEAR if done.residual <= NEAR_BALANCE * weight else Balance.MISSED
 
     def _move(
         self, positions: np.ndarray, actuation: Actuation, clock: StageClock,

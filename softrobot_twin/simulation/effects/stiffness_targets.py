@@ -56,7 +56,6 @@ class StiffnessTargets(StepPart):
         ]).T.copy()  # fmt: skip
         first = int(np.argmax(self._weights > 0.0))
         self.entry = f"effectors[{first}].stiffness", effectors[first].name
-        self._wanted = np.full((len(effectors), 3), np.nan)
         self._begun: tuple[StiffnessRows, LinearizedState] | None = None
         self._told = PartReport()
 
@@ -73,16 +72,13 @@ class StiffnessTargets(StepPart):
         self._begun = None
         return False
 
-    def read(self, command: FollowTargets) -> None:
-        """Note the wanted stiffnesses [N/m], NaN where none is wanted or one has no weight."""
+    def rows(self, state: LinearizedState, command: FollowTargets) -> StiffnessRows | None:
+        """See `StepPart`; nothing is wanted along free axes, and of effectors without a weight."""
         wanted = self._scene_stiffness if command.stiffness is None else command.stiffness
-        self._wanted = np.where(self._weights[:, None] > 0.0, wanted, np.nan)
-
-    def rows(self, state: LinearizedState) -> StiffnessRows | None:
-        """See `StepPart`."""
-        if np.isnan(self._wanted).all():
+        wanted = np.where(self._weights[:, None] > 0.0, wanted, np.nan)
+        if np.isnan(wanted).all():
             return None
-        rows = self.rows_of(state, self._wanted)
+        rows = self.rows_of(state, wanted)
         self._begun = rows, state
         return rows
 

@@ -144,21 +144,12 @@ class StepPart:
         """
         return command
 
-    def read(self, command: FollowTargets) -> None:
-        """Take what it needs of targets that are followed.
-
-        Args:
-            command: The targets.
-
-        Raises:
-            CommandError: That does not fit the scene.
-        """
-
-    def rows(self, state: LinearizedState) -> Any:
+    def rows(self, state: LinearizedState, command: FollowTargets) -> Any:
         """Its rows of the inverse problem, below those of the effectors; see `InverseActuation`.
 
         Args:
             state: The linearized state.
+            command: The targets that are followed.
 
         Returns:
             The rows; None if it wants none now.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from enum import Enum
 from typing import NamedTuple
 
@@ -11,7 +10,6 @@ import numpy as np
 
 from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.constraints.contact import Contacts
-from softrobot_twin.scene.schema import Solver
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.result import (
     RATE,
@@ -27,7 +25,7 @@ from softrobot_twin.simulation.step.actuation import INVERSION, Actuation, Conta
 from softrobot_twin.simulation.step.goals import REACH, Goal
 from softrobot_twin.simulation.step.linearized import Linearized
 from softrobot_twin.simulation.step.newton import Newton
-from softrobot_twin.simulation.step.step_part import StepPart, those_with
+from softrobot_twin.simulation.step.step_part import PartReport, StepPart, those_with
 from softrobot_twin.simulation.step.time_budget import StageClock
 
 # What one linearization may leave out of balance on a node, as a share of all loads together: at
@@ -39,51 +37,12 @@ ITERATIONS = "solver.newton_iterations"
 STICKS, SLIPS, LOST = "sticks", "slips", "lost"
 
 
-def misses(effectors, errors: np.ndarray, angles: np.ndarray | None) -> np.ndarray:
-    """How far each effector is from its target, orientations counted by their length per radian.
-
-    Args:
-        effectors: The effector term, or None.
-        errors: Distances [m]; see `Goal.errors`.
-        angles: See there.
-
-    Returns:
-        Distances [m], NaN without a target, shape (effector_count,).
-    """
-    return errors if angles is None else effectors.misses(errors, angles)
-
-
 class Balance(Enum):
     """How near to balance the linearizations of a step came."""
 
     REACHED = "within the tolerance"
     NEAR = "near, and more linearizations were not allowed"
     MISSED = "not near enough"
-
-
-def balance(
-    residual: float, whole: bool, may_stop_near: bool, solver: Solver, weight: float,
-    load: Callable[[], float],
-) -> Balance:  # fmt: skip
-    """Judge a step's residual.
-
-    Args:
-        residual: Largest force out of balance on a node [N].
-        whole: Whether the last move was made as a whole and contacts are solved as exactly as the
-            scene asks for.
-        may_stop_near: Whether the scene or the deadline stopped the linearizations before they
-            could converge.
-        solver: The scene's settings.
-        weight: Sum of the forces at rest [N], the least load.
-        load: Gives the sum of the other loads' sizes [N], where it is needed.
-    """
-    if whole and residual <= solver.residual_tolerance:
-        return Balance.REACHED
-    if whole and may_stop_near and (
-        residual <= NEAR_BALANCE * weight or residual <= NEAR_BALANCE * (weight + load())
-    ):
-        return Balance.NEAR
-    return Balance.MISSED
 
 
 def judge(
@@ -196,10 +155,7 @@ class StepResults:
             places = model.effectors.positions(state.positions)
         errors, angles = goal.errors(places, outcome.positions)
         told = [part.report(state) for part in self._parts]
-        more_misses = [part.misses for part in told if part.misses]
-        missed = misses(model.effectors, errors, angles)
-        for after, _ in more_misses:
-            missed = _with_more(missed, after)
+        missed = self._missed(errors, angles, told, 0)
         active = goal.limits_met(actuation)
         if newton.is_nearly_flat and INVERSION not in active:
             active = (*active, INVERSION)
@@ -207,9 +163,8 @@ class StepResults:
         active = (*active, *(limit for part in doubted for limit in part.limits))
         met = not newton.is_nearly_flat and not doubted and goal.is_met(actuation, missed)
         if goal.follows and not met and not any(limit.endswith(RATE) for limit in active):
-            missed_before = self._missed(goal, before.positions)
-            for _, earlier in more_misses:
-                missed_before = _with_more(missed_before, earlier)
+            was_at = model.effectors.positions(before.positions)
+            missed_before = self._missed(*goal.errors(was_at, before.positions), told, 1)
             active = (*active, *goal.what_else_holds(
                 outcome.linear, outcome.held, missed_before, missed
             ))  # fmt: skip
@@ -253,11 +208,22 @@ class StepResults:
             touching, self._quaternions(outcome.positions), angles, **readings,
         )  # fmt: skip
 
-    def _missed(self, goal: Goal, positions: np.ndarray) -> np.ndarray:
-        """Distances of the effectors from their targets at some node positions [m]; see `misses`.
+    def _missed(
+        self, errors: np.ndarray, angles: np.ndarray | None, told: list[PartReport], when: int
+    ) -> np.ndarray:
+        """How far each effector is from all that is asked [m], orientations by their length per radian.
+
+        Args:
+            errors: Distances from the targets [m]; see `Goal.errors`.
+            angles: See there.
+            told: What parts tell, and with it what is missed beside the targets.
+            when: 0 after the step, 1 before it; see `PartReport.misses`.
         """
-        effectors = self._model.effectors
-        return misses(effectors, *goal.errors(effectors.positions(positions), positions))
+        missed = errors if angles is None else self._model.effectors.misses(errors, angles)
+        for more in (part.misses[when] for part in told if part.misses):
+            both = np.hypot(np.nan_to_num(missed), more)
+            missed = np.where(np.isnan(missed) & (more == 0.0), np.nan, both)
+        return missed
 
     def _quaternions(self, positions: np.ndarray) -> np.ndarray | None:
         """Turns of the effectors from rest; None in a scene without orientations."""
@@ -340,14 +306,3 @@ def _of_contacts(loads: ContactLoads, touching: ContactForces | None) -> dict:
         "contact_count": len(touching.forces), "contact_sweeps": loads.sweeps,
         "contact_residual": loads.residual, "contact_force_residual": loads.force_residual,
     }  # fmt: skip
-
-
-def _with_more(missed: np.ndarray, more: np.ndarray) -> np.ndarray:
-    """How far each effector is from all that is asked.
-
-    Args:
-        missed: Distances from the targets [m], NaN without a target, shape (effector_count,).
-        more: What a part misses; see `PartReport` [m], same shape.
-    """
-    both = np.hypot(np.nan_to_num(missed), more)
-    return np.where(np.isnan(missed) & (more == 0.0), np.nan, both)
