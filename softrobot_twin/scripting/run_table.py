@@ -63,22 +63,20 @@ def _array(name: str, values: list[Any]) -> np.ndarray:
     return np.array(values, np.int64 if name in WHOLE_NUMBERS else np.float64)
 
 
-def common_targets(commands: Sequence[Command]) -> FollowTargets | None:
+def common_targets(commands: Sequence[Command]) -> Command | None:
     """The first of some commands where all of them follow targets of the same effectors, else None.
 
     Args:
         commands: The commands of a run.
     """
-    first = commands[0] if commands else None
-    if not isinstance(first, FollowTargets):
-        return None
-    named = _named(first)
-    alike = all(isinstance(one, FollowTargets) and _named(one) == named for one in commands)
-    return first if alike else None
+    named = {_named(one) for one in commands}
+    return commands[0] if len(named) == 1 and named != {()} else None
 
 
-def _named(command: FollowTargets) -> tuple[bytes, ...]:
-    """What a command gives of the effectors, in a form that can be compared."""
+def _named(command: Command) -> tuple[bytes, ...]:
+    """What targets give of the effectors, in a form that can be compared; of other commands nothing."""
+    if not isinstance(command, FollowTargets):
+        return ()
     arrays = (getattr(command, channel.target) for channel in WANTED)
     return tuple(b"" if array is None else np.isfinite(array).tobytes() for array in arrays)
 
@@ -101,10 +99,9 @@ class ColumnsOfSteps:
         Args:
             command: The command of the step.
         """
-        followed = command if isinstance(command, FollowTargets) else None
-        key = () if followed is None else _named(followed)
+        key = _named(command)
         if key not in self._known:
             self._known[key] = RunColumns(
-                self._simulation, followed, with_reduction_errors=False
+                self._simulation, command if key else None, with_reduction_errors=False
             )
         return self._known[key]

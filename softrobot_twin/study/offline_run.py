@@ -9,13 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.simulation import (
-    Command,
-    CommandEfforts,
-    CommandSetpoints,
-    FollowTargets,
-    Simulation,
-)
+from softrobot_twin.simulation import Command, Simulation
 from softrobot_twin.simulation.runs.input_tables import TargetTable, read_targets
 from softrobot_twin.simulation.runs.run_columns import RunColumns, RunRow
 from softrobot_twin.simulation.scene_warnings import unlikely_commands
@@ -81,14 +75,11 @@ def unlikely_warning(simulation: Simulation, commands: Iterable[Command]) -> str
         simulation: The scene, where the commands begin.
         commands: Targets, setpoints or efforts.
     """
-    targets, setpoints, efforts = [], [simulation.rest_setpoints], []
+    given = {"targets": [], "setpoints": [simulation.rest_setpoints], "efforts": []}
     for command in commands:
-        if isinstance(command, FollowTargets):
-            targets.append(command.targets)
-        elif isinstance(command, CommandSetpoints):
-            setpoints.append(command.setpoints)
-        elif isinstance(command, CommandEfforts):
-            efforts.append(command.efforts)
+        for name in given.keys() & vars(command).keys():
+            given[name].append(getattr(command, name))
+    targets, setpoints, efforts = given.values()
     if targets:
         offsets = np.array(targets) - simulation.effector_positions()
         farthest = np.nanmax(np.linalg.norm(offsets, axis=2), initial=0.0)

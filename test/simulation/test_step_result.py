@@ -22,18 +22,15 @@ def steps_of(simulation, count):
             yield simulation.step(FollowTargets(simulation.effector_positions() + way, 0.02))
         else:
             scale = simulation.actuators.limits.drive_scale
-            yield simulation.step(CommandSetpoints(
-                simulation.actuators.setpoints(0.02 * number * scale), 0.02
-            ))  # fmt: skip
+            setpoints = simulation.actuators.setpoints(0.02 * number * scale)
+            yield simulation.step(CommandSetpoints(setpoints, 0.02))
 
 
 def told_by(result):
     """All that a result tells but times."""
     report = vars(result.report) | {"stage_times": None, "compute_time": None}
-    arrays = [
-        result.state.positions, result.setpoints, result.efforts, result.displacements,
-        result.effector_positions, result.effector_errors,
-    ]  # fmt: skip
+    arrays = [result.state.positions, result.setpoints, result.efforts, result.displacements,
+              result.effector_positions, result.effector_errors]  # fmt: skip
     return result.status, repr(report), repr([one.tolist() for one in arrays]), repr(result.contacts)
 
 
@@ -63,8 +60,7 @@ def test_a_result_that_nobody_keeps_is_never_made(monkeypatch):
 
 
 def test_a_result_can_be_sent_to_another_process_before_it_is_read():
-    simulation = Simulation.from_scene_file(SCENES / "finger.yaml")
-    (result,) = steps_of(simulation, 1)
+    (result,) = steps_of(Simulation.from_scene_file(SCENES / "finger.yaml"), 1)
     sent = pickle.loads(pickle.dumps(result))
     assert sent.status is result.status
     np.testing.assert_array_equal(sent.state.positions, result.state.positions)

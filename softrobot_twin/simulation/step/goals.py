@@ -168,19 +168,16 @@ class Goal:
         """Whether actuators are where they should be; NaN asks nothing."""
         return are_near(drives, actuation.drives(self._limits), self._limits.drive_scale)
 
-    def limits_met(self, actuation: Actuation) -> tuple[str, ...]:
+    def limits_met(self, actuation: Actuation, is_slack=None) -> tuple[str, ...]:
         """Names of the limits that restrict an actuation.
 
         Args:
             actuation: What was done.
+            is_slack: See `ActuatorLimits.binding`.
         """
-        return (*self._binding(actuation), *actuation.given_up)
-
-    def _binding(self, actuation: Actuation, is_slack=None) -> list[str]:
-        """Names of the limits of actuators that bind; see `ActuatorLimits.binding`."""
-        return self._limits.binding(
-            actuation.displacements, actuation.efforts, self.reach, is_slack
-        )
+        efforts = actuation.efforts
+        binding = self._limits.binding(actuation.displacements, efforts, self.reach, is_slack)
+        return (*binding, *actuation.given_up)
 
     def errors(
         self, places: np.ndarray, positions: np.ndarray
@@ -239,7 +236,7 @@ class HoldGoal(Goal):
         """See `Goal`."""
         return True
 
-    def limits_met(self, actuation: Actuation) -> tuple[str, ...]:
+    def limits_met(self, actuation: Actuation, is_slack=None) -> tuple[str, ...]:
         """None: a command to hold needs no motion, so no limit restricts it."""
         return ()
 
@@ -368,15 +365,15 @@ class TargetGoal(Goal):
         reached = all(miss <= tolerance for miss in missed.tolist() if math.isfinite(miss))
         return reached and (self.commanded is None or self._are_there(self.commanded, actuation))
 
-    def _binding(self, actuation: Actuation, is_slack=None) -> list[str]:
-        """A cable that is not commanded and has no tension holds nothing back: its winch may be at a
-        limit, which binds nothing."""
-        def is_slack() -> np.ndarray:
+    def limits_met(self, actuation: Actuation, is_slack=None) -> tuple[str, ...]:
+        """See `Goal`. A cable that is not commanded and has no tension holds nothing back: its winch
+        may be at a limit, which binds nothing."""
+        def hangs() -> np.ndarray:
             efforts = actuation.efforts
             slack = self._model.actuators.one_sided & (efforts <= NO_EFFORT * efforts.max(initial=0.0))
             return slack if self.commanded is None else slack & np.isnan(self.commanded)
 
-        return super()._binding(actuation, is_slack)
+        return super().limits_met(actuation, is_slack or hangs)
 
     def errors(
         self, places: np.ndarray, positions: np.ndarray
@@ -419,12 +416,11 @@ class TargetGoal(Goal):
         stays = is_stable and self._goals.inverse.trust.approach is Approach.REST
         slack = KEPT_SHARE_TOWARDS_TARGETS * self._limits.drive_scale
         share = KEPT_SHARE_WHILE_STAYING if stays else KEPT_SHARE_TOWARDS_TARGETS
-        return self._is_kept(before, after, slack, share) and not self._is_slow(slack)
-
-    def _is_slow(self, slack: np.ndarray) -> bool:
-        """Whether rates are so small that a robot under way looks like one at rest."""
+        if not self._is_kept(before, after, slack, share):
+            return False
+        # Where rates are very small, a robot under way looks like one at rest.
         least, most = self._limits.drive_bounds(self.bounds)
-        return bool(((least < most) & (most - least <= 4.0 * slack)).any())
+        return not bool(((least < most) & (most - least <= 4.0 * slack)).any())
 
 
 _GOALS = {Hold: HoldGoal, CommandSetpoints: SetpointGoal, CommandEfforts: EffortGoal,
