@@ -121,12 +121,3 @@ def test_no_step_turns_a_cavity_inside_out(cavity, bound_term, scale):
     share = term.largest_share(rest, flattened[free])
     assert 0.0 < share < 0.5
     assert term.volumes(rest + share * flattened)[0] > 0.0
-
-
-def test_a_cavity_without_pressure_adds_no_stiffness(cavity, bound_term):
-    mesh, surface = cavity
-    term, matrix, _ = bound_term(Cavities, (surface,), mesh.node_positions)
-    matrix.clear()
-    term.add_stiffness(mesh.node_positions, np.zeros(1), matrix.storage)
-    term.add_stiffness(mesh.node_positions, np.ones(1), matrix.storage, projected=True)
-    assert not matrix.storage.any()

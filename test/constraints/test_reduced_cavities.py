@@ -98,15 +98,6 @@ def test_volumes_and_rows_are_those_of_the_triangles(reduced, dense_rows, drawn_
         assert np.count_nonzero(H) == found.size
 
 
-def test_volumes_at_rest_and_areas_are_those_of_the_triangles(reduced, dense_rows):
-    term, whole = reduced.term, reduced.whole
-    np.testing.assert_allclose(term.rest_volumes, whole.rest_volumes, rtol=1e-14)
-    np.testing.assert_allclose(term.rest_areas, whole.rest_areas, rtol=1e-14)
-    np.testing.assert_allclose(term.sphere_volumes, whole.walls.sphere_volumes, rtol=1e-13)
-    _, growth = dense_rows(term, state(np.zeros(9)), reduced.free)
-    assert growth[0] == 0.0
-
-
 def test_rows_are_the_derivative_of_the_volume(reduced, dense_rows, drawn_rng):
     q, step = 0.02 * drawn_rng.standard_normal(9), 1e-5
     H = by_coordinates(dense_rows(reduced.term, state(q), reduced.free)[0], reduced.free)
@@ -135,29 +126,6 @@ def test_stiffness_is_minus_the_derivative_of_the_forces_of_pressure(reduced, de
     assert np.count_nonzero(K) == np.count_nonzero(own) == 81
     slopes = np.array([(ahead - behind) / (2 * step) for ahead, behind in forces])
     np.testing.assert_allclose(own, -slopes, atol=1e-6 * np.abs(own).max())
-
-
-def test_stiffness_is_that_of_the_triangles_along_the_basis(reduced, bound_term, drawn_rng):
-    q, pressure = 0.1 * drawn_rng.standard_normal(9), np.array([300.0])
-    whole, matrix, _ = bound_term(Cavities, (reduced.surface,), reduced.rest)
-    matrix.clear()
-    whole.add_stiffness(on_nodes(reduced.rest, reduced.basis, q), pressure, matrix.storage)
-    modes = reduced.basis.reshape(-1, 9)
-    projected = modes.T @ (matrix.matrix() @ modes)
-    reduced.matrix.clear()
-    reduced.term.add_stiffness(state(q), pressure, reduced.matrix.storage)
-    places = (3 * np.searchsorted(reduced.free, PLACES)[:, None] + np.arange(3)).ravel()
-    own = reduced.matrix.matrix().toarray()[np.ix_(places, places)]
-    np.testing.assert_allclose(own, projected, atol=1e-11 * np.abs(projected).max())
-
-
-def test_a_cavity_without_pressure_adds_no_stiffness(reduced):
-    reduced.matrix.clear()
-    reduced.term.add_stiffness(state(np.ones(9)), np.zeros(1), reduced.matrix.storage)
-    reduced.term.add_stiffness(
-        state(np.ones(9)), np.ones(1), reduced.matrix.storage, projected=True
-    )
-    assert not reduced.matrix.storage.any()
 
 
 def test_a_move_is_valid_as_far_as_that_of_the_triangles(reduced, drawn_rng):
@@ -209,24 +177,6 @@ def test_a_mode_that_scales_a_sphere_scales_its_volume_by_the_cube():
         np.testing.assert_allclose(growth, exact, rtol=1e-13)
 
 
-def test_a_rigid_translation_changes_no_volume():
-    modes = [along(0), along(1), along(2), lambda points: 0.05 * points**3, along(0),
-             lambda points: points[:, ::-1]]  # fmt: skip
-    term = ReducedCavities(["air"], [balloon(modes, nodes=(1, 0))], np.array([0, 1]))
-    blocks, growth = np.empty((2, 3)), np.empty(1)
-    shape = [[0.2, 0.0, 0.01]]
-    term.evaluate(np.array([*shape, [0.0, 0.0, 0.0]]), blocks, growth)
-    own = blocks[1].copy()
-    # A thousand diameters away.
-    moved, far = np.empty((2, 3)), np.empty(1)
-    term.evaluate(np.array([*shape, [100.0, -50.0, 30.0]]), moved, far)
-    volume = term.rest_volumes + growth
-    assert abs(growth)[0] > 0.1 * term.rest_volumes[0]
-    np.testing.assert_allclose(term.rest_volumes + far, volume, rtol=1e-12)
-    np.testing.assert_allclose(moved[1], own, atol=1e-12 * np.abs(own).max())
-    assert np.abs(moved[0]).max() < 1e-12 * np.abs(own).max()
-
-
 def test_walls_behind_one_valve_sum_up_also_on_several_bodies(dense_rows, drawn_rng):
     first = balloon([along(0), lambda points: points, lambda points: points**3], nodes=[2])
     others = [balloon([lambda points, k=k: points**k for k in range(1, 7)], name, nodes=[1, 4])
@@ -245,27 +195,6 @@ def test_walls_behind_one_valve_sum_up_also_on_several_bodies(dense_rows, drawn_
     # A volume may end near zero: round-off is a share of what was added.
     missed = both.volumes(x) - (both.rest_volumes + values)
     assert (np.abs(missed) <= 1e-14 * (both.rest_volumes + np.abs(values))).all()
-
-
-def test_stiffness_of_several_bodies_is_that_of_each(bound_term, drawn_rng):
-    first = balloon([along(0), lambda points: points, lambda points: points**3], nodes=[2])
-    second = balloon([lambda points, k=k: points**k for k in range(1, 7)], "oil", nodes=[1, 3])
-    x, pressures = 0.02 * drawn_rng.standard_normal((4, 3)), np.array([300.0, -500.0])
-
-    def stiffness(names, bodies, pressures):
-        term, matrix, _ = bound_term(
-            lambda entries, free_index, _: ReducedCavities(names, entries, free_index),
-            bodies, np.zeros((4, 3)), fixed=[0],
-        )  # fmt: skip
-        matrix.clear()
-        term.add_stiffness(x, pressures, matrix.storage)
-        return matrix.matrix().toarray()
-
-    own = [stiffness(["air"], [first], pressures[:1]), stiffness(["oil"], [second], pressures[1:])]
-    assert all(K.any() for K in own)
-    np.testing.assert_allclose(
-        stiffness(["air", "oil"], [first, second], pressures), own[0] + own[1], rtol=1e-13
-    )
 
 
 def test_walls_that_are_fixed_have_a_volume_and_no_entries():

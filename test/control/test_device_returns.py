@@ -7,8 +7,6 @@ import pytest
 
 from softrobot_twin.control.engagement import Activity
 from softrobot_twin.control.loop_settings import WhenLost
-from softrobot_twin.control.twin_loop import DISPUTED
-from softrobot_twin.control.voices import LEAST_SILENCE
 from softrobot_twin.simulation import Hold, Status
 
 RATE = 0.05
@@ -73,16 +71,6 @@ def test_a_device_that_returns_at_another_position_is_resynchronised(
     robot.tick(150)
     assert robot.moves and max(robot.moves) <= RATE * STEP + 1e-9
     assert robot.driver.outcomes[-1].activity is Activity.FOLLOWING
-
-
-def test_old_targets_do_not_move_a_device_that_returned(drive, simulation):
-    robot = Robot(drive)
-    robot.tick(60)
-    robot.tick(70, present=False, target=None)
-    robot.put(elsewhere(simulation, 0))
-    outcome = robot.tick(120, target=None)
-    assert outcome.activity is Activity.HOLDING and outcome.cause == "no target yet"
-    assert max(robot.moves) <= 1e-9
 
 
 def test_a_device_that_returns_at_its_commanded_position_continues(drive):
@@ -209,40 +197,6 @@ def failing_step(simulation):
         return replace(kept, status=Status.DIVERGED)
 
     return step
-
-
-def test_a_device_without_rate_limits_that_returns_at_another_position_is_resynchronised(
-    drive, simulation, monkeypatch
-):
-    monkeypatch.setattr(simulation.actuators, "limits", replace(
-        simulation.limits, rate=np.full(4, np.inf)))  # fmt: skip
-    robot = Robot(drive)
-    robot.tick(30)
-    assert robot.driver.outcomes[-1].activity is Activity.FOLLOWING
-    robot.tick(70, present=False)
-    robot.put(elsewhere(simulation, 0))
-    assert robot.tick(target=None).activity is Activity.RESYNCHRONISING
-    robot.tick(10, target=None)
-    assert max(robot.moves) <= 1e-9
-
-
-def test_a_jump_of_a_device_is_detected_without_an_upper_limit_of_length(
-    drive, simulation, monkeypatch
-):
-    monkeypatch.setattr(simulation.actuators, "limits", replace(
-        simulation.limits, displacement_min=np.full(4, -np.inf)))  # fmt: skip
-    robot = Robot(drive)
-    robot.tick(30)
-    assert robot.driver.outcomes[-1].activity is Activity.FOLLOWING
-    robot.put(elsewhere(simulation, 0))
-    # Until nothing was measured at the old place for LEAST_SILENCE, no command leaves.
-    silent = round(LEAST_SILENCE / STEP)
-    for _ in range(silent - 1):
-        outcome = robot.tick()
-        assert outcome.cause == DISPUTED and outcome.command is None
-    outcome = robot.tick(2)
-    assert not robot.moves
-    assert outcome.activity is Activity.RESYNCHRONISING and outcome.command is None
 
 
 def test_a_device_that_was_silent_while_moving_continues_to_its_target(drive):

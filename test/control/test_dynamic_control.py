@@ -10,7 +10,7 @@ import yaml
 from softrobot_twin.__main__ import main
 from softrobot_twin.control.arrival import Arrival
 from softrobot_twin.control.dynamic_control import OFF, SINGLE_ACTUATORS, TOO_FAR
-from softrobot_twin.control.loop_settings import LoopSettings, Mode
+from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
 from softrobot_twin.control.target_correction import Law
@@ -203,14 +203,6 @@ def test_a_reduced_twin_leads_a_robot_as_the_full_one_does(twin, softer, path, t
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("frequency, most", [(1.0, 1.2e-3), (2.0, 1.2e-3), (6.0, 2e-3)])
-def test_other_frequencies_are_followed_too(twin, softer, path, frequency, most):
-    drive = Fast(twin, softer)
-    apart = drive.run(lambda time: path(time, frequency), round(3 / frequency / PERIOD) + 50)
-    assert rms(apart) < most and set(drive.whys) == {""}
-
-
-@pytest.mark.exhaustive
 def test_delays_that_are_known_are_borne(softer, path):
     twin = built(control=CONTROL | {"delay": 0.02})
     late = rms(Fast(twin, softer).run(path, 150, age=2, delay=2))
@@ -347,23 +339,6 @@ def test_the_margin_is_told_and_a_margin_too_small_never_predicts(twin, softer, 
     if not drive.loop.dynamic.margin.is_enough:
         drive.run(path, 3)
         assert drive.whys[-1].startswith("too little margin: ")
-
-
-def test_another_rate_makes_another_control(twin, softer, path):
-    drive = Fast(twin, softer)
-    before = drive.loop.dynamic.horizon
-    drive.loop.apply(LoopSettings(rate=50.0, closed_loop=True))
-    after = drive.loop.dynamic.horizon
-    assert len(before) == 25 and len(after) == 12
-    assert before[0] == pytest.approx(0.01) and after[0] == pytest.approx(0.02)
-
-
-def test_only_scenes_with_control_have_any_of_it(softer):
-    """Neither a linear model nor a copy in statics is built, and no path is taken."""
-    loop = TwinLoop(softer, LoopSettings(rate=100.0))
-    assert loop.dynamic is None
-    direct = TwinLoop(built(control=CONTROL), LoopSettings(rate=100.0), Mode.DIRECT)
-    assert direct.dynamic is None
 
 
 @pytest.mark.parametrize("changes, why", [

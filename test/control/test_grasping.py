@@ -94,13 +94,6 @@ def test_a_palm_commanded_to_turn_around_turns_no_faster_than_the_scene_allows(
         turned = now
 
 
-def test_a_pose_far_outside_the_workspace_is_limited_to_it(drive_grasper):
-    driver = drive_grasper(workspace_max=(1.0, 1.0, 0.002))
-    assert driver.lead("palm", 0.0, 0.0, 1e9) is None
-    assert driver.loop.poses.clamped == 1
-    assert driver.tick(20).guided_poses["palm"].position == pytest.approx([0.0, 0.0, 0.002])
-
-
 def test_a_palm_returns_home_at_its_speed_limit_although_the_model_failed(
     drive_grasper, monkeypatch
 ):
@@ -126,14 +119,6 @@ def test_a_palm_returns_home_at_its_speed_limit_although_the_model_failed(
     assert heights[-1] == pytest.approx(0.0, abs=1e-6)
 
 
-def test_tensions_by_motor_are_those_of_all_its_cables(drive_grasper):
-    driver = drive_grasper()
-    assert driver.wind(["grip"], tensions=[0.4]) is None
-    outcome = driver.tick(100)
-    assert outcome.result.efforts == pytest.approx([0.4] * 3, abs=1e-3)
-    assert outcome.violated == ()
-
-
 def test_a_disabled_loop_moves_no_body_and_continues_with_a_new_command(drive_grasper):
     driver = drive_grasper()
     driver.loop.disable()
@@ -147,17 +132,6 @@ def test_a_disabled_loop_moves_no_body_and_continues_with_a_new_command(drive_gr
     driver.lead("palm", 0.0, 0.0, 0.05)
     driver.tick(5)
     assert pose_of(driver, "palm")[0][2] == pytest.approx(5 * SPEED * PERIOD)
-
-
-def test_without_a_newer_pose_for_the_timeout_the_palm_stays(drive_grasper):
-    driver = drive_grasper(target_timeout=0.1)
-    driver.lead("palm", 0.0, 0.0, 0.05)
-    driver.tick(60)
-    stopped = pose_of(driver, "palm")[0][2]
-    assert stopped == pytest.approx(SPEED * 0.1, abs=2 * SPEED * PERIOD)
-    driver.lead("palm", 0.0, 0.0, 0.05)
-    driver.tick(5)
-    assert pose_of(driver, "palm")[0][2] > stopped
 
 
 def test_a_reset_moves_the_palm_home_before_it_restores_the_rest_shape(drive_grasper):

@@ -2,9 +2,6 @@
 
 import copy
 import os
-import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -107,26 +104,6 @@ def test_the_process_has_the_lowest_priority_and_ends_with_its_watch(diamond, wa
     assert watch.process.returncode is not None
 
 
-@pytest.mark.parametrize("refused", [False, True])
-def test_the_process_drops_an_inherited_priority(refused):
-    """Also where SCHED_IDLE is refused."""
-    code = (
-        "import os; from softrobot_twin.control import idle_process as process\n"
-        "os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))\n"
-        "take = os.sched_setscheduler\n"
-        "def allowed(process, policy, parameters):\n"
-        f"    if {refused} and policy == os.SCHED_IDLE:\n"
-        "        raise PermissionError\n"
-        "    take(process, policy, parameters)\n"
-        "os.sched_setscheduler = allowed\n"
-        "process.yield_to_all()\n"
-        "print(os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, 0))"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    policy = os.SCHED_OTHER if refused else os.SCHED_IDLE
-    assert done.stdout.split() == [str(policy), "19"]
-
-
 def resident(process) -> int:
     """Memory of a process [MB]."""
     status = Path(f"/proc/{process.pid}/status").read_text()
@@ -152,17 +129,3 @@ def test_a_state_is_asked_about_once_and_then_the_process_gives_its_memory_back(
     offer_until(watch, simulation, lambda: watch.answers == 2)
     assert watch.newest == pytest.approx(discretization_error(simulation), rel=1e-9)
     assert watch.at_rest is at_rest
-
-
-@pytest.mark.exhaustive
-def test_a_large_request_does_not_block_the_sender(diamond, watch_of):
-    simulation = diamond()
-    watch = watch_of(simulation)
-    offer_until(watch, simulation, lambda: watch.answers == 1)
-    asked, large = [], bytes(4_000_000)  # more than any pipe takes
-    watch.request_of = lambda *_: asked.append(1) or large
-    os.kill(watch.process.pid, signal.SIGSTOP)
-    offer_until(watch, simulation, lambda: asked)
-    watch.offer(simulation, False, time.monotonic())
-    os.kill(watch.process.pid, signal.SIGKILL)
-    offer_until(watch, simulation, lambda: watch.cause)

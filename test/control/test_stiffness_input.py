@@ -59,10 +59,6 @@ def test_a_bad_message_is_refused_and_the_last_good_one_kept(
     assert wanted.wanted[0, 2] == 333.0 and wanted.refusals.of(refusal) == 1
 
 
-def test_the_hint_of_a_refusal_names_the_unit():
-    assert "N/m" in Refusal.NOT_POSITIVE.hint
-
-
 @pytest.fixture(scope="module")
 def loop(small_scene_mapping):
     mapping = yaml.safe_load(yaml.safe_dump(small_scene_mapping))
@@ -84,8 +80,3 @@ def test_the_loop_follows_a_stiffness_alone(loop):
     outcomes = ticks(loop, 60, 1)
     assert outcomes[-1].activity is Activity.FOLLOWING
     assert outcomes[-1].result.effector_stiffness[0, 2] == pytest.approx(540.0, rel=0.01)
-
-
-def test_scenes_without_stiffness_are_asked_for_none(simulation):
-    loop = TwinLoop(simulation, LoopSettings(), Mode.INVERSE)
-    assert loop.stiffness is None

@@ -125,11 +125,6 @@ def test_an_invalid_path_file_is_refused_with_the_reason(tmp_path, text, reason)
         read_file(tmp_path, text)
 
 
-def test_a_file_of_one_point_holds_it(tmp_path):
-    path = read_file(tmp_path, f"{HEADER}\n0,0.01,0.02,0.03,0\n")
-    assert np.array_equal(path.position(7.0), [0.01, 0.02, 0.03])
-
-
 QUARTER = (0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5))
 
 
@@ -147,12 +142,6 @@ def test_a_file_with_quaternions_turns_evenly_about_one_axis(tmp_path):
     assert has_orientations(path)
 
 
-def test_a_quaternion_of_the_other_sign_is_the_same_rotation(tmp_path):
-    path = turning_file(tmp_path, tuple(-np.array(QUARTER)))
-    turn = path.orientation(1.0)
-    assert abs(turn[3]) == pytest.approx(np.cos(np.pi / 8.0))
-
-
 def test_a_ramp_turns_smoothly_from_the_start(tmp_path):
     start = np.array([np.sin(0.2), 0.0, 0.0, np.cos(0.2)])
     ramped = RampedIn(np.zeros(3), turning_file(tmp_path), 0.5, start)
@@ -161,13 +150,6 @@ def test_a_ramp_turns_smoothly_from_the_start(tmp_path):
     steps = 2.0 * np.arccos(np.abs(np.sum(turns[1:] * turns[:-1], axis=1)).clip(max=1.0))
     assert steps.max() < 0.02
     assert ramped.orientation(2.0) == pytest.approx(QUARTER)
-
-
-def test_paths_without_quaternions_give_no_orientation(tmp_path):
-    path = read_file(tmp_path, f"{HEADER}\n0,0.01,0.02,0.03,0\n")
-    assert path.orientation(0.0) is None
-    assert not has_orientations(path)
-    assert not has_orientations(make_sequence(["circle", "lemniscate"], "tip", AROUND, 1.0, 0.1))
 
 
 def test_a_setpoint_moves_to_and_fro_between_its_ends():

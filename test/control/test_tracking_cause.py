@@ -10,11 +10,8 @@ from softrobot_twin.control.tracking_cause import (
     tracking_cause,
     tracking_signs,
 )
-from softrobot_twin.control.twin_loop import DISPUTED
-from softrobot_twin.control.voices import LEAST_SILENCE
 from softrobot_twin.simulation import Status
 
-PERIOD = 0.02
 
 FAR = TrackingSigns(error=0.023, reported_above=0.006, ticks=50)
 
@@ -133,37 +130,3 @@ def test_a_holding_loop_names_its_reason_and_a_disabled_one_has_no_error(drive):
     driver.outcomes.clear()
     driver.tick(3)
     assert account(driver) == ""
-
-
-def test_a_pressure_far_from_its_command_is_named_in_pascals(drive_air):
-    driver = drive_air(use_device=True, rate=1.0 / PERIOD)
-    rest = driver.loop.simulation.rest_setpoints
-    limits, names = driver.loop.simulation.limits, driver.loop.simulation.actuator_names
-    index = names.index("high")
-    driver.measure(rest)
-    assert driver.loop.enable(driver.time)[0]
-    for _ in range(2):
-        driver.tick()
-        driver.measure(rest)
-    measured = rest.copy()
-    measured[index] += 0.3 * (limits.drive_max[index] - limits.drive_min[index])
-    assert driver.measure(measured) is None
-    assert driver.tick().cause == DISPUTED
-    # It is used once nothing was measured at the old place for `LEAST_SILENCE`.
-    for _ in range(round(LEAST_SILENCE / PERIOD) + 1):
-        assert driver.measure(measured) is None
-        outcome = driver.tick()
-    window = DiagnosticsWindow()
-    window.add(outcome)
-    signs = tracking_signs(driver.loop, window, 0)
-    assert signs.device_lag < 1e-6
-    assert signs.device_off.startswith("high by ") and signs.device_off.endswith(" Pa")
-    for _ in range(2):
-        assert driver.measure(measured) is None
-        driver.tick()
-    measured[index] = rest[index] + 0.05 * (limits.drive_max[index] - limits.drive_min[index])
-    for _ in range(round(LEAST_SILENCE / PERIOD) + 2):
-        assert driver.measure(measured) is None
-        driver.tick()
-    assert driver.loop.device.setpoints == pytest.approx(measured, abs=1e-6)
-    assert tracking_signs(driver.loop, window, 0).device_off == ""

@@ -9,7 +9,6 @@ from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
 from softrobot_twin.control.engagement import Activity
 from softrobot_twin.control.loop_settings import Mode
-from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
 from softrobot_twin.control.target_path import read_waypoints
 from softrobot_twin.simulation import Status
 from test.builder import builder
@@ -83,35 +82,6 @@ def test_a_commanded_platform_moves_and_the_cables_compensate(settled):
     assert outcome.tracking_errors[0] < 1e-3
 
 
-def test_an_empty_message_returns_all_actuators_to_the_optimisation(settled):
-    driver = settled()
-    freely = platform(driver.outcomes[-1])
-    driver.choose([PLATFORM], [freely + 0.004])
-    driver.tick(40)
-    assert driver.choose([]) is None
-    assert platform(driver.tick(60)) == pytest.approx(freely, abs=5e-4)
-
-
-def test_a_command_beside_targets_that_times_out_makes_the_loop_hold(settled):
-    driver = settled(target_timeout=0.5)
-    assert driver.choose([PLATFORM], [0.004]) is None
-    for _ in range(50):
-        driver.target(*driver.aim)
-        outcome = driver.tick()
-    assert outcome.activity is Activity.HOLDING
-    assert outcome.cause == "no command for target_timeout"
-    driver.choose([])
-    driver.target(*driver.aim)
-    assert driver.tick().activity is Activity.FOLLOWING
-
-
-def test_a_reset_clears_commands_beside_targets(settled):
-    driver = settled()
-    driver.choose([PLATFORM], [0.004])
-    driver.loop.reset()
-    assert driver.loop.selected.setpoints is None
-
-
 def test_commanded_tensions_move_the_cables_and_not_the_platform(drive_trunk):
     driver = drive_trunk(mode=Mode.DIRECT)
     rest, names = driver.loop.simulation.rest_setpoints, driver.loop.simulation.actuator_names
@@ -123,21 +93,6 @@ def test_commanded_tensions_move_the_cables_and_not_the_platform(drive_trunk):
     assert outcome.command.efforts[:-1] == pytest.approx([0.5] * 8, abs=1e-3)
     assert platform(outcome) == pytest.approx(0.01, abs=1e-7)
     assert driver.wind(names, tensions=[0.5] * 9) is Refusal.WRONG_FIELDS
-
-
-def test_the_platform_accepts_no_pose(drive_trunk):
-    driver = drive_trunk()
-    assert driver.loop.simulation.guided_names == ()
-    assert driver.loop.poses is None
-
-
-def test_the_device_s_platform_moves_no_faster_than_its_servo(trunk):
-    device = SimulatedDevice(trunk, DeviceFlaws(servo_rate=0.02))
-    rest = trunk.rest_setpoints
-    device.read(0.0)
-    device.apply(np.append(rest[:-1], 0.01), 0.0)
-    lengths = [device.read(0.1 * tick).setpoints[-1] for tick in range(1, 8)]
-    assert lengths == pytest.approx([0.002, 0.004, 0.006, 0.008, 0.01, 0.01, 0.01], abs=1e-9)
 
 
 def wound_far(trunk, seed):

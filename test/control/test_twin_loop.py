@@ -178,8 +178,3 @@ def test_a_far_orientation_is_approached_at_the_speed_of_positions(drive_posed):
     assert driver.outcomes[2].is_approaching
     steps = 2.0 * np.arccos(np.abs(np.sum(np.array(turns)[1:] * turns[:-1], axis=1)).clip(max=1))
     assert 0.2 * 0.02 * STEP < length * steps.max() < 1.5 * 0.02 * STEP
-
-
-def test_a_loop_without_orientations_tells_none(drive):
-    outcome = drive().tick()
-    assert outcome.orientation_errors is None and outcome.reading.orientations is None

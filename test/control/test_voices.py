@@ -139,28 +139,6 @@ def test_two_noisy_devices_are_noticed_where_they_are_further_apart_than_noise(c
     assert noticed
 
 
-def test_a_measurement_of_some_actuators_teaches_nothing_of_the_others():
-    draw, (watch, every) = drawn(), watch_of(4)
-    of_one = np.arange(4) == 2
-    for step in range(200):
-        noise = draw.normal(0.0, 0.001, 2)
-        watch.hear(every, of_one * noise[0], 0.02 * step)
-        watch.hear(of_one, np.where(of_one, noise[1], np.nan), 0.02 * step + 0.01)
-    bound = watch.noise.bound
-    assert bound[2] > 0.002 and (bound[~of_one] == 0.02 * TRAVEL).all()
-
-
-@pytest.mark.parametrize("count", [4, 12])
-def test_the_noise_of_an_actuator_is_the_same_among_others_that_have_none(count):
-    draw, watches, is_noisy = drawn(), (watch_of(1), watch_of(count)), np.arange(count) == 0
-    for step, noise in enumerate(draw.normal(0.0, 0.001, 200)):
-        for (watch, every), measured in zip(watches, ([noise], noise * is_noisy)):
-            watch.hear(every, np.asarray(measured), 0.02 * step)
-    alone, among = (watch.noise.bound for watch, _ in watches)
-    assert alone[0] > 0.002 and among[0] == alone[0]
-    assert (among[1:] == 0.02 * TRAVEL).all()
-
-
 @pytest.fixture
 def enabled(drive):
     """A driver of a Diamond with device, enabled and at its target."""

@@ -142,14 +142,6 @@ def test_parts_follow_merged_nodes(block, tmp_path):
     assert_same_parts(reading, expected)
 
 
-def test_a_triangle_whose_corners_are_merged_is_dropped(block, tmp_path):
-    body = Body(block(shake=0.0))
-    body.foot = np.vstack([body.foot, [0, len(body.points), 1]])
-    path = body.write(tmp_path / "b.msh", more_points=body.points[0], **FORMATS["msh 2.2 ascii"][1])
-    reading = read_solid_mesh(path, merge_tolerance=1e-9)
-    assert len(reading.parts.surface("foot")) == len(body.foot) - 1
-
-
 def test_a_surface_beside_the_body_is_refused_by_file_and_name(block, tmp_path):
     body = Body(block())
     body.foot = np.vstack([body.foot, [0, 1, len(body.points)]])
@@ -329,13 +321,6 @@ def test_an_abaqus_set_of_unknown_members_is_refused(row, tmp_path):
     path.write_text(ABAQUS.replace("lower, LID", row))
     with pytest.raises(MeshError, match="cannot be read as Abaqus"):
         read_solid_mesh(path)
-
-
-def test_a_set_of_quadrilaterals_is_refused_when_it_is_asked_for(tmp_path):
-    path = tmp_path / "body.inp"
-    path.write_text(f"{ABAQUS}*ELEMENT, TYPE=S4, ELSET=plate\n8, 10, 20, 30, 40\n")
-    with pytest.raises(MeshError, match=r"plate has cells other than triangles \(1 quad\)"):
-        read_solid_mesh(path).parts.surface("plate")
 
 
 def abaqus_part(name, ids=1):

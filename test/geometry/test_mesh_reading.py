@@ -71,17 +71,6 @@ def test_surface_cells_are_dropped_and_counted(suffix, tmp_path):
     assert reading.notes == ("Dropped the cells that are not solid (1 line, 2 triangle).",)
 
 
-def test_tets_of_several_blocks_are_one_body(tmp_path):
-    cells = [
-        ("tetra", np.array([[0, 1, 2, 3]])),
-        ("triangle", np.array([[0, 1, 2]])),
-        ("tetra", np.array([[0, 2, 1, 4]])),
-    ]
-    points = np.vstack([CORNERS, [0, 0, -1]])
-    reading = read_solid_mesh(write(tmp_path / "body.msh", points, cells))
-    assert reading.mesh.cells.tolist() == [[0, 1, 2, 3], [0, 2, 1, 4]]
-
-
 def test_placement_scales_then_turns_about_x_y_z_then_shifts(read_tets):
     points = [[1000, 0, 0], [0, 1000, 0], [0, 0, 1000], [2000, 2000, 2000]]
     placed = read_tets(points, ONE_TET, scale=1e-3, rotation=(math.pi / 2, math.pi / 2, 0),
@@ -123,11 +112,6 @@ def test_unused_nodes_are_dropped_and_the_numbers_of_the_file_keep_their_meaning
     assert reading.file_node_indices.tolist() == [1, 2, 4, 5]
     assert reading.mesh_node_indices.tolist() == [-1, 0, 1, -1, 2, 3]
     np.testing.assert_allclose(reading.mesh.node_positions, 0.5 * CORNERS)
-
-
-def test_long_lists_of_indices_are_abbreviated(read_tets):
-    reading = read_tets(np.vstack([CORNERS, np.ones((8, 3))]), ONE_TET)
-    assert "8 nodes (4, 5, 6, 7, 8, …)" in reading.notes[0]
 
 
 TWO_PIECES = np.vstack([CORNERS, CORNERS[:3], [0, 0, -1]])
@@ -195,14 +179,6 @@ def test_duplicate_tets_are_dropped_and_reported(block, read_tets):
         f"Dropped 2 tetrahedra ({count}, {count + 1}) that the file contains more than once.",
     )
     np.testing.assert_allclose(reading.mesh.volumes, mesh.volumes)
-
-
-def test_a_mesh_given_twice_is_one_mesh(block, read_tets):
-    mesh = block()
-    reading = read_tets(np.vstack([mesh.node_positions] * 2),
-                        np.vstack([mesh.cells, mesh.cells + mesh.node_count]))  # fmt: skip
-    assert reading.mesh.volume == pytest.approx(mesh.volume)
-    assert reading.mesh.node_count == mesh.node_count
 
 
 def test_a_sliver_is_reported_with_its_quality(read_tets):

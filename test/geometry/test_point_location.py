@@ -76,12 +76,6 @@ def test_points_on_shared_faces_always_go_to_the_same_tetrahedron(block):
     assert locate_points(mesh, mesh.node_positions).cells.tolist() == alone
 
 
-def test_an_empty_list_of_points_gives_an_empty_location(block):
-    location = locate_points(block(), np.zeros((0, 3)))
-    assert [len(part) for part in location] == [0, 0, 0, 0]
-    assert location.nodes.shape == location.barycentric_weights.shape == (0, 4)
-
-
 def test_points_that_are_not_finite_are_refused_by_index(block):
     with pytest.raises(MeshError, match="point 1 to locate is"):
         locate_points(block(), [[0, 0, 0], [0, np.nan, 0]])

@@ -223,21 +223,6 @@ def test_nothing_is_found_beyond_the_margin(box):
     assert len(near(detector, first[0] + [1, 1, 1], second[0], MARGIN).gaps) == 0
 
 
-def test_all_pairs_are_found_when_the_buffer_is_too_small(box):
-    first, second = box((0.2, 0.2, 0.02), (20, 20, 1)), box((0.3, 0.3, 0.02))
-    found = near(detector_of(first, second), first[0] + [0, 0, 0.021], second[0], MARGIN)
-    assert len(np.unique(found.first_points[found.first_weights[:, 0] == 1.0, 0])) == 441
-
-
-def test_inner_points_of_a_body_take_no_part(box):
-    first, second = box((0.02, 0.02, 0.02), (2, 2, 2)), box((0.06, 0.06, 0.06))
-    found = near(detector_of(first, second), first[0] + [0, 0, 0.035], second[0], MARGIN)
-    inner = np.flatnonzero((np.abs(first[0]) < 1e-9).all(axis=1))
-    assert len(inner) == 1
-    assert len(found.gaps) > 0
-    assert inner[0] not in found.first_points
-
-
 def test_open_surfaces_and_wrong_counts_are_refused(box):
     points, triangles = box()
     with pytest.raises(MeshError, match="closed"):

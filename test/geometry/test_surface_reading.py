@@ -33,12 +33,6 @@ def box():
     return Box([0.1, 0.2, 0.3], SIZE).surface(np.inf)
 
 
-def test_a_valid_surface_is_read_unchanged(tmp_path, box):
-    solid = read_solid_surface(written(tmp_path / "rock.stl", *box), notes=(notes := []))
-    assert notes == []
-    assert volume(solid) == pytest.approx(SIZE.prod(), rel=1e-6)
-
-
 def test_a_flipped_surface_is_reversed_and_the_report_names_its_file(tmp_path, box):
     notes = []
     path = written(tmp_path / "rock.stl", box[0], box[1][:, ::-1])

@@ -155,25 +155,6 @@ def test_a_move_turns_the_parent_and_then_the_frame_in_world_axes(joined):
         np.testing.assert_allclose(joined.frames.pose(after, 2 + k)[1], expected, atol=1e-14)
 
 
-def test_the_displacement_after_a_move_is_the_move(joined):
-    move = 0.5 * np.random.default_rng(2).standard_normal((UNKNOWNS, 3))
-    found = np.full((UNKNOWNS, 3), 9.0)
-    joined.frames.displacement(joined.state, joined.moved(joined.state, move), found)
-    move[[4 + k for k in HINGES], 1:] = 0.0
-    np.testing.assert_allclose(found[2:], move[2:], atol=1e-14)
-    np.testing.assert_array_equal(found[:2], 9.0)
-
-
-def test_frames_that_do_not_move_are_the_same_to_the_bit(joined):
-    np.testing.assert_array_equal(joined.moved(joined.state, np.zeros((UNKNOWNS, 3))), joined.state)
-
-
-def test_unused_numbers_of_a_hinge_move_nothing(joined):
-    move = np.zeros((UNKNOWNS, 3))
-    move[[4 + k for k in HINGES], 1:] = 3.0
-    np.testing.assert_allclose(joined.moved(joined.state, move), joined.state, atol=1e-14)
-
-
 def test_rows_are_the_derivative_by_all_unknowns(joined):
     effectors = tuple(
         EffectorPoints(f"e{k}", joined.frames.points(2 + k, [[0.1 * k, -0.2, 0.3]]), (0, 1, 2), 1.0)
@@ -306,8 +287,3 @@ def test_an_axis_that_is_no_unit_vector_is_refused(joined):
     with pytest.raises(ValueError, match="unit vector"):
         joints = joined.joints._replace(axes=2.0 * joined.joints.axes)
         HingedFrames(3, [True, False], 2, UNKNOWNS, joints)
-
-
-def test_unknowns_of_the_wrong_size_are_refused(joined):
-    with pytest.raises(ValueError, match="an unknown each"):
-        HingedFrames(3, [True, False], 2, UNKNOWNS - 1, joined.joints)

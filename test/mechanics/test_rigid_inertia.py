@@ -214,62 +214,6 @@ def test_free_fall_is_the_sum_of_its_implicit_steps(bodies):
     np.testing.assert_allclose(v[[2, 4]], 0.0, atol=1e-12)
 
 
-class Pivot:
-    """A weight hung at an arm of each body, as a torque: what makes a top precess."""
-
-    def __init__(self, frames, arms, weight):
-        self._frames, self._arms, self._weight = frames, arms, weight
-
-    def stencils(self):
-        return np.empty((0, 1), np.int64)
-
-    def bind(self, elimination_rank, slots):
-        pass
-
-    def add_forces(self, positions, forces):
-        for k, body in enumerate(self._frames.free_bodies):
-            _, R = self._frames.pose(positions, body)
-            forces[self._frames.rotations[k]] += np.cross(R @ self._arms[k], self._weight)
-        return 0
-
-    def add(self, positions, forces, storage, projected):
-        self.add_forces(positions, forces)
-
-
-def test_a_fast_top_precesses_at_torque_over_spin_momentum():
-    frames = RigidFrames(2, [True], 1, 3)
-    inertia = RigidInertia(frames, [0.1], [np.diag([1e-4, 1e-4, 1.5e-4])])
-    arm, weight, spin = 0.02, np.array([0.0, 0.0, -0.98]), 400.0
-    pivot = Pivot(frames, [np.array([0.0, 0.0, arm])], weight)
-    matrix = SuperLU(*stencil_pairs(inertia.stencils()), 3)
-    inertia.bind(matrix.elimination_rank, matrix.slots)
-    lean = rotation_from_vector([0.0, np.pi / 2, 0.0])
-    x = np.vstack([np.zeros((2, 3)), frames.rest_nodes([(np.zeros(3), lean)])])
-    rate = arm * 0.98 / (1.5e-4 * spin)
-    v = np.zeros((3, 3))
-    v[2] = spin * lean[:, 2] + [0.0, 0.0, rate]
-    h, steps = 2e-4, 1500
-    for _ in range(steps):
-        before = x.copy()
-        inertia.begin_step(before, v, h)
-        for _ in range(8):
-            forces = np.zeros((3, 3))
-            matrix.clear()
-            inertia.add(x, forces, matrix.storage, False)
-            pivot.add_forces(x, forces)
-            move = np.zeros((3, 3))
-            move[1:] = np.linalg.solve(
-                matrix.matrix().toarray()[3:, 3:], forces[1:].ravel()
-            ).reshape(2, 3)
-            frames.advance(x, move, 1.0)
-        v = np.zeros((3, 3))
-        frames.displacement(before, x, v)
-        v /= h
-    _, R = frames.pose(x, 0)
-    assert np.arctan2(R[1, 2], R[0, 2]) == pytest.approx(rate * h * steps, rel=0.01)
-    assert abs(R[2, 2]) < 0.02
-
-
 def test_damping_alone_slows_a_body_as_backward_euler_predicts(bodies, speeds):
     rate, h = 5.0, 0.01
     two = bodies(lambda frames: RigidDamping(frames, MASSES, INERTIAS, rate))

@@ -169,18 +169,3 @@ def test_a_rigid_motion_of_all_stores_nothing_and_turns_the_forces(chain):
     assert np.abs(pushes.sum(axis=0)).max() < 1e-9 * np.abs(pushes).max()
     left = (twists + np.cross(origins, pushes)).sum(axis=0)
     assert np.abs(left).max() < 1e-9 * np.abs(twists).max()
-
-
-def test_rest_has_no_deformation(chain):
-    chain.term.enthalpy(chain.rest)
-    assert np.abs(chain.term.deformations).max() < 1e-15
-
-
-def test_forces_of_another_state_are_not_kept(chain):
-    """Evaluations are stored; a changed state or pressure must be seen."""
-    before = forces_at(chain.term, chain.x)
-    chain.cavities.tell_efforts(2.0 * PRESSURES)
-    other = forces_at(chain.term, chain.x)
-    chain.cavities.tell_efforts(PRESSURES)
-    assert np.abs(other - before).max() > 1e-3 * np.abs(before).max()
-    assert np.array_equal(forces_at(chain.term, chain.x), before)

@@ -13,10 +13,8 @@ import pytest
 import yaml
 from mcap.reader import make_reader
 
-from softrobot_twin import replay_command
 from softrobot_twin.__main__ import main
 from softrobot_twin.record.replay import Replay
-from softrobot_twin.record.run_clock import PlayedClock
 from softrobot_twin.record.run_description import describe, scene_text
 from softrobot_twin.record.run_file import (
     CALL,
@@ -50,14 +48,6 @@ def test_a_replay_gives_all_bits_of_the_run_again(recorded):
     assert found.ticks == TICKS and found.is_equal and found.calls > 2 * TICKS
     activities = [outcome.activity.value for outcome in recorded.outcomes]
     assert {"disabled", "resynchronising", "holding", "following"} <= set(activities)
-
-
-def test_answers_of_refused_messages_are_compared_too(recorded):
-    entries = list(RunFile(recorded.path).entries())
-    answers = {entry.content["answer"] for entry in entries
-               if entry.kind == CALL and isinstance(entry.content["answer"], str)}  # fmt: skip
-    assert {"not_finite", "wrong_size", "stale", "wrong_frame", "wrong_names",
-            "duplicate_id"} <= answers  # fmt: skip
 
 
 def test_a_softer_body_differs_and_the_largest_differences_are_told(recorded, capsys):
@@ -161,15 +151,6 @@ def test_recorded_readings_of_the_clock_decide_the_number_of_linearizations(scen
     assert {"compute_time", "factor_age"} <= found.by_quantity.keys()
 
 
-def test_a_clock_that_is_read_more_often_goes_on_by_the_mean_time():
-    clock = PlayedClock()
-    assert 0.0 <= clock() <= clock()
-    clock.play([1.0, 2.0, 5.0])
-    assert [clock() for _ in range(5)] == [1.0, 2.0, 5.0, 7.0, 9.0]
-    clock.play([20.0])
-    assert [clock() for _ in range(2)] == [20.0, 22.0]
-
-
 def test_what_a_replay_gave_is_written_in_the_columns_of_all_runs(recorded, tmp_path, capsys):
     output = tmp_path / "run.csv"
     assert main(["replay", str(recorded.path), "--output", str(output)]) == 0
@@ -184,22 +165,6 @@ def test_what_a_replay_gave_is_written_in_the_columns_of_all_runs(recorded, tmp_
         given = outcome.reading.targets[0, 0], outcome.tracking_errors[0]
         assert np.array_equal(wanted, given, equal_nan=True)
         assert row["status"] == outcome.result.status.value
-
-
-def test_pictures_of_a_replay_have_each_tick(recorded, tmp_path, monkeypatch, capsys):
-    mirrors, opened = [], replay_command.RerunMirror
-
-    def open_mirror(*arguments, **options):
-        mirrors.append(opened(*arguments, **options))
-        return mirrors[-1]
-
-    monkeypatch.setattr(replay_command, "RerunMirror", open_mirror)
-    view = tmp_path / "run.rrd"
-    assert main(["replay", str(recorded.path), "--record-view", str(view)]) == 0
-    assert f"wrote {view}" in capsys.readouterr().out
-    (mirror,) = mirrors
-    assert mirror.frames_logged == TICKS and mirror.failure is None
-    assert view.read_bytes()[:3] == b"RRF"
 
 
 @pytest.mark.parametrize("option", ["--output", "--record-view"])
@@ -267,18 +232,6 @@ def test_a_byte_that_changed_before_the_index_is_found(recorded, tmp_path, place
     found = list(run.entries())
     assert run.damage and found == entries[: len(found)]
     assert run.is_complete == (len(found) == len(entries))
-
-
-def test_damage_where_a_replay_does_not_read_is_told(recorded, tmp_path, capsys):
-    content = bytearray(recorded.path.read_bytes())
-    assert content.count(b"softrobot_twin") and not RunFile(recorded.path).damage
-    content[content.index(b"softrobot_twin")] ^= 0x10
-    damaged = tmp_path / "damaged.mcap"
-    damaged.write_bytes(content)
-    assert main(["replay", str(damaged)]) == 0
-    told = capsys.readouterr()
-    assert f"{TICKS} ticks, all equal to the bit" in told.out
-    assert "damaged where a replay does not read" in told.err
 
 
 def moved(recorded, folder):

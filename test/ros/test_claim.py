@@ -1,7 +1,6 @@
 """What a neighbour claims is read like any other message: what no twin can have written is no claim."""
 
 import json
-import re
 from types import SimpleNamespace
 
 import pytest
@@ -89,12 +88,3 @@ def test_a_flood_of_claims_takes_no_memory_and_hides_no_twin_that_was_heard(hear
 def test_what_is_no_message_at_all_is_no_claim(heard, content):
     heard.hear(content)
     assert not heard.rivals
-
-
-def test_the_own_name_is_a_claim_whatever_the_machine_is_called(monkeypatch, heard):
-    monkeypatch.setattr("softrobot_twin.ros.claim.socket",
-                        SimpleNamespace(gethostname=lambda: "a\n\x1b[31mb\udc80" + "c" * 1000))
-    own = TopicClaim(Neighbourhood(), "/twin/cables")
-    own.close()
-    assert Beat.of(json.dumps(Beat(IDENTITY, own.name, 0.0, False))) is not None
-    assert re.fullmatch(r"/twin \(process \d+ on a\\n\\x1b\[31mb\\udc80c+", own.name)

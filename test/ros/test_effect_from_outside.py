@@ -37,10 +37,3 @@ def test_a_twin_publishes_and_records_them_and_a_replay_gives_them_again(
     assert found.is_equal and found.ticks == len(ticks)
     place = table.header.index("fatigue_steps")
     assert [float(row[place]) for row in rows] == [one[0][0] for one in told]
-
-
-def test_scenes_without_such_effects_have_no_figures(world, make_twin, small_scene_file):
-    twin = make_twin()
-    topics = [publisher.topic_name for publisher in twin.publishers]
-    assert "/twin/cables" in topics and "/twin/figures" not in topics
-    assert not any("figure" in name for name in st.load(small_scene_file).step(st.hold()).values)

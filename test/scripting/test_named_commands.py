@@ -187,12 +187,6 @@ def test_targets_in_millimetres_are_warned_of_once(finger):
         finger.step(st.targets(tip=[100.0, 10.0, 12.0]))
 
 
-def test_commands_are_short_text():
-    assert repr(st.targets(tip=[0.0, 0.01, 0.12])) == "targets(tip=[0, 0.01, 0.12])"
-    assert repr(st.setpoints(upper_shortening_m=0.01)) == "setpoints(upper_shortening_m=0.01)"
-    assert repr(st.hold()) == "hold()"
-
-
 def test_a_robot_tells_the_names_that_it_takes(held):
     assert held.setpoint_names == (
         "upper_shortening_m", "upper_length_m", "lower_shortening_m", "lower_length_m")

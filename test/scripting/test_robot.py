@@ -41,25 +41,11 @@ def test_a_result_does_not_change_in_later_steps(held):
     assert first["palm_x_m"] == first.poses["palm"].position[0] == pytest.approx(-0.008)
 
 
-@pytest.mark.parametrize("name", ["tipp", "upper_tension_N", "_hidden"])
-def test_a_result_has_no_other_attributes(finger, name):
-    with pytest.raises(AttributeError):
-        getattr(finger.step(), name)
-
-
 def test_an_unknown_column_of_a_result_is_refused_with_the_nearest(finger):
     with pytest.raises(KeyError, match="is upper_tension_N meant"):
         finger.step()["upper_tensoin_N"]
     with pytest.raises(st.SoftRobotTwinError):
         finger.step()["upper_tensoin_N"]
-
-
-def test_reprs_are_one_short_line(finger, held):
-    for shown in (repr(finger), repr(finger.step(st.targets(tip=[0.1, 0.01, 0.012]))),
-                  repr(held), repr(held.step())):
-        assert "\n" not in shown and len(shown) < 250
-    assert repr(finger).startswith("<Robot finger: bodies body; 144 tetrahedra; cables upper, lower")
-    assert "tip at [" in repr(finger.step())
 
 
 def test_after_reset_the_same_steps_follow_to_the_bit(finger):

@@ -9,12 +9,7 @@ from softrobot_twin.constraints.row_stack import add_row_forces
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Hold, Simulation
-from softrobot_twin.simulation import apparent_compliance as module
-from softrobot_twin.simulation.apparent_compliance import (
-    EffectorCompliance,
-    apparent_compliance,
-    principal_stiffness,
-)
+from softrobot_twin.simulation.apparent_compliance import EffectorCompliance, apparent_compliance
 from test.scene_changes import LEFT_OUT, changed, repeat_step
 
 SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
@@ -343,31 +338,6 @@ def test_an_effector_on_what_is_fixed_yields_to_nothing(beam):
     assert not found.compliance[1].any() and not found.jacobian[1].any()
     stiffness, _ = found.principal_stiffness(1)
     assert np.isinf(stiffness).all()
-
-
-def test_principal_stiffnesses_are_inverse_principal_compliances():
-    seed = int(np.random.default_rng().integers(2**31))
-    print("seed", seed)
-    Q, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
-    compliance = Q @ np.diag([1e-2, 1e-4, 1e-3]) @ Q.T
-    stiffness, directions = principal_stiffness(compliance)
-    np.testing.assert_allclose(stiffness, [1e2, 1e3, 1e4], rtol=1e-9)
-    for k, n in zip(stiffness, directions):
-        np.testing.assert_allclose(compliance @ n, n / k, atol=1e-10)
-        assert n[np.abs(n).argmax()] > 0.0
-
-
-def test_unstable_directions_come_first():
-    stiffness, _ = principal_stiffness(np.diag([1e-2, -1e-3, 0.0]))
-    np.testing.assert_allclose(stiffness, [-1e3, 1e2, np.inf])
-
-
-def test_a_simulation_that_nobody_asks_allocates_nothing_for_it(beam, monkeypatch):
-    made = []
-    monkeypatch.setattr(module.EffectorCompliance, "__init__", lambda *given: made.append(given))
-    simulation = beam()
-    simulation.step(Hold())
-    assert not made
 
 
 @pytest.mark.exhaustive

@@ -7,7 +7,6 @@ import pytest
 from softrobot_twin.errors import MeshError, SceneError
 from softrobot_twin.geometry.shapes import Box
 from softrobot_twin.simulation import Hold, Simulation, Status
-from softrobot_twin.simulation.appearance import skins
 from test.builder import builder
 
 SIDE, STEP, G, DENSITY = 0.04, 0.004, 9.81, 1000.0
@@ -136,15 +135,6 @@ def test_a_contact_surface_slides_with_friction_as_the_mesh_boundary(tmp_path, c
     assert ways[0] > 0.01
 
 
-def test_the_contact_surface_is_drawn(tmp_path, cube):
-    points, triangles, bulge = cap(0.1, 10)
-    simulation = cube(written(tmp_path / "cap.stl", points, triangles), lift=bulge)
-    (skin,) = skins(simulation.model.bodies, simulation.scene, (), [])
-    drawn = skin.positions(simulation.state.positions)
-    assert len(drawn) == len(points)
-    assert drawn[:, 2].min() == pytest.approx(-SIDE / 2, abs=1e-6)
-
-
 def test_two_bodies_touch_with_their_contact_surfaces(tmp_path, cube, write_block):
     """A cap below the body touches a block, which its own flat sole would not reach."""
     points, triangles, bulge = cap(0.1, 24)
@@ -203,9 +193,3 @@ def test_a_contact_surface_that_is_not_on_the_body_is_refused(tmp_path, cube, sc
     skin = written(tmp_path / "skin.stl", scale * points + shift, triangles)
     with pytest.raises(SceneError, match=rf"bodies\[0\]\.contact_surface\.file.*{words}"):
         cube(skin)
-
-
-def test_an_unused_contact_surface_is_reported(tmp_path, cube):
-    skin = written(tmp_path / "skin.stl", *Box([0, 0, 0], [SIDE] * 3).surface(SIDE / 5))
-    simulation = cube(skin, contact=None)
-    assert any("contact_surface is not used" in note for note in simulation.model.notes)

@@ -107,22 +107,3 @@ def test_a_state_without_its_velocities_is_refused(scene):
     still = replace(scene.state, velocities=np.empty((0, 3)))
     with pytest.raises(CommandError, match="not of this scene"):
         scene.restore(still)
-
-
-def test_velocities_are_restored_with_the_state(scene):
-    run(scene, 10)
-    saved = scene.state
-    scene.restore(replace(saved, velocities=np.zeros_like(saved.velocities)))
-    without = run(scene, 1)
-    scene.restore(saved)
-    assert np.abs(run(scene, 1)[0][0] - without[0][0]).max() > 1e-5
-
-
-def test_the_states_of_a_run_are_not_changed_by_later_steps(scene):
-    run(scene, 3)
-    saved, copies = scene.state, (scene.state.positions.copy(), scene.state.velocities.copy())
-    run(scene, 5)
-    np.testing.assert_array_equal(saved.positions, copies[0])
-    np.testing.assert_array_equal(saved.velocities, copies[1])
-    with pytest.raises(ValueError, match="read-only"):
-        saved.velocities[0] = 1.0

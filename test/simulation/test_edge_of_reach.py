@@ -53,10 +53,9 @@ def follow(simulation, target, count):
 
 WAYS = {"sideways": [1.9, 0.0, 0.0], "up": [0.0, 1.9, 0.0], "aslant": [1.9, 1.9, 0.0],
         "back": [0.0, 0.0, -1.9]}  # fmt: skip
-# Each way with and without each of both, and the two hardest: (slides, has_cylinders, way).
+# Each of both with and without the other, and the two hardest: (slides, has_cylinders, way).
 TRUNKS = [
-    (False, False, "sideways"), (True, True, "sideways"), (False, True, "up"), (True, False, "up"),
-    (False, False, "aslant"), (True, True, "aslant"), (False, True, "back"), (True, False, "back"),
+    (False, False, "sideways"), (True, True, "aslant"), (False, True, "back"), (True, False, "back"),
     (True, True, "back"), (True, True, "up"),
 ]  # fmt: skip
 # Pulled straight back, the Trunk buckles several times on its way to the nearest point. On a slide

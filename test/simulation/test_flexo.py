@@ -55,13 +55,6 @@ def tip_error_with_the_arm_held(flexo, target):
     return np.linalg.norm(flexo.effector_positions()[0] - target)
 
 
-def test_it_has_eighteen_stages_and_about_the_paper_s_unknowns(flexo):
-    model = flexo.model
-    assert len(model.beams) == 54 and len(model.rigid) == 18
-    assert len(flexo.actuator_names) == 12 and flexo.dof_count == 891
-    assert len(flexo.notes) == 1 and "3 separate parts" in flexo.notes[0]
-
-
 def test_closing_the_hand_loads_the_arm_and_the_inverse_corrects_it(flexo):
     for angle in (np.pi / 2, np.pi):
         target = bend(flexo, 0.06, angle)

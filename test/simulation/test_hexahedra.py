@@ -322,11 +322,8 @@ def test_a_bonded_block_of_flat_cells_is_as_stiff_as_quadratic_tetrahedra(cells)
 @pytest.mark.parametrize("size, cells", [
     (FLAT, [4, 4, 2]),
     *(pytest.param(*case, marks=pytest.mark.exhaustive) for case in (
-        (FLAT, [2, 2, 2]), (FLAT, [2, 2, 4]), (FLAT, [2, 2, 5]), (FLAT, [2, 6, 3]),
-        (FLAT, [4, 4, 4]), (FLAT, [6, 6, 3]), (FLAT, [8, 8, 2]), (TALL, [3, 3, 6]),
-        (TALL, [2, 4, 8]), (TALL, [2, 6, 4]), (TALL, [3, 9, 6]), (CUBE, [2, 2, 2]),
-        (CUBE, [3, 3, 3]), (CUBE, [4, 4, 2]), (CUBE, [2, 2, 5]), (CUBE, [1, 1, 3]),
-        (PAD, [3, 3, 2]), (PAD, [6, 6, 2]), (PAD, [3, 3, 4]), (PAD, [6, 6, 3]),
+        (FLAT, [2, 2, 5]), (FLAT, [2, 6, 3]), (FLAT, [8, 8, 2]), (TALL, [2, 4, 8]),
+        (TALL, [2, 6, 4]), (CUBE, [2, 2, 2]), (CUBE, [1, 1, 3]), (PAD, [3, 3, 4]),
     )),
 ])  # fmt: skip
 def test_the_force_is_right_or_hexahedra_are_told_to_be_too_coarse(size, cells):

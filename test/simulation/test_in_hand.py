@@ -32,9 +32,7 @@ def follow(simulation, state, targets, step):
 
 
 @pytest.mark.sampled
-@pytest.mark.parametrize("step", [0.02, 0.01])
-@pytest.mark.parametrize("axis", range(3))
-@pytest.mark.parametrize("side", [-1.0, 1.0])
+@pytest.mark.parametrize("axis, side, step", [(0, -1.0, 0.02), (1, 1.0, 0.02), (2, -1.0, 0.01), (2, 1.0, 0.02)])
 def test_a_cube_goes_two_millimetres_in_the_fingers_and_stays_for_ten_seconds(
     held_cube, axis, side, step
 ):
@@ -95,7 +93,7 @@ def test_random_masses_up_to_four_fifths_of_what_the_grip_bears_are_carried(draw
     while carried(1.1 * most) < LOST:
         most *= 1.1
     assert 0.040 < most < 0.1
-    for mass in drawn_rng.uniform(0.2, 0.8, 5) * most:
+    for mass in drawn_rng.uniform(0.2, 0.8, 2) * most:
         lag = carried(mass)
         print(f"{1e3 * mass:.1f} g of {1e3 * most:.1f} g: {1e3 * lag:.2f} mm")
         assert lag < 1e-3
@@ -112,7 +110,7 @@ def test_far_targets_of_a_heavy_cube_are_missed_at_the_least_margin_and_the_cube
     entries["contact"]["between"][0]["least_grip_margin"] = 0.1
     simulation = lifted(entries, GRIP, 70)
     state, start = simulation.state, simulation.effector_positions()[0]
-    for way in drawn_rng.normal(size=(6, 3)):
+    for way in drawn_rng.normal(size=(3, 3)):
         goal = start + 6e-3 * way / np.linalg.norm(way)
         results, left = follow(simulation, state, np.tile(goal, (150, 1)), STEP)
         print(f"{way}: {1e3 * left[-1]:.2f} mm left, {results[-1].report.active_limits}")

@@ -154,20 +154,6 @@ def test_damping_is_that_of_the_scene(finger):
     assert model.static_gain == pytest.approx(np.asarray(finger.jacobian("tip")), abs=1e-9)
 
 
-def test_asking_changes_no_bit_of_the_next_steps():
-    runs = []
-    for asks in (False, True):
-        simulation = Simulation(scene_from_mapping(finger_mapping(**ALPHA)))
-        pulled, tangent = simulation.state.setpoints - [0.004, 0.0], None
-        for step in range(6):
-            simulation.step(CommandSetpoints(pulled, 0.02))
-            if asks and step % 2:
-                tangent = tangent or ModalTangent(simulation)
-                tangent.at_state(3)
-        runs.append(simulation.state.positions)
-    assert np.array_equal(*runs)
-
-
 def test_a_scene_without_a_linear_model_is_refused_by_what_it_lacks():
     mapping = finger_mapping(integration="quasi_static")
     mapping["body"].pop("damping")

@@ -63,25 +63,3 @@ def test_the_period_of_a_wide_swing_converges_to_the_closed_form(simulate):
     assert abs(errors[2]) < 0.01 * half
     ratios = np.array(errors[:-1]) / errors[1:]
     np.testing.assert_allclose(ratios, 2.0, atol=0.4)
-
-
-def test_a_rigid_bar_on_a_hinge_swings_as_a_compound_pendulum(simulate):
-    """A stiff spring of no length is a hinge: ω² = m g d / (I + m d²)."""
-    length, width, mass, tilt = 0.2, 0.02, 0.1, 0.05
-    centre = 0.5 * length * np.array([np.sin(tilt), 0.0, -np.cos(tilt)])
-    scene = simulate(
-        rigid_bodies=[{
-            "name": "bar", "mass": mass, "box": {"size": [width, width, length]},
-            "position": list(centre), "rotation": [0.0, -tilt, 0.0],
-        }],
-        springs=[{"name": "hinge", "stiffness": 1e5, "rest_length": 0.0,
-                  "ends": [{"on": "bar", "point": [0, 0, 0]}, {"point": [0, 0, 0]}]}],
-        integration="dynamic",
-    )  # fmt: skip
-    time_step = 0.002
-    times, x = swing(scene, time_step, 1.7, lambda state: state.positions[0, 0])
-    inertia = mass * (length**2 + width**2) / 12.0
-    arm = 0.5 * length
-    omega = np.sqrt(mass * G * arm / (inertia + mass * arm**2))
-    slower = np.arctan(time_step * omega) / (time_step * omega)
-    assert period(times, x) == pytest.approx(2 * np.pi / omega / slower, rel=1.5e-3)

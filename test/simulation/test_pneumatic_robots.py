@@ -87,25 +87,6 @@ def test_a_grown_accordion_returns_after_a_push_to_the_side(change):
     assert after.efforts == pytest.approx(before.efforts, rel=1e-6)
 
 
-def test_an_accordion_grows_no_further_than_its_limit():
-    springy = robot("springy")
-    for growth in np.linspace(0.0, 1.2 * GROWTH, 13):
-        result = springy.step(CommandSetpoints(springy.rest_setpoints + growth, 1.0))
-    assert result.displacements == pytest.approx([GROWTH], abs=1e-12)
-    assert result.setpoints == pytest.approx([AT_REST + GROWTH], rel=1e-6)
-
-
-def test_an_accordion_grows_as_fast_as_its_syringe_whatever_the_rate_of_steps():
-    ends = []
-    for rate in (20, 50):
-        springy = robot("springy")
-        for _ in range(rate // 2):
-            result = springy.step(CommandSetpoints(springy.rest_setpoints + GROWTH, 1.0 / rate))
-        assert result.displacements == pytest.approx([0.5 * GROWTH], rel=1e-6)
-        ends.append(settled(springy, result.setpoints))
-    assert ends[0].efforts == pytest.approx(ends[1].efforts, rel=1e-6)
-
-
 # --- the PneuNet gripper -------------------------------------------------------------------------
 
 
@@ -131,14 +112,6 @@ def test_three_fingers_at_one_pressure_are_turned_by_a_third(change, aside):
     assert abs(first[1]) < aside
     # All bend inwards.
     assert np.linalg.norm(rest[:, :2], axis=1).min() - np.linalg.norm(first[:2]) > 8e-3
-
-
-def test_a_finger_moves_by_its_own_pressure_alone():
-    hand = robot("pneunet_inverse")
-    rest = settled(hand, [0.0, 0.0, 0.0]).effector_positions
-    moved = settled(hand, [0.0, 25e3, 0.0]).effector_positions
-    assert moved[[0, 2]] == pytest.approx(rest[[0, 2]], abs=1e-9)
-    assert np.linalg.norm(moved[1] - rest[1]) > 8e-3
 
 
 def test_the_layer_keeps_the_inner_side_of_a_finger_from_stretching():

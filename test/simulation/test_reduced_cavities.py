@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.constraints.cavity import Cavities
 from softrobot_twin.constraints.reduced_cavities import ReducedCavities
 from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.reduced_elements import SampledPoints, all_points
@@ -71,18 +70,6 @@ def test_a_basis_that_spans_everything_inflates_as_the_full_body(pair, entries, 
         np.testing.assert_allclose(*volumes, rtol=1e-12)
 
 
-def test_walls_of_a_reduced_body_ask_for_no_points(pair):
-    full, reduced = pair()
-    free = np.count_nonzero(~full.model.bodies[0].fixed)
-    assert len(reduced.model.nodes.rest_positions) == reduced.model.nodes.free_node_count == free
-    term, other = (one.model.actuators.terms[0] for one in (reduced, full))
-    np.testing.assert_array_equal(np.sort(term.stencils()), [np.arange(free)])
-    np.testing.assert_allclose(term.rest_volumes, other.rest_volumes, rtol=1e-14)
-    np.testing.assert_allclose(term.rest_areas, other.rest_areas, rtol=1e-14)
-    bounds = [one.model.actuators.groups[0].displacement_bounds for one in (reduced, full)]
-    np.testing.assert_allclose(*bounds, rtol=1e-12)
-
-
 def test_a_cavity_whose_walls_are_all_fixed_is_refused(inflatable, tmp_path):
     low = [{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, 0.021]}}]
     held = {**BLOCK, "fixed": low}
@@ -120,12 +107,6 @@ def test_one_cavity_inflates_two_reduced_bodies(two_blocks):
     np.testing.assert_allclose(result.displacements, expected.displacements, rtol=1e-9)
     assert len(walls_of(full)) == len(walls_of(reduced)) == 16
     np.testing.assert_allclose(walls_of(reduced), walls_of(full), atol=1e-9 * 0.03)
-
-
-def test_a_cavity_beside_a_reduced_body_is_one_of_nodes(two_blocks):
-    simulation = two_blocks(("right",), walls_on=("left",))
-    assert isinstance(simulation.model.actuators.terms[0], Cavities)
-    assert simulation.step(CommandSetpoints([8e3], STEP)).status is Status.OK
 
 
 def scene_of(tmp_path, change):
@@ -177,11 +158,3 @@ def test_what_is_not_built_on_reduced_bodies_is_refused_by_name(tmp_path, change
     check_walls_of_reduced(scene_of(tmp_path, lambda mapping: None))
     with pytest.raises(SceneError, match=says):
         check_walls_of_reduced(scene_of(tmp_path, change))
-
-
-def test_cavities_beside_a_reduced_body_are_not_refused(tmp_path):
-    def elsewhere(mapping):
-        mapping["cavities"][0]["walls"][0]["body"] = "other"
-        mapping["sealed_cavities"] = [{**mapping["cavities"][0], "name": "gas"}]
-
-    check_walls_of_reduced(scene_of(tmp_path, elsewhere))

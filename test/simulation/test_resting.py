@@ -108,26 +108,6 @@ def test_a_dropped_soft_block_gains_no_energy(scene_of, write_block, step):
     assert height == pytest.approx(0.01, abs=1e-4)
 
 
-def test_two_cubes_stand_on_each_other(scene_of):
-    simulation = scene_of(
-        integration="dynamic", obstacles=[{"name": "floor", "plane": {}}],
-        rigid_bodies=[cube("low", position=[0, 0, 0.02]),
-                      cube("high", position=[0.004, 0.003, 0.06], rotation=[0, 0, 0.3])],
-        contact={"friction": 0.5, "between": [{"pair": ["low", "floor"]},
-                                              {"pair": ["high", "low"]}]},
-    )  # fmt: skip
-    for _ in range(500):
-        result = simulation.step(Hold(STEP))
-        assert result.status.is_success
-    touch = result.contacts
-    by_pair = [touch.forces[touch.pairs == pair].sum(axis=0) for pair in (0, 1)]
-    assert touch.names == (("low", "floor"), ("high", "low"))
-    np.testing.assert_allclose(by_pair[0], [0, 0, 2 * MASS * G], atol=1e-4)
-    np.testing.assert_allclose(by_pair[1], [0, 0, MASS * G], atol=1e-4)
-    np.testing.assert_allclose(result.state.positions[0], [0, 0, 0.02], atol=2e-6)
-    np.testing.assert_allclose(result.state.positions[4], [0.004, 0.003, 0.06], atol=2e-6)
-
-
 def test_a_cube_with_its_centre_beyond_the_edge_falls_off(scene_of):
     simulation = scene_of(
         integration="dynamic",

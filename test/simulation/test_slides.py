@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, FollowTargets, Hold, Status
+from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Status
 from softrobot_twin.simulation.step.time_budget import StageClock
 from test.builder import builder
 from test.scene_changes import LEFT_OUT, change_scene, changed, repeat_step
@@ -132,15 +132,6 @@ def test_given_lengths_move_it_at_its_rate_up_to_its_travel(sliding):
     assert result.status is Status.SATURATED
 
 
-def test_given_tensions_do_not_move_it(sliding):
-    simulation = sliding()
-    slid_to(simulation, 0.01)
-    tensions = np.array([1.0, 0.5, 0.0, 0.0, np.nan])
-    result = repeat_step(simulation, CommandEfforts(tensions, 1.0), 20)
-    assert result.setpoints[-1] == pytest.approx(0.01, abs=1e-12)
-    np.testing.assert_allclose(result.efforts[:4], tensions[:4], atol=1e-6)
-
-
 def test_its_load_is_the_weight_and_contact_force_along_it(sliding, rod):
     simulation = sliding(changed({"gravity": [1.0, 0.0, -9.81]}, lambda m: in_way(m, rod)))
     target = simulation.effector_positions() + [0.03, 0.0, 0.0]
@@ -149,15 +140,6 @@ def test_its_load_is_the_weight_and_contact_force_along_it(sliding, rod):
     weight = 1000.0 * 0.02 * 0.02 * 0.1 * np.array([1.0, 0.0, -9.81])
     outer = weight + result.contacts.forces.sum(axis=0)
     assert result.efforts[-1] == pytest.approx(-outer @ AXIS, rel=1e-6)
-
-
-def test_a_slide_without_a_binding_limit_has_no_load(sliding, rod):
-    """The least error is where the force along the axis does no work: nothing binds it."""
-    simulation = sliding(lambda m: in_way(m, rod))
-    target = simulation.effector_positions() + [0.004, 0.0, -0.001]
-    result = repeat_step(simulation, FollowTargets(target, 0.05), 60)
-    assert result.effector_errors[0] < 1e-4
-    assert abs(result.efforts[-1]) < 1e-6
 
 
 def test_it_may_be_commanded_while_the_cables_are_optimised(sliding, rod):

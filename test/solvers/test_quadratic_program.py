@@ -93,23 +93,6 @@ def test_the_same_cable_twice_shares_its_tension():
     assert solution.unknowns[0] == pytest.approx(solution.unknowns[1], rel=1e-2)
 
 
-def test_without_targets_tensions_are_zero():
-    robot = list(random_robot(0))
-    robot[1] = 0 * robot[1]
-    _, solution = solve(robot)
-    assert solution.unknowns == pytest.approx(0.0, abs=1e-6)
-
-
-def test_an_effector_with_a_larger_weight_has_a_smaller_error():
-    robot = random_robot(5, n=1, rows=2)
-    W_ea, effector = robot[1], robot[2]
-
-    def miss(weights):
-        return np.abs(W_ea @ solve(robot, weights=np.array(weights))[1].unknowns + effector)
-
-    assert miss([100.0, 1.0])[0] <= miss([1.0, 1.0])[0] + 1e-9
-
-
 def test_contradicting_bounds_are_reported_as_unsolved():
     W_aa, W_ea, effector, actuator, bounds = random_robot(2)
     impossible = bounds._replace(

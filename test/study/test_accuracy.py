@@ -151,27 +151,11 @@ def test_errors_fall_with_refinement_and_quadratic_meshes_are_better(study):
 
 
 @pytest.mark.exhaustive
-def test_prescribed_displacements_have_smaller_errors_than_forces_on_the_coarsest_mesh(study):
-    assert study.rows[0].mesh == "column_10"
-    assert study.rows[0].error_lengths < study.rows[0].error_tensions
-
-
-@pytest.mark.exhaustive
 def test_every_reference_states_its_uncertainty(study):
     for reference in study.references.values():
         assert 0.0 < reference.uncertainty < 0.2
         assert reference.displacement > 1e-4
         assert len(reference.meshes) == (2 if reference.limit.order is None else 3)
-
-
-@pytest.mark.exhaustive
-def test_on_the_diamond_displacements_have_smaller_errors_than_forces(tmp_path):
-    scene = load_scene(default_scene_path())
-    held = with_hold_radius(scene)
-    levels = mesh_family(held, tmp_path)[:2]
-    study = study_meshes(levels, Limits(1_500, 20_000, 8), lambda words: None)
-    coarsest = study.rows[0]
-    assert coarsest.error_lengths < 0.5 * coarsest.error_tensions
 
 
 @pytest.mark.exhaustive

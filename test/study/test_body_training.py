@@ -204,18 +204,6 @@ def test_a_stopped_run_goes_on_where_it_was(column, stop, call, tmp_path):
     assert read_body_reduction(output).training["states"] == 60
 
 
-@pytest.mark.exhaustive
-def test_a_cluster_trains_the_same(trained, column, call, tmp_path):
-    distributed = pytest.importorskip("distributed")
-    # Its workers are threads, reached over TCP; a test of `workspace` has them in processes.
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=False,
-                                  protocol="tcp", dashboard_address=None) as cluster:  # fmt: skip
-        done = call("reduce", column, "--output", tmp_path / "r.npz", "--scheduler",
-                    cluster.scheduler_address, *SMALL)  # fmt: skip
-    assert done.code == 0, done.errors
-    assert equal(trained, tmp_path / "r.npz")
-
-
 def test_an_error_that_fresh_states_exceed_after_the_last_round_is_said(capsys):
     options = body_training.TrainingOptions(error=0.01)
     shares = np.array([0.001, 0.02, 0.005])

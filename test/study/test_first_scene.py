@@ -1,6 +1,5 @@
 """``init``: a first scene that loads and runs as it is; guesses are told, nothing is asked."""
 
-from __future__ import annotations
 
 import re
 import shlex
@@ -101,14 +100,6 @@ def test_the_examples_in_comments_are_a_scene_too(folder, scene):
     # The points lie in the material: none was moved onto the body.
     assert not simulation.notes
     simulation.step(Hold(0.02))
-
-
-def test_every_number_has_its_unit_in_a_comment(folder):
-    lines = (folder / "finger.yaml").read_text().splitlines()
-    for key in ("gravity", "box", "points", "pressure", "rate", "shortening", "tension"):
-        own = [line for line in lines if re.search(rf"\b{key}: \S", line) and "mesh:" not in line]
-        assert own and any(re.search(r"# (m|m/s²|Pa|Pa/s|m/s|N)\b", line) for line in own), key
-    assert max(map(len, lines)) <= 100
 
 
 def test_a_scene_that_exists_is_replaced_only_on_request(folder, capsys):

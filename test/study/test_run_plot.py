@@ -95,23 +95,6 @@ def test_bands_tell_when_a_status_and_a_limit_held(tmp_path):
 
 
 @pytest.mark.libraries
-def test_the_legend_of_many_cables_names_the_largest_and_overlaps_nothing(tmp_path):
-    figure = drawn(read_series(written(tmp_path / "run.csv", robot(cables=40))))
-    renderer = figure.canvas.get_renderer()
-    tension = next(axis for axis in figure.axes if axis.get_ylabel().startswith("tension"))
-    told = [text.get_text() for text in tension.get_legend().get_texts()]
-    assert told == [f"cable_{k}" for k in range(31, 40)] + ["and 31 more"]
-    assert len([line for line in tension.lines if len(line.get_xdata())]) == 40
-    boxes = [axis.get_legend().get_window_extent(renderer) for axis in figure.axes
-             if axis.get_legend() is not None]
-    panels = [axis.get_window_extent(renderer) for axis in figure.axes]
-    for place, box in enumerate(boxes):
-        assert not any(box.overlaps(other) for other in boxes[place + 1:])
-        assert not any(box.x0 < panel.x1 - 1.0 and box.overlaps(panel) for panel in panels)
-        assert 0.0 <= box.x0 and box.x1 <= figure.bbox.x1 and 0.0 <= box.y0
-
-
-@pytest.mark.libraries
 def test_tables_of_commands_and_samples_of_a_workspace_are_drawn(tmp_path):
     commands = written(tmp_path / "commands.csv", {
         "time_s": [0, 1, 2], "a_shortening_m": [0, 1e-3, 0], "a_length_m": [1, 2, 3]})

@@ -79,18 +79,6 @@ def test_no_text_of_a_labelled_picture_is_clipped_or_overlaps_another(name, view
     check_texts(drawn(name) if view is None else drawn(name, view))
 
 
-@pytest.mark.parametrize("names", [("cantilever",) * 2, ("trunk",) * 3])
-def test_no_text_beside_several_states_is_clipped_or_overlaps_another(names, shots, check_texts):
-    pyplot = pytest.importorskip("matplotlib.pyplot")
-    pushed = [shots[name]._replace(
-        title=f"{index} s", solids=[solid._replace(value=1e3 * index) if solid.kind == "cable"
-                                    else solid for solid in shots[name].solids])
-        for index, name in enumerate(names)]
-    figure = figure_of(pushed, "")
-    check_texts(figure)
-    pyplot.close(figure)
-
-
 def test_labels_name_every_thing_once_and_alike_ones_together(shots):
     told = [label.text for label in shots["diamond"].labels]
     assert {"body", "cable north", "cable east", "cable south", "cable west", "effector tip",

@@ -43,16 +43,6 @@ def test_a_run_has_the_stated_columns_and_a_row_for_each_target(tmp_path, column
     assert "━" not in done.errors and "warning" not in done.errors, "no bar through a pipe"
 
 
-def test_two_runs_are_the_same_to_the_last_bit(tmp_path, column, targets, call):
-    for name in ("first.csv", "second.csv"):
-        assert call("simulate", column, "--targets", targets(), "--output",
-                       tmp_path / name).code == 0
-    first, second = rows_of(tmp_path / "first.csv"), rows_of(tmp_path / "second.csv")
-    for row in first + second:
-        del row["compute_time_s"]
-    assert first == second
-
-
 def test_settling_runs_the_first_row_before_recording(tmp_path, column, targets, call):
     call("simulate", column, "--targets", targets(), "--output", tmp_path / "once.csv")
     repeated = TARGETS.replace("0,0.0105", "-0.04,0.0105,0.01,0.098\n-0.02,0.0105,0.01,0.098\n"

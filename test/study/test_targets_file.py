@@ -7,12 +7,7 @@ import pytest
 
 from softrobot_twin.simulation.building.cable_actuator import CableActuator
 from softrobot_twin.simulation.building.limits import Pulleys
-from softrobot_twin.simulation.command import (
-    DEFAULT_TIME_STEP,
-    CommandEfforts,
-    CommandSetpoints,
-    FollowTargets,
-)
+from softrobot_twin.simulation.command import CommandEfforts, CommandSetpoints, FollowTargets
 from softrobot_twin.simulation.runs.input_tables import TableFileError, read_targets
 
 EFFECTORS = ("tip", "side")
@@ -64,11 +59,6 @@ def test_a_time_step_is_the_distance_to_the_row_before(tmp_path):
     table = read(tmp_path, "time_s,tip_x_m,tip_y_m,tip_z_m\n1,0,0,0\n1.5,0,0,0\n3.5,0,0,0\n")
     np.testing.assert_array_equal(table.time_steps, [0.5, 0.5, 2.0])
     assert table.command(2).time_step == 2.0
-
-
-def test_a_single_row_has_the_stated_time_step(tmp_path):
-    table = read(tmp_path, "time_s,tip_x_m,tip_y_m,tip_z_m\n7,0,0,0\n")
-    np.testing.assert_array_equal(table.time_steps, [DEFAULT_TIME_STEP])
 
 
 def test_a_byte_order_mark_spaces_and_blank_lines_are_ignored(tmp_path):
@@ -152,12 +142,6 @@ def test_a_targets_file_may_give_orientations(tmp_path):
     assert np.isnan(table.values[:, 1]).all() and np.isnan(table.orientations[:, 1]).all()
     command = table.command(1)
     np.testing.assert_allclose(command.orientations[0], [0, 1, 0, 0])
-
-
-def test_a_targets_file_without_quaternions_gives_no_orientation(tmp_path):
-    table = read(tmp_path, "time_s,tip_x_m,tip_y_m,tip_z_m\n0,1,2,3\n",
-                 robot(oriented=(True, False)))
-    assert table.orientations is None and table.command(0).orientations is None
 
 
 STIFF = "time_s,tip_x_m,tip_y_m,tip_z_m,tip_kz_N_per_m"

@@ -25,12 +25,7 @@ from softrobot_twin.simulation import (
     Status,
 )
 from softrobot_twin.simulation.result import SAMPLED
-from softrobot_twin.study.superelement_fit import (
-    SampledRange,
-    SoftPartModel,
-    deformations_between,
-    rotation_of,
-)
+from softrobot_twin.study.superelement_fit import SampledRange, SoftPartModel
 from softrobot_twin.study.vertebrae_reduction import accuracy_of, brought_to, divisions
 
 from .conftest import ROOT
@@ -92,13 +87,6 @@ def test_the_fetch_is_divided_into_plates_and_accordions(reduced):
 
 
 @pytest.mark.exhaustive
-def test_weight_is_that_of_the_body(reduced):
-    simulation = reduced()
-    body = simulation.model.bodies[0]
-    assert sum(part.mass for part in body.vertebrae.parts) == pytest.approx(body.mass)
-
-
-@pytest.mark.exhaustive
 def test_vertebrae_that_do_not_fit_are_refused(scene):
     def overlap(mapping):
         mapping["body"]["vertebrae"]["rigid"][1] = {
@@ -139,14 +127,6 @@ def soft_part(workshop):
 
 
 REACH = np.array([2e-3, -3e-3, 6e-3, 0.15, 0.1, 0.04, 3000.0])
-
-
-def test_deformations_and_poses_are_inverse():
-    bend, rest = np.array([0.3, -0.2, 0.1]), np.array([0.0, 0.01, 0.05])
-    turn, chord = rotation_of(bend), np.array([0.01, 0.0, 0.06])
-    assert turn @ turn.T == pytest.approx(np.eye(3), abs=1e-14)
-    assert deformations_between(turn, chord, rest)[3:] == pytest.approx(bend, rel=1e-12)
-    assert deformations_between(np.eye(3), rest, rest) == pytest.approx(np.zeros(6), abs=1e-15)
 
 
 def test_slopes_of_a_sample_are_those_of_its_enthalpy(soft_part):

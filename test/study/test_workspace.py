@@ -318,21 +318,3 @@ def test_a_killed_worker_of_a_cluster_loses_no_sample(cluster, column, tmp_path)
     found += list(running)
     assert sorted(one.index for one in found) == list(range(30))
     assert all(one.row is not None and one.row[-1] == "ok" for one in found)
-
-
-@pytest.mark.exhaustive
-def test_rows_that_wait_on_a_killed_worker_are_computed_once_more(cluster, squares, tmp_path):
-    samples = [(index, index) for index in range(5, 25)]
-    running = DaskWorkers(cluster.scheduler_address).run(Job(squares.Failing, tmp_path, ""), samples)
-    found = [next(running)]
-    scheduler = cluster.scheduler
-    while any(task.state != "memory" for task in scheduler.tasks.values()):
-        time.sleep(0.01)
-    (worker, *_) = (one for one in scheduler.workers.values() if one.has_what)
-    os.kill(cluster.workers[worker.name].pid, signal.SIGKILL)
-    while worker.address in scheduler.workers:
-        time.sleep(0.01)
-    found += list(running)
-    assert sorted((one.index, one.row) for one in found) == [
-        (index, [index**2]) for index in range(5, 25)
-    ]

@@ -52,12 +52,3 @@ def test_invalid_ends_are_refused(world):
         world.springs(world.nodes(1, 2), world.nodes(3), 1.0, 0.0)
     with pytest.raises(ValueError, match="points in the world"):
         world.springs(world.nodes(1, 2), None, 1.0, 0.0)
-
-
-def test_springs_between_fixed_points_add_nothing(world):
-    term, matrix = world.springs(
-        world.frames.points(1, POINTS[:1]), None, 60.0, 0.0, 1.0, offsets=[[0.0, 0.0, 0.0]]
-    )
-    assert term.energy(world.positions) > 0.1
-    assert not world.forces(term, world.positions).any()
-    assert not world.stiffness(term, matrix, world.positions).any()
