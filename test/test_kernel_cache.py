@@ -283,6 +283,7 @@ def test_the_environment_names_the_folder_and_one_that_cannot_be_written_is_repl
     shutil.rmtree(replaced)
 
 
+@pytest.mark.exhaustive
 def test_a_kernel_or_a_law_from_outside_is_not_kept(small_package):
     code = RUN + """
 from typing import NamedTuple

@@ -301,7 +301,7 @@ def test_a_robot_that_acts_late_is_where_its_moving_target_is(other_meshes, dela
     assert not driver.loop.lead.ways.any()
 
 
-@pytest.mark.sampled
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("ramp", [0.0, 0.5])
 def test_a_target_that_stops_is_overshot_by_its_way_of_the_delay_at_most(other_meshes, ramp):
     """At once: what was sent before is executed yet. Where it slows down, the robot does too."""
@@ -333,6 +333,7 @@ def test_a_target_that_jumps_is_followed_as_without_a_lead(other_meshes):
     assert driver.loop.lead.delay == 0.0
 
 
+@pytest.mark.exhaustive
 def test_noise_of_a_standing_target_is_not_led(other_meshes):
     seed = int(np.random.default_rng().integers(1 << 30))
     print("seed", seed)

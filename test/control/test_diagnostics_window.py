@@ -1,6 +1,5 @@
 """The summary of the ticks since the last diagnostics message."""
 
-import math
 from dataclasses import replace
 
 import pytest
@@ -53,17 +52,3 @@ def test_a_step_that_had_to_be_late_counts_as_overload(outcome):
         report = replace(outcome.result.report, is_late=late)
         window.add(outcome._replace(result=replace(outcome.result, report=report)))
     assert (window.overloaded, window.late, window.ticks) == (2, 2, 3)
-
-
-def test_overload_and_the_largest_linearization_error_are_reported(outcome):
-    window = DiagnosticsWindow()
-    for age, error in ((0, 1e-3), (2, math.nan), (3, 5e-4)):
-        report = replace(
-            outcome.result.report, factor_age=age, linearization_error=error,
-            projected_tangent=age == 2, qp_solver="DAQP" if age else "OSQP",
-        )
-        window.add(outcome._replace(result=replace(outcome.result, report=report)))
-    assert window.overloaded == 2
-    assert window.largest["linearization_error"] == 1e-3
-    assert window.projected == 1
-    assert window.qp_solvers == {"OSQP", "DAQP"}

@@ -221,6 +221,7 @@ def test_without_feedback_the_model_itself_is_led_along_the_path(twin, path):
     assert predicted < 0.25 * statics
 
 
+@pytest.mark.exhaustive
 def test_a_robot_that_stands_is_where_it_should_be(twin, softer, curve):
     drive = Fast(twin, softer)
     drive.run(lambda time: curve[6], 120, knows_ahead=False)

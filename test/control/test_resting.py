@@ -188,6 +188,7 @@ def test_a_loop_looks_for_nearer_poses_before_it_rests_away_from_its_target(cloc
     assert said[:2] == ["steps", "explores"] and said[-1] == "rests"
 
 
+@pytest.mark.exhaustive
 def test_a_target_that_is_approached_at_a_speed_is_rested_before_without_looking(clocked):
     twin = clocked(explores=True, target_timeout=0.0, approach_speed=0.05)
     assert states_of(twin, FAR) == ["steps", "rests"]

@@ -48,6 +48,7 @@ def follow(driver, path, ticks, ramp=60):
     return np.array(errors[ramp:])
 
 
+@pytest.mark.exhaustive
 def test_the_tip_moves_between_the_cylinders_within_all_limits(drive_trunk):
     driver = drive_trunk()
     driver.tick(10)

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from softrobot_twin.control.arrival import Arrival, Input, Refusal
-from softrobot_twin.control.loop_settings import LoopSettings, WhenLost, settings_of
 from softrobot_twin.control.twin_loop import SERVICES, is_call
 from softrobot_twin.record.loop_calls import READERS, call_to_json, repeat
 from softrobot_twin.record.replay import Replay
@@ -35,20 +34,6 @@ def test_each_number_comes_back_from_json_with_all_its_bits():
     finite = ~np.isnan(values)
     assert (back[finite].view(np.uint64) == values[finite].view(np.uint64)).all()
     assert np.isnan(back[~finite]).all()
-
-
-def test_a_nan_is_null_because_json_has_no_other_word_for_it():
-    assert json.dumps(plain(np.array([[1.0, math.nan], [-math.inf, -0.0]]))) == (
-        '[[1.0, null], ["-inf", -0.0]]'
-    )
-
-
-def test_changed_settings_come_back_as_they_were():
-    settings = LoopSettings(
-        rate=33.3, workspace_min=(-0.1, -0.2, 0.0), on_lost_device=WhenLost.OPEN_LOOP,
-        closed_loop=True,
-    )  # fmt: skip
-    assert settings_of(json.loads(json.dumps(plain(settings)))) == settings
 
 
 def test_every_input_and_service_of_a_loop_is_recorded(recorded):

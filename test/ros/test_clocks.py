@@ -5,9 +5,6 @@ import time
 import pytest
 from builtin_interfaces.msg import Time as TimeMessage
 from geometry_msgs.msg import PointStamped
-from rcl_interfaces.msg import Parameter as ParameterMessage
-from rcl_interfaces.msg import ParameterType, ParameterValue
-from rcl_interfaces.srv import SetParameters
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
@@ -138,16 +135,6 @@ def test_twin_device_and_target_work_together_on_simulated_time(
     assert twin.loop.device.refusals.total == 0
     away = device.device.simulation.effector_positions()[0]
     assert abs(float((away[0] ** 2 + away[1] ** 2) ** 0.5) - 0.005) < 0.003
-
-
-def test_the_kind_of_time_cannot_change_while_a_node_runs(world, make_twin):
-    twin = make_twin()
-    value = ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=True)
-    request = SetParameters.Request(parameters=[ParameterMessage(name="use_sim_time", value=value)])
-    (answer,) = world.ask(SetParameters, "/twin/set_parameters", request).results
-    assert not answer.successful and "only at the start" in answer.reason
-    before = twin.tick_clock.ticks
-    world.until(lambda: twin.tick_clock.ticks > before + 3)
 
 
 def test_a_clock_below_zero_is_refused_and_time_advances(world, make_twin, simulated_time):

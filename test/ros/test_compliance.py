@@ -87,20 +87,3 @@ def test_the_matrices_are_those_of_the_twin_with_its_stamp_and_names(world, make
     rows, columns = jacobians[-1].layout.dim
     assert rows.label == "x_m y_m z_m"
     assert columns.label.split() == [f"{name}_shortening_m" for name in CABLES]
-
-
-def test_commanded_tensions_hold_no_lengths(world, make_twin):
-    twin = make_twin(mode="direct")
-    jacobians = world.hear(Float64MultiArray, "/twin/jacobian/tip", 10)
-    compliances = world.hear(Float64MultiArray, "/twin/compliance/tip", 10)
-    speaker = world.speaker(JointState, "/twin/command/cables")
-    speaker.publish(command_of(world, efforts=[4.0, 2.0, 2.0, 2.0]))
-    named = [f"{name}_tension_N" for name in CABLES]
-    world.until(
-        lambda: jacobians and jacobians[-1].layout.dim[1].label.split() == named and compliances
-    )
-    first = len(compliances)
-    world.until(lambda: len(compliances) > first + 20)
-    softer, _ = read_matrix(compliances[-1])
-    held = apparent_compliance(twin.loop.simulation).compliance[0]
-    assert softer[0, 0] > 1.2 * held[0, 0]

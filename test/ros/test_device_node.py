@@ -86,26 +86,6 @@ def test_the_topics_follow_the_name_of_the_twin(world, make_device):
     world.until(lambda: cables)
 
 
-@pytest.mark.parametrize("change, refusal", [
-    ({"position": [math.nan] * 4}, Refusal.NOT_FINITE),
-    ({"position": [0.08] * 3}, Refusal.WRONG_SIZE),
-    ({"position": []}, Refusal.WRONG_SIZE),
-    ({"name": ["north", "west", "south", "up"]}, Refusal.WRONG_NAMES),
-])  # fmt: skip
-def test_an_invalid_command_is_refused_and_moves_nothing(world, make_device, change, refusal):
-    device = make_device()
-    rest = rest_of(device)
-    cables = world.speaker(JointState, "/twin/cables")
-    message = command(world, device, rest - 0.002)
-    for name, value in change.items():
-        setattr(message, name, value)
-    cables.publish(message)
-    world.until(lambda: device.refusals.of(refusal) == 1)
-    before = device.tick_clock.ticks
-    world.until(lambda: device.tick_clock.ticks > before + 5)
-    assert rest_of(device) == pytest.approx(rest, abs=1e-9)
-
-
 def test_an_impossible_flaw_is_refused_at_start_up(make_device):
     with pytest.raises(ParameterError, match="device_delay"):
         make_device(device_delay=-1.0)

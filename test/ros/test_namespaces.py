@@ -92,13 +92,6 @@ def test_two_robots_follow_their_own_targets(world, two_robots):
         status.name for message in diagnostics for status in message.status})  # fmt: skip
 
 
-def test_a_target_of_the_other_robots_frame_is_refused(world, two_robots):
-    twin = two_robots["left", "twin"]
-    speaker = world.speaker(PointStamped, "/lab/left/twin/target/tip", NEWEST)
-    speaker.publish(world.target_message([0.0, 0.0, 0.12], frame_id="right/base_link"))
-    world.until(lambda: twin.loop.targets.refusals.total == 1)
-
-
 def test_the_twin_of_a_full_name_is_found_from_every_namespace(world):
     node = world.add(
         partial(TargetNode, cli_args=["--ros-args", "-r", "__ns:=/elsewhere"]),

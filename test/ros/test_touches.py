@@ -8,7 +8,6 @@ from geometry_msgs.msg import Point, PointStamped, Vector3, Wrench, WrenchStampe
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
-from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.ros.twin_node import TwinNode
 
 
@@ -71,17 +70,3 @@ def test_a_force_is_answered_with_a_displacement_and_its_place_with_the_force(wo
     places.publish(place_message(world, (math.nan,) * 3))
     world.until(lambda: not any(answers[-1].effort))
     assert not any(answers[-1].position)
-
-
-def test_a_force_beyond_its_limit_is_refused_counted_and_told(world, twin):
-    answers = world.hear(JointState, "/twin/touch/finger")
-    forces = world.speaker(WrenchStamped, "/twin/touch_force/finger")
-    forces.publish(force_message(world, 0.02))
-    world.until(lambda: answers and answers[-1].effort[1] == 0.02)
-    forces.publish(force_message(world, 5.0))
-    world.until(lambda: twin.loop.touches.refusals.of(Refusal.OUT_OF_RANGE) == 1)
-    wait_for(world, answers, 5)
-    assert answers[-1].effort[1] == 0.02
-    statuses = {status.name: status for status in twin.diagnostics.statuses(twin.monotonic())}
-    values = {pair.key: pair.value for pair in statuses["twin: touch"].values}
-    assert values["out_of_range"] == "1" and float(values["finger_force_n"]) == 0.02

@@ -9,9 +9,7 @@ from geometry_msgs.msg import PointStamped
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
-from rclpy.parameter import Parameter
 
-from softrobot_twin.ros.twin_node import TwinNode
 from softrobot_twin.simulation import Status
 
 PARTS = {"loop", "solver", "limits", "markers", "device", "target", "view", "graph", "calibration"}
@@ -201,17 +199,6 @@ def test_a_rate_that_is_changed_again_and_again_does_not_stop_the_ticks(
     # The next tick is due in a fiftieth of a second, not in ten.
     before = twin.tick_clock.ticks
     world.until(lambda: twin.tick_clock.ticks > before + 5, timeout=8.0)
-
-
-def test_statuses_carry_the_full_name_of_the_node(world, small_scene_file):
-    overrides = [Parameter("scene_file", value=str(small_scene_file))]
-    twin = TwinNode(context=world.context, namespace="/left/arm", parameter_overrides=overrides)
-    world.nodes.append(twin)
-    world.executor.add_node(twin)
-    messages = world.hear(DiagnosticArray, "/diagnostics")
-    world.until(lambda: messages)
-    names = {status.name for status in messages[-1].status}
-    assert names == {f"left/arm/twin: {part}" for part in PARTS}
 
 
 @pytest.mark.exhaustive

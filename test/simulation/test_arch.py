@@ -113,6 +113,7 @@ def galerkin_limit():
     return load.max() * np.pi / 4.0 / (DENSITY * area)
 
 
+@pytest.mark.exhaustive
 def test_the_arch_snaps_through_at_its_limit_load_and_not_before(arch):
     path = followed(arch(1.0, factorization_type=SuperLU))
     # A thickness of 1/50 of the span, and a uniform load for the sine's.

@@ -6,7 +6,6 @@ import pytest
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene.loading import scene_from_mapping
 from softrobot_twin.simulation import FollowTargets
-from softrobot_twin.simulation.step.inverse_with_friction import Grips
 from test.grasped_cube import SCENE_FILE, STEP, hand, lifted
 
 GRIP, LEAST = 0.020, 0.3
@@ -68,26 +67,6 @@ def test_the_target_is_missed_before_the_grip_falls_below_its_least_force():
     assert found[LEAST][0] > 0.2e-3 and found[LEAST][1] > 0.99 * LEAST
     assert not any("least_force" in limit for limit in found[None][2])
     assert "finger_1.cube.least_force" in found[LEAST][2]
-
-
-@pytest.mark.parametrize("least", [None, LEAST])
-def test_nothing_of_least_forces_is_built_or_computed_in_a_scene_without_any(least, monkeypatch):
-    called = set()
-
-    def noted(name):
-        inner = getattr(Grips, name)
-
-        def call(*args, **named):
-            called.add(name)
-            return inner(*args, **named)
-
-        return staticmethod(call) if name == "__new__" else call
-
-    for name in ("__new__", "rows", "sums", "met"):
-        monkeypatch.setattr(Grips, name, noted(name))
-    simulation = lifted(entries(least), GRIP, 70)
-    follow(simulation, simulation.effector_positions()[0] + [1e-3, 0.0, 0.0], 5)
-    assert called == ({"__new__", "rows", "sums", "met"} if least else set())
 
 
 def test_a_least_force_of_a_pair_without_friction_is_refused():

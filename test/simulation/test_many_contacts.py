@@ -66,6 +66,7 @@ def obeys_signorini_and_coulomb(simulation, result, friction):
     assert contacts.gaps(simulation.state.positions).min() > -2.0 * TOLERANCE
 
 
+@pytest.mark.exhaustive
 def test_two_hundred_contacts_press_on_the_facets_of_a_soft_block(
     scene_of, write_block, studded_slab
 ):

@@ -11,7 +11,6 @@ from softrobot_twin.scene import load_scene, scene_from_mapping
 from softrobot_twin.scene.scene_parameters import changed_scene
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
 from softrobot_twin.simulation.mounting import MountingError, prestress
-from softrobot_twin.study.explain import explain
 from test.scene_changes import repeat_step
 
 SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
@@ -193,16 +192,6 @@ def test_a_strip_that_cannot_be_bent_so_is_refused_with_the_stage():
     assert caught.value.simulation.state.positions.shape[1] == 3
 
 
-def test_explain_draws_how_far_a_mounting_came_that_fails(tmp_path):
-    pytest.importorskip("matplotlib")
-    mapping = yaml.safe_load(STRIP) | {"mounting": [move((1.0e5, 0.0, 0.0), (1.0, 1.0, 1.0), steps=1)]}
-    scene, picture = tmp_path / "strip.yaml", tmp_path / "strip.png"
-    scene.write_text(yaml.safe_dump(mapping))
-    with pytest.raises(MountingError, match="explain --picture"):
-        explain(scene, picture=picture)
-    assert picture.stat().st_size > 5_000
-
-
 @pytest.mark.parametrize("stage, message", [
     ({}, "moves nothing"),
     ({"bodies": [{"body": "clmap", "translation": [0.0, 0.0, 0.0]}]}, "clmap.*clamp"),
@@ -255,11 +244,11 @@ def test_the_points_at_which_its_makers_measured_it_are_reached():
 
 
 @pytest.mark.exhaustive
-def test_two_hundred_reachable_poses_are_reached():
+def test_sixty_reachable_poses_are_reached():
     seed = np.random.SeedSequence().entropy % 2**32
     print("seed", seed)
     rng, simulation = np.random.default_rng(seed), Simulation(emio(), with_warnings=False)
-    for _ in range(200):
+    for _ in range(60):
         simulation.reset()
         aim = rng.uniform(-1.1, 1.7, 4)
         for share in np.linspace(0.2, 1.0, 5):

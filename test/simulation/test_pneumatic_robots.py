@@ -172,6 +172,7 @@ def chamber(number, pressure):
     return pressure * np.eye(4)[number]
 
 
+@pytest.mark.exhaustive
 def test_four_chambers_bend_the_segment_by_quarters_of_a_turn():
     segment = robot("segment")
     tips = []
@@ -194,6 +195,7 @@ def test_all_chambers_lengthen_the_segment_and_keep_it_straight():
     assert np.abs(tip[:2]).max() < 1e-7 and 11.5e-3 < rest[2] - tip[2] < 13e-3
 
 
+@pytest.mark.exhaustive
 def test_hoops_more_than_double_the_bending_and_keep_the_wall_from_bulging():
     bare = changed({"fibres": LEFT_OUT})
     tips, growths = [], []

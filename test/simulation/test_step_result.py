@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation
+from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation
 from softrobot_twin.simulation.apparent_compliance import EffectorCompliance
-from softrobot_twin.simulation.step.step_report import StepResults
 
 SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
 
@@ -44,19 +43,6 @@ def test_a_result_that_is_read_later_tells_the_same(name):
         EffectorCompliance(simulation).at_state()
     simulation.reset()
     assert [told_by(result) for result in later] == at_once
-
-
-def test_a_result_that_nobody_keeps_is_never_made(monkeypatch):
-    simulation = Simulation.from_scene_file(SCENES / "cantilever.yaml")
-    made, of_step = [], StepResults.of_step
-    monkeypatch.setattr(StepResults, "of_step", lambda *given: made.append(1) or of_step(*given))
-    simulation.step(Hold(0.02))
-    simulation.step(Hold(0.02))
-    assert not made
-    kept = list(steps_of(simulation, 3))
-    assert len(made) == 2
-    assert kept[-1].status is not None
-    assert len(made) == 3
 
 
 def test_a_result_can_be_sent_to_another_process_before_it_is_read():

@@ -134,6 +134,7 @@ def test_a_body_that_saw_loads_follows_them(trained, column, call, tmp_path):
     assert np.linalg.norm(seen - truth) < 0.03 * np.linalg.norm(truth - start)
 
 
+@pytest.mark.exhaustive
 def test_a_wanted_error_is_met_by_adding_where_it_is_worst(column, call, tmp_path, monkeypatch):
     for name, value in (("FIRST_SNAPSHOTS", 8), ("CANDIDATES", 16), ("ADDED", 8), ("JUDGES", 8)):
         monkeypatch.setattr(body_training, name, value)

@@ -133,6 +133,7 @@ def test_derivatives_are_those_of_differences(bar, keys):
     assert_derivatives(turned, poses, keys)
 
 
+@pytest.mark.exhaustive
 def test_derivatives_by_gain_and_zero_of_a_regulator_are_those_of_differences():
     scene = load_scene(SCENES / "segment.yaml", {"cavities[1].pressure_gain": 0.95,
                                                  "cavities[1].pressure_offset": 200.0})  # fmt: skip

@@ -118,14 +118,6 @@ def test_a_state_of_either_model_can_be_restored(falling):
     assert not simulation.falls_back
 
 
-def test_nothing_is_built_or_looked_at_without_a_fallback(half_trained):
-    simulation = Simulation(load_scene(half_trained), with_warnings=False)
-    result = wind(simulation, np.full(4, 0.002), CHECK_EVERY + 1)[-1]
-    assert fallback_of(simulation) is None
-    assert "fallback" not in result.report.stage_times
-    assert "fallback" not in simulation.model.stages
-
-
 def test_the_other_model_is_looked_at_every_few_steps(falling, monkeypatch):
     simulation, _ = falling
     simulation.reset()
