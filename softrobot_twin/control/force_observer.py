@@ -28,7 +28,7 @@ from scipy.special import gammaincinv
 
 from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.control.loop_timing import NANOSECONDS
-from softrobot_twin.control.marker_checks import GREATEST_MISFIT
+from softrobot_twin.control.marker_checks import FARTHEST_MISFIT
 from softrobot_twin.control.model_history import Moment
 from softrobot_twin.simulation import CommandSetpoints, Hold, Simulation, State
 from softrobot_twin.simulation.command import LONG
@@ -397,7 +397,7 @@ class ForceObserver:
         far = np.sort(np.linalg.norm(y.reshape(-1, 3), axis=1)[seen > 0.0])
         R, G = own + (DOUBT * far[len(far) // 2]) ** 2, self.by_loads
         belief, is_certain = self._support(y, noise, own, R, seen)
-        most = GREATEST_MISFIT * self._size
+        most = FARTHEST_MISFIT * self._size
         most = most if is_certain else min(limit, most)
         moved = self._means @ (G @ loads).reshape(-1, 3)
         furthest = np.linalg.norm(moved, axis=1).max(initial=0.0)
