@@ -12,7 +12,8 @@ once does not walk: where what the markers tell is far off the prediction, P beg
 
 The model bears as much of a force as markers support. What moves all markers as the actuators would is
 no force, but a robot that is not where it was sent, or markers that lie. What may be either moves the
-effectors by a limit at most. A force without support decays.
+effectors by a limit at most, and the correction of targets takes it over: the misfit is integrated once,
+by the law that holds without an observer. A force without support decays.
 
 An unknown place is the point of the surface at which a pushing force explains the markers best. What
 the model itself is off does not vanish by averaging: it is carried to the deviations of the forces.
@@ -50,8 +51,8 @@ KEPT = 0.95
 """After each measurement so much is left of the weight of those before, where a place is looked for."""
 NOTICEABLE, CALM, CHANGED = 0.25, 0.1, 3.0
 """The model bears a changed force when it is off by this share of its deviation, or goes a part of a
-long way towards it. By how many deviations a change must be more than noise; of others each measurement
-adds this share, as to the correction of a target that stands."""
+long way towards it. By how many deviations a change must be more than noise in the second after a sudden
+one; of others each measurement adds this share, as to the correction of a target that stands."""
 DOUBT = 0.1
 """A linearization may be wrong by this share of how far the markers are from the model."""
 UNSETTLED = 0.3
@@ -100,7 +101,9 @@ class ForceObserver:
         stamp: Time of the last measurement [ns].
         settled: The model where the last measurement was, if steps there have found a large change.
         is_settling: Whether forces have changed so much that they are not yet known.
-        faded: How far what `update` or `fade` let decay moved the markers [m], shape (marker_count, 3).
+        handed_over: How much further forces move the markers since the last `update` or `fade`, but for what
+            is certain to be a sudden force: the correction of targets takes that over, so that no command
+            changes [m], shape (marker_count, 3).
         is_blind: Whether the tangent of the last look was indefinite: measurements are not used then.
         belief: The share of the forces that markers support, 0 to 1.
         by_loads: Their motion by each number of the loads, shape (3 marker_count, load_count).
@@ -132,19 +135,20 @@ class ForceObserver:
     def reset(self) -> None:
         """Forgets all forces."""
         count = len(self._simulation.marker_ids)
-        self.found, self.is_settling = ObservedForces.none(len(self._places)), False
-        self.is_blind = False
+        self.found, self._still = ObservedForces.none(len(self._places)), 0.0
+        self.is_settling = self.is_blind = self._is_sure = False
         self.lag = np.zeros((count, 3))
         self.by_loads = np.zeros((3 * count, len(self._arms)))
         self._by_actuators = np.zeros((3 * count, 0))
         self.belief, self._blind_for = 0.0, 0.0
         self._loads = np.zeros(len(self._arms))
         self._covariance = self._prior
-        self.stamp, self._moved, self.faded = 0, 0.0, np.zeros((count, 3))
+        self.stamp, self._moved, self.handed_over = 0, 0.0, np.zeros((count, 3))
         self.settled: State | None = None
         # Mean of what markers are beside the model, and how many measurements it is of.
         self._mean, self._counts = np.zeros((count, 3)), np.zeros(count)
-        self._followed, self._still = -math.inf, 0.0
+        # When a change was followed by steps, and when forces began anew; one may be sure since.
+        self._followed = self._begun = -math.inf
 
     def look(self) -> None:
         """Finds what forces do to the markers where the last step ended. Called after each step."""
@@ -165,7 +169,7 @@ class ForceObserver:
             measured: What else steps are to bear.
         """
         self.look()
-        for _ in range(BALANCES if self._is_following else 0):
+        for _ in range(BALANCES if self.stamp - self._followed < NANOSECONDS else 0):
             if np.abs(self.lag).max() < self._still:
                 break
             if self._simulation.step(Hold(), None, [self.found, *measured]).status.is_failure:
@@ -181,11 +185,6 @@ class ForceObserver:
         """
         return Moment(markers + self.lag, effectors, self.loads, self.by_loads,
                       setpoints=self._simulation.state.setpoints)  # fmt: skip
-
-    @property
-    def _is_following(self) -> bool:
-        """Whether the last large change is less than a second ago."""
-        return self.stamp - self._followed < NANOSECONDS
 
     @property
     def places(self) -> np.ndarray:
@@ -238,11 +237,6 @@ class ForceObserver:
         return model._replace(markers=model.markers + shifts)
 
     @property
-    def load_count(self) -> int:
-        """Numbers of all loads."""
-        return len(self._arms)
-
-    @property
     def shifts(self) -> np.ndarray:
         """How far the forces that the model bears move the markers [m], shape (marker_count, 3)."""
         return (self.by_loads @ self.loads).reshape(-1, 3)
@@ -269,7 +263,7 @@ class ForceObserver:
             than `under_loads` tells: at another place, or far off.
         """
         since, self.stamp, self.settled = (stamp - self.stamp) / NANOSECONDS, stamp, None
-        self.faded[:] = 0.0
+        self.handed_over[:] = 0.0
         if since == 0.0:
             return None
         since, seen = min(abs(since), 1.0), int(np.isfinite(markers).all(axis=1).sum())
@@ -296,7 +290,7 @@ class ForceObserver:
             duration: Time that has passed [s].
         """
         share, found, before = math.exp(-duration / FADES), self.found, self.shifts
-        self.faded[:] = 0.0
+        self.handed_over[:] = 0.0
         if not found.is_any:
             return
         self.belief *= share
@@ -307,7 +301,7 @@ class ForceObserver:
             is_detected=np.zeros_like(found.is_detected))  # fmt: skip
         self._loads, self._covariance = self.loads, self._prior
         self._counts[:], self.is_settling = 0.0, False
-        self.faded[:] = before - self.shifts
+        self.handed_over[:] = self.shifts - before
 
     def _settle(
         self, markers: np.ndarray, model: Moment, noise: float, measured: tuple, limit: float
@@ -358,6 +352,8 @@ class ForceObserver:
             return False
         if self._notice(borne + beside.ravel(), sum(R), seen.astype(float)):
             self._counts[:] = 0.0
+        if not self._counts.any():
+            self._begun, self._is_sure = self.stamp, False
         self._counts = KEPT * self._counts + seen
         self._mean += (seen / np.maximum(self._counts, 1.0))[:, None] * (beside - self._mean)
         has_moved = self._find(borne + self._mean.ravel(), *R)
@@ -397,8 +393,8 @@ class ForceObserver:
         far = np.sort(np.linalg.norm(y.reshape(-1, 3), axis=1)[seen > 0.0])
         R, G = own + (DOUBT * far[len(far) // 2]) ** 2, self.by_loads
         belief, is_certain = self._support(y, noise, own, R, seen)
-        most = FARTHEST_MISFIT * self._size
-        most = most if is_certain else min(limit, most)
+        self._is_sure |= is_certain
+        most = min(math.inf if is_certain else limit, FARTHEST_MISFIT * self._size)
         moved = self._means @ (G @ loads).reshape(-1, 3)
         furthest = np.linalg.norm(moved, axis=1).max(initial=0.0)
         allowed = min(belief, most / max(furthest, np.finfo(float).tiny)) * loads
@@ -470,10 +466,13 @@ class ForceObserver:
             is_detected[place] &= self.belief > 0.0
         least = NOTICEABLE * np.sqrt(by_noise.diagonal())
         changes = np.abs(allowed - given)
-        if self.is_settling or (NOTICEABLE * changes > CHANGED * least).any():
+        is_new = self.stamp - self._begun < NANOSECONDS
+        if self.is_settling or (is_new and (NOTICEABLE * changes > CHANGED * least).any()):
             given = allowed
         elif (changes > least).any():
             given = given + CALM * (allowed - given)
+        if not (self.is_settling or (is_new and self._is_sure)):
+            self.handed_over += (self.by_loads @ (given - self.loads)).reshape(-1, 3)
         wrenches, spreads = np.zeros((2, len(self._places), 6))
         for place, own in enumerate(self._own):
             count = self._places[place].dimension

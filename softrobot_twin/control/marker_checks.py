@@ -79,7 +79,8 @@ class MarkerPlausibility:
         self._accepted_at = np.zeros(count)
         self._out_since = np.full(count, np.nan)
         self._seen_at = np.zeros(count)
-        self._out = np.zeros(count, dtype=bool)
+        self._out, self._repeats = np.zeros((2, count), dtype=bool)
+        self._measured = np.full((count, 3), np.nan)
         self.left_out: tuple[int, ...] = ()
         self.noise = _FIRST_NOISE_SHARE * self._size
         self._frames = 0
@@ -97,7 +98,7 @@ class MarkerPlausibility:
 
     def judge(
         self, misfits: np.ndarray | None, stamp: int, follows_robot: bool,
-        bare: np.ndarray | None = None,
+        bare: np.ndarray | None = None, measured: np.ndarray | None = None,
     ) -> None:  # fmt: skip
         """Judges a frame, if it is new.
 
@@ -108,6 +109,8 @@ class MarkerPlausibility:
             follows_robot: Whether the model is where the robot is; else no misfit is expected.
             bare: The same by the model without what an observer found, where `misfits` are by the model
                 that bears it, same shape: a marker may be near either.
+            measured: Measured positions [m], same shape: one that is that of the frame before, to the bit,
+                tells nothing about noise.
         """
         if not follows_robot:
             if self._stamp:
@@ -122,6 +125,8 @@ class MarkerPlausibility:
         if stamp < self._stamp:
             self.forget()
         self._stamp = stamp
+        if measured is not None:
+            self._repeats, self._measured = (measured == self._measured).all(axis=1), measured
         self._judge(misfits, bare, seen, stamp / NANOSECONDS)
 
     def _judge(
@@ -141,7 +146,7 @@ class MarkerPlausibility:
         in_company = votes > 2
         deviations = np.where(in_company, apart, np.where(known, as_seen, np.nan))
         if self._frames < _FIRST_FRAMES:
-            self._learn_noise(deviations[seen & in_company])
+            self._learn_noise(deviations[seen & in_company & ~self._repeats])
         noise = NOISE_FACTOR * self.noise
         tolerance = noise + JUMP_SHARE * self._size
         with np.errstate(invalid="ignore"):
@@ -162,7 +167,7 @@ class MarkerPlausibility:
         self._out_since = np.where(accepted, np.nan, self._out_since)
         self._out_since[self._out & np.isnan(self._out_since)] = now
         if self._frames >= _FIRST_FRAMES:
-            self._learn_noise(deviations[accepted])
+            self._learn_noise(deviations[accepted & ~self._repeats])
         self._seen_at[seen] = now
         self._learn(misfits, accepted, known, now)
 

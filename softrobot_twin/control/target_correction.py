@@ -34,7 +34,7 @@ to twice as far as the model."""
 CALM_FACTOR, CALM_LEAST = 0.9, 0.1
 """At a target that stands, each change that may be noise makes this share smaller by a factor, down to
 a least one, so that noise moves a resting robot little."""
-NOISE_FACTOR = 3.0
+NOISE_FACTOR = 4.0
 """A change up to so many standard deviations may be noise."""
 UNALIGNED_TIME = 1.0
 """The integrator takes over when no measurement fitted to a moment of the model for this time [s]."""
@@ -413,14 +413,6 @@ class TargetCorrection:
             self.update(
                 errors, abs(since), status, settings.correction_gain, settings.correction_limit
             )
-
-    def take_over(self, faded: np.ndarray) -> None:
-        """Corrects what a force does no more that decayed without a measurement: no command changes.
-
-        Args:
-            faded: How far that force moved the effectors [m], shape (effector_count, 3).
-        """
-        self.offsets -= faded
 
     def share_limit(self, loaded: np.ndarray, limit: float) -> None:
         """Makes corrections so short that they and the forces of an observer together keep the limit.

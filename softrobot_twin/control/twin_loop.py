@@ -397,7 +397,7 @@ class TwinLoop:
         self._history = ModelHistory(
             limits.travel(limits.drive_scale), len(simulation.marker_ids),
             len(simulation.effector_names),
-            load_count=0 if self.observer is None else self.observer.load_count)
+            load_count=0 if self.observer is None else len(self.observer.loads))
         self._plausibility = MarkerPlausibility(simulation)
         self._is_lost = False
         self._aimed = self._no_targets.targets
@@ -991,25 +991,23 @@ class TwinLoop:
         stamp = self.markers.stamp
         if seen is self.markers.hidden:
             self.observer.fade(self.settings.period)
-            self._take_over(activity)
         elif self._history.is_any and self.observer.is_new(stamp):
             model = self._executed(stamp) or self._history.at(stamp)
             accepted = self._plausibility.without_left_out(seen)
             loaded = self.observer.update(
                 accepted, model, self._plausibility.noise, stamp, felt,
                 self.settings.correction_limit, len(self._plausibility.left_out))
-            self._take_over(activity)
             if loaded is not None:
                 self._history.load_otherwise(model, loaded)
             if (settled := self.observer.settled) is not None:
                 # The robot is there already, but for what it was commanded since.
                 self.simulation.restore(replace(self.simulation.state, positions=settled.positions,
                                                 efforts=settled.efforts))  # fmt: skip
-
-    def _take_over(self, activity: Activity) -> None:
-        """Lets the correction do what a force did that decayed because no marker supports it."""
-        if self.settings.closed_loop and activity is Activity.FOLLOWING and self.observer.faded.any():
-            self.correction.take_over(self.measurement.moved(self.observer.faded))
+        else:
+            return
+        if self.settings.closed_loop and activity is Activity.FOLLOWING:
+            # The command stays what it is, until the correction sees that it should not.
+            self.correction.offsets += self.measurement.moved(self.observer.handed_over)
 
     def _executed(self, stamp: int) -> Moment | None:
         """The model at the command that the robot executed at a time [ns]; None where unknown."""
@@ -1035,7 +1033,7 @@ class TwinLoop:
         if self.observer is not None:
             # What the observer found may be imagined.
             bare = seen - expected + (model.by_loads @ model.loads).reshape(-1, 3)
-        self._plausibility.judge(seen - expected, stamp, follows, bare)
+        self._plausibility.judge(seen - expected, stamp, follows, bare, seen)
         measured = self._plausibility.without_left_out(seen)
         return measured, self.markers.misfit(measured, expected)
 

@@ -186,6 +186,15 @@ def test_a_marker_that_slipped_by_a_distance_that_a_rotation_explains_is_accepte
     assert frames.show(50, added=slipped) == set()
 
 
+def test_a_frame_that_repeats_tells_nothing_about_noise(simulation):
+    frames = Frames(simulation)
+    frames.show(40)
+    noise = frames.judge.noise
+    for time in frames.time + PERIOD * np.arange(1, 40):
+        frames.judge.judge(frames.honest, round(time * NANOSECONDS), True, None, frames.places)
+    assert frames.judge.noise > 0.8 * noise
+
+
 def test_a_clock_that_was_set_back_restarts_the_checks(simulation):
     frames = Frames(simulation)
     frames.show(100)
