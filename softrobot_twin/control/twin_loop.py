@@ -1005,7 +1005,7 @@ class TwinLoop:
                                                 efforts=settled.efforts))  # fmt: skip
         else:
             return
-        if self.settings.closed_loop and activity is Activity.FOLLOWING:
+        if self.settings.closed_loop and activity is Activity.FOLLOWING and self.observer.handed_over.any():
             # The command stays what it is, until the correction sees that it should not.
             self.correction.offsets += self.measurement.moved(self.observer.handed_over)
 
