@@ -140,7 +140,10 @@ def ship(work: Sequence[Job]) -> None:
         for name in sorted({name for names, _ in found for name in names}):
             # The same entries make the same archive.
             archive.writestr(ZipInfo(name), (kernel_folder() / name).read_bytes(), ZIP_LZMA)
-    scenes = [kernels for _, kernels in found if kernels is not None]
+    # What is the same for several scenes is written once.
+    same: dict = {}
+    scenes = [kernels._replace(kernels=tuple(same.setdefault(call, call) for call in kernels.kernels))
+              for _, kernels in found if kernels is not None]  # fmt: skip
     LIST.write_bytes(lzma.compress(pickle.dumps(scenes)))
     for path in (SHIPPED, LIST):
         print(f"wrote {path.relative_to(ROOT)}, {path.stat().st_size / 1e6:.1f} MB")
