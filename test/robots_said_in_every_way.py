@@ -149,7 +149,7 @@ def bar(draw: Random, _: Path) -> DrawnRobot:
     def solid(element: str, across: int) -> Way:
         mesh = {"box": {"size": [length, side, side], "cells": [round(slenderness) * across, across, across]}}
         return _loaded(f"{element} {across} across", _SOLID[element],
-                       {"body": _clamped(mesh, element, material, length)}, force, lever, volume,
+                       {"body": _clamped(mesh, element, material, length, strain)}, force, lever, volume,
                        [length, side / 2, side / 2])  # fmt: skip
 
     axis = [[0, side / 2, side / 2], [length, side / 2, side / 2]]
@@ -174,13 +174,13 @@ def tube(draw: Random, _: Path) -> DrawnRobot:
     def solid(element: str, around: int) -> Way:
         mesh = _mesh_of(*tube_mesh(radius, wall, length, around), element)
         return _loaded(f"{element} {around} around", _SOLID[element],
-                       {"body": _clamped(mesh, element, material, length)}, force, lever,
+                       {"body": _clamped(mesh, element, material, length, strain)}, force, lever,
                        area * length, [length, 0.0, 0.0])  # fmt: skip
 
     section = {"tube": {"radius": radius, "wall": wall}}
     beams = [_beam([[0, 0, 0], [length, 0, 0]], count, section, material, force, lever, area * length)
              for count in (draw.randint(4, 10), draw.randint(16, 40))]  # fmt: skip
-    ways = [solid("quadratic", 12), *beams, solid("hexahedral", 12), solid("hexahedral", 16),
+    ways = [solid("quadratic", 12), *beams, solid("hexahedral", draw.choice((12, 16))),
             solid("smoothed", 12), solid("linear", 12)]  # fmt: skip
     return DrawnRobot(f"tube {load}, {_words(length, material)}, strain {strain:.2g}", ways)
 
@@ -201,11 +201,16 @@ def _end_load(load, material, area, inertia, length, depth, strain, draw) -> tup
     return bent * np.array([0.0, math.cos(turn), math.sin(turn)]), 0.0
 
 
-def _clamped(mesh, element, material, length) -> dict[str, Any]:
-    """A body that is held at x = 0 and carries the plate at x = length."""
+def _clamped(mesh, element, material, length, strain=0.0) -> dict[str, Any]:
+    """A body that is held at x = 0 and carries the plate at x = length.
+
+    Patches resist changes of J. Elements by the corotational law resist those of tr S, which are others
+    where strains are large: by 16 % of the length that a bar of ν 0.3 gains by 46 %.
+    """
     near, far = 1.0e-6 * length, 10.0 * length
     return {
         "mesh": mesh, "element": element, "material": material,
+        "volume": "patches" if element == "smoothed" and strain < 0.2 else "per_element",
         "fixed": {"box": {"minimum": [-far] * 3, "maximum": [near, far, far]}},
         "attached": [{"to": "plate", "box": {"minimum": [length - near, -far, -far], "maximum": [far] * 3}}],
     }  # fmt: skip
@@ -260,7 +265,7 @@ def tie(draw: Random, _: Path) -> DrawnRobot:
 
     spring = {"name": "line", "ends": [{"point": above}, {"on": "plate", "point": tip}], "stiffness": stiffness}
     cable = {"name": "line", "body": "plate", "pull_point": above, "points": [tip],
-             "axial_stiffness": stiffness * line}  # fmt: skip
+             "shortening": [0.0, 0.0], "axial_stiffness": stiffness * line}  # fmt: skip
     thread = {"name": "line", "points": [above, tip], "elements": draw.randint(2, 20), "fixed": "start",
               "section": {"circle": {"radius": radius}}, "joined": {"at": "end", "to": "plate", "by": "ball"},
               "material": {"young_modulus": stiffness * line / (math.pi * radius**2), "poisson_ratio": 0.3,
@@ -321,12 +326,11 @@ def thread(draw: Random, _: Path) -> DrawnRobot:
 def rope(draw: Random, _: Path) -> DrawnRobot:
     """A rope between two points, which hangs down by its weight; its sag is compared."""
     length, modulus, angle = _length(draw), _modulus(draw), draw.uniform(1.2, 2.4)
-    radius, parts = length / draw.choice((300.0, 1000.0)), 24
+    radius, parts, middle = length / draw.choice((300.0, 1000.0)), 24, 12
     area = math.pi * radius**2
     gravity = 10.0 ** draw.uniform(-4.0, -2.0) * modulus / (DENSITY * length)
     turns = np.linspace(-angle / 2, angle / 2, parts + 1)
     arc = length / angle * np.stack([np.sin(turns), np.zeros_like(turns), -np.cos(turns)], axis=1)
-    middle = parts // 2
     solver = {"newton_iterations": 100,
               "residual_tolerance": _BALANCED * DENSITY * area * length * gravity}  # fmt: skip
 
@@ -409,7 +413,7 @@ def _press(size, cells, element, material) -> st.Robot:
 
 def balloon(draw: Random, folder: Path) -> DrawnRobot:
     """A box with a chamber whose surface file has many triangles or twelve; the growth is compared."""
-    strain, outer = _strain(draw), np.array([draw.randint(5, 9), 4, 4])
+    strain, outer = _strain(draw), np.array([draw.randint(5, 7), 4, 4])
     side, material = _length(draw), _material(draw, _law(strain, draw), (0.3, 0.48))
     pressure, cell, far = 0.3 * strain * material["young_modulus"], side / outer[0], 10.0 * side
 
@@ -435,8 +439,7 @@ def balloon(draw: Random, folder: Path) -> DrawnRobot:
 
         return Way(f"{element}, {parts} parts a cell", _SOLID[element], answer)
 
-    ways = [way("quadratic", 2), way("quadratic", 1), way("quadratic", 0), way("hexahedral", 0),
-            way("smoothed", 0)]  # fmt: skip
+    ways = [way("quadratic", 1), way("quadratic", 0), way("hexahedral", 0), way("smoothed", 0)]
     return DrawnRobot(f"balloon, {_words(side, material)}, {0.3 * strain:.2g} E", ways)
 
 

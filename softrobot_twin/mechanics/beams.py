@@ -10,7 +10,7 @@ times the length, of the helix that leads from A to B. So they are the same for 
 moved as a rigid body, and they do not depend on the path to a pose. Between the ends the axis leaves
 the helix: a lateral force bends it to an S that leaves the ends by the angle φ of t to their mean, and whose length is
 
-    ℓ = t₁ + w (|t| - t₁),    w = 6/5 min(1, r/0.9),
+    ℓ = t₁ + w (|t| - t₁),    w = 6/5 min(1, r/0.9), and 0.9 at least,
 
 with r the share of bending, not shear, in t₂ or t₃. With c = t₁/|t| = cos φ, v = (1 + c)/2 and
 
@@ -40,6 +40,9 @@ k² = N L²/EI, and 12 EI/L³ + 6 N/5 L differs from it by k⁴/8400 of 12 EI/L�
 the chord, r > 3/4, a thread without bending stiffness stretches by N/EA at every tension, however its nodes
 are turned. With t₁ in place of ℓ, elements would fold sideways where N > 12 EI/L². In compression
 an element bows by itself at N = -10 EI/L²; U has no pole there, and a bowed element has its energy.
+An element that is shorter than it is thick, r near 0, does not shear aside in tension if
+N (1 - w) < (1 - r) κGA (1 + N/EA): with w ≥ 0.9 sections that are not hollow reach 13 EA at least.
+With w = 0 elements shear aside by turns at 0.4 to 0.7 EA, which a solid never does.
 
 An end is a constant pose in a frame: that of the beam's own node, or of a rigid body to which it is
 joined. Forces and stiffness are those of the ends,
@@ -121,7 +124,7 @@ from softrobot_twin.mechanics.stencil import add_stencil_matrix, of_frames
 # step makes one [rad]: at π the logarithm has a jump.
 GREATEST_TURN = 0.9 * np.pi
 # Share of bending from which on an element counts as slender; below, shear takes part in an S.
-_SLENDER = 0.9
+_SLENDER, _LEAST_WEIGHT = 0.9, 0.9
 # A length of zero [m], and v of an element whose ends point back along its chord.
 _SHORTEST, _REVERSED = 1.0e-30, 1.0e-6
 # Squared angle [rad²] up to which the series is used: its terms left out are below round-off.
@@ -191,7 +194,7 @@ def axis_weights(rest, stiffness) -> np.ndarray:
         Shape (element_count,).
     """
     shares = stiffness[:, 1:3] * rest[:, :1] ** 2 / (12.0 * stiffness[:, [5, 4]])
-    return 1.2 * np.minimum(shares.max(axis=1, initial=0.0) / _SLENDER, 1.0)
+    return np.clip(1.2 / _SLENDER * shares.max(axis=1, initial=0.0), _LEAST_WEIGHT, 1.2)
 
 
 @njit(**KERNEL, forceinline=True)
