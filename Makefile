@@ -21,12 +21,13 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 PYTEST := PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 $(VENV)/bin/python -m pytest \
 	-p pytest_timeout --timeout 300
 PYTEST_OLDEST := $(subst $(VENV)/,$(OLDEST)/,$(PYTEST))
-# The demo and a live viewer use both cores, so their tests run alone. All others run in parallel.
+# The demo and a live viewer are timed, so their tests do not run beside two others.
 AGAINST_THE_CLOCK := test/ros/test_demo.py test/view/test_live_viewer.py
 FEW := test/test_library_names.py test/test_compilation.py \
 	test/scripting/test_robot.py::test_after_reset_the_same_steps_follow_to_the_bit
-# Each process begins with half of the tests, in order, and takes some of the other's when it is done.
-SHARED := -p xdist -n 2 --dist worksteal $(addprefix --ignore ,$(AGAINST_THE_CLOCK))
+# Each process begins with a third of the tests, in order, and takes some of the others' when it is done.
+# There is one more than cores: the tests over ROS wait for two thirds of their time.
+SHARED := -p xdist -n 3 --dist worksteal $(addprefix --ignore ,$(AGAINST_THE_CLOCK))
 
 .DEFAULT_GOAL := help
 # Also with make -j: both test runs start ROS nodes and use all cores.
@@ -69,8 +70,8 @@ kernels: setup ## compile the kernels of all scenes and of usual combinations, o
 # compiled, and a robot steps. What else depends on them needs kernels compiled by the oldest numba.
 test: setup-both types kernels ## run the tests that every change must pass: about 8 minutes, 12 from a clean clone
 	$(PYTEST) $(SHARED) -m "not exhaustive" $(PYTEST_ARGUMENTS)
-	$(PYTEST) $(AGAINST_THE_CLOCK) -m "not exhaustive" $(PYTEST_ARGUMENTS)
-	$(PYTEST_OLDEST) $(FEW) -m "not exhaustive" $(PYTEST_ARGUMENTS)
+	@$(PYTEST) $(AGAINST_THE_CLOCK) -m "not exhaustive" $(PYTEST_ARGUMENTS) & clock=$$!; \
+	$(PYTEST_OLDEST) $(FEW) -m "not exhaustive" $(PYTEST_ARGUMENTS); few=$$?; wait $$clock && exit $$few
 
 test-all: test test-rest ## run all tests
 

@@ -186,7 +186,8 @@ def fake_clock(scene, rate, iterations):
 
 
 def test_choose_writes_a_scene_that_loads_and_runs(family, study, tmp_path, capsys):
-    write_rows(tmp_path / "rows.csv", study.rows)
+    # Rows of a machine that other programs keep busy would be left out as much too slow.
+    write_rows(tmp_path / "rows.csv", [replace(row, step_ms=1.0) for row in study.rows])
     written = tmp_path / "chosen.yaml"
     assert choose(family, 500.0, tmp_path / "rows.csv", written, fake_clock) == 0
     scene = load_scene(written)
