@@ -144,11 +144,11 @@ def bar(draw: Random, _: Path) -> DrawnRobot:
     length, strain, material = _length(draw), _strain(draw), _material(draw, "corotational", (0.0, 0.3))
     side = length / slenderness
     volume = side**2 * length
-    force, lever = _end_load(load, material, side**2, side**4 / 12.0, length, side, strain, draw)
+    force, lever, press = _end_load(load, material, side**2, side**4 / 12.0, length, side, strain, draw)
 
     def solid(element: str, across: int) -> Way:
         mesh = {"box": {"size": [length, side, side], "cells": [round(slenderness) * across, across, across]}}
-        return _loaded(f"{element} {across} across", _SOLID[element],
+        return _loaded(f"{element} {across} across", _amplified(_SOLID[element], press),
                        {"body": _clamped(mesh, element, material, length, strain)}, force, lever, volume,
                        [length, side / 2, side / 2])  # fmt: skip
 
@@ -169,7 +169,7 @@ def tube(draw: Random, _: Path) -> DrawnRobot:
     wall = draw.uniform(0.3, 0.6) * radius
     area = math.pi * (radius**2 - (radius - wall) ** 2)
     inertia = math.pi / 4.0 * (radius**4 - (radius - wall) ** 4)
-    force, lever = _end_load(load, material, area, inertia, length, 2 * radius, strain, draw)
+    force, lever, _ = _end_load(load, material, area, inertia, length, 2 * radius, strain, draw)
 
     def solid(element: str, around: int) -> Way:
         mesh = _mesh_of(*tube_mesh(radius, wall, length, around), element)
@@ -185,20 +185,25 @@ def tube(draw: Random, _: Path) -> DrawnRobot:
     return DrawnRobot(f"tube {load}, {_words(length, material)}, strain {strain:.2g}", ways)
 
 
-def _end_load(load, material, area, inertia, length, depth, strain, draw) -> tuple[np.ndarray, float]:
-    """Force [N] on the plate, and how far beside the axis it acts [m]."""
+def _end_load(load, material, area, inertia, length, depth, strain, draw) -> tuple[np.ndarray, float, float]:
+    """Force [N] on the plate, how far beside the axis it acts [m], and its share of the critical load."""
     aside = material["young_modulus"] * inertia / length**2
     # By this force the clamped end is strained as far as drawn, or the bar bends as far as it may.
     bent = min(2.0 * strain * length / depth, 1.5) * aside
     if load == "pulled":
-        return np.array([strain * material["young_modulus"] * area, 0.1 * aside, 0.0]), 0.0
+        return np.array([strain * material["young_modulus"] * area, 0.1 * aside, 0.0]), 0.0, 0.0
     if load == "pressed":
-        critical = 0.25 * math.pi**2 * aside
-        return np.array([-draw.uniform(0.1, 0.6) * critical, 0.05 * aside, 0.1 * aside]), 0.0
+        press = draw.uniform(0.1, 0.6)
+        return aside * np.array([-0.25 * math.pi**2 * press, 0.05, 0.1]), 0.0, press
     if load == "twisted":
-        return np.array([0.0, 0.0, 0.2 * bent]), length
+        return np.array([0.0, 0.0, 0.2 * bent]), length, 0.0
     turn = draw.uniform(0.0, 2.0 * math.pi)
-    return bent * np.array([0.0, math.cos(turn), math.sin(turn)]), 0.0
+    return bent * np.array([0.0, math.cos(turn), math.sin(turn)]), 0.0, 0.0
+
+
+def _amplified(error, press) -> tuple[float, float]:
+    """Errors of a pressed deflection, by those of the compliance c: c / (1 - c press) amplifies it."""
+    return tuple(abs(1.0 - c * (1.0 - press) / (1.0 - c * press)) for c in (1.0 - error[0], 1.0 + error[1]))
 
 
 def _clamped(mesh, element, material, length, strain=0.0) -> dict[str, Any]:
