@@ -76,14 +76,13 @@ def serve(requests: Requests, reply: Replies) -> None:
         reply: Takes ``(READY,)``, then ``(STATE, states by body, errors by body, linearizations,
             duration [s])`` for each state; errors and linearizations are those of the full model.
     """
-    from softrobot_twin.simulation.building.reduced_body import without_fallback
     from softrobot_twin.simulation import Simulation
     from softrobot_twin.simulation.effects.reduction_error import FullModelError
 
     scene = requests.read()
     if scene is None:
         return
-    simulation = Simulation(without_fallback(scene), with_warnings=False)
+    simulation = Simulation(scene, with_warnings=False)
     judge = FullModelError(simulation)
     reply(READY)
     while (state := requests.read()) is not None:

@@ -278,7 +278,7 @@ class TwinDiagnostics:
             "qp_solver": " ".join(sorted(window.qp_solvers)),
         }
         reduced = simulation.reduction_state(with_errors=False)
-        if self.reduction is not None and not simulation.falls_back:
+        if self.reduction is not None:
             for name, state in self.reduction.states.items():
                 reduced[name] = state._replace(range=reduced[name].range)
         for name, state in reduced.items():
@@ -338,7 +338,7 @@ class TwinDiagnostics:
 
     def _wrong_bodies(self) -> str:
         """Reduced bodies that the full model finds far from where it has them, in words."""
-        if self.reduction is None or self._loop.simulation.falls_back:
+        if self.reduction is None:
             return ""
         least = LARGE_BY_SIZE * self._loop.simulation.model.nodes.size
         return "; ".join(

@@ -701,7 +701,7 @@ class TwinNode(TickingNode):
         if self.calibration is not None and self.calibration.look(now):
             for line in self.calibration.told.splitlines():
                 self.get_logger().info(f"calibrate: {line}")
-        if self._reduction is not None and not self.loop.simulation.falls_back:
+        if self._reduction is not None:
             self._reduction.offer(self.loop.simulation, False, now)
         message = DiagnosticArray(status=self.diagnostics.statuses(now))
         message.header.stamp = stamp_of(self.ros_time())

@@ -516,21 +516,6 @@ class Reduced(Entry):
     spare_modes: bool = False
     """Whether the spare modes of the file are in use, too: more exact and slower, and without a live
     estimate of the error, which is made by them."""
-    fallback: Literal["enrich", "full_model"] | None = None
-    """What a simulation goes on with where the error is above `error`: ``enrich`` with the spare
-    modes, too, ``full_model`` with all nodes. It goes back below half of that error. By default the
-    error is only told."""
-    error: Annotated[float | None, unit("m", gt=0.0)] = None
-    """Wanted error of the effectors, for the fallback."""
-
-    def check(self) -> None:
-        """Refuse a fallback without its error, and an error without a fallback."""
-        if self.fallback is not None and self.error is None:
-            raise refusal("error", None, "is needed beside fallback", unit="m")
-        if self.error is not None and self.fallback is None:
-            raise refusal("fallback", None, "is needed beside error")
-        if self.fallback == "enrich" and self.spare_modes:
-            raise refusal("fallback", self.fallback, "needs modes that spare_modes leaves out")
 
 
 class Damping(Entry):

@@ -138,11 +138,6 @@ class Readouts:
         """The touches now; None in a scene without any."""
         return TouchState.of(self.state.memory)
 
-    @property
-    def falls_back(self) -> bool:
-        """Whether another model than that of the scene is in use."""
-        return any(part.has_other_model for part in self.parts)
-
     def reduction_state(self, with_errors: bool = True) -> dict[str, ReductionState]:
         """How far each reduced body can be believed now, by its name.
 

@@ -179,7 +179,7 @@ class Simulation(Readouts):
         self._prepared: Prepared | None = None
         self._goals = Goals(self.model, self.direct, self.inverse)
         self._find_surface()
-        self.take_parts(parts)
+        self._take_parts(parts)
         self.reset()
         if with_warnings:
             self.model.notes.extend(stability_notes(self))
@@ -187,12 +187,8 @@ class Simulation(Readouts):
         for part in self.parts:
             part.attach(self)
 
-    def take_parts(self, parts: tuple[StepPart, ...]) -> None:
-        """Step with these optional effects around.
-
-        Args:
-            parts: All of them.
-        """
+    def _take_parts(self, parts: tuple[StepPart, ...]) -> None:
+        """Step with these optional effects around."""
         self.parts = parts
         self._parts_with = parts_by_method(parts)
         self._keeping = those_with(parts, "memory_at_rest", "may_keep")
@@ -211,8 +207,6 @@ class Simulation(Readouts):
     def reset(self) -> None:
         """Go back to the rest shape. What follows is the same, to the bit, as the first time."""
         self.finish_result()
-        for part in self._parts_with["receive"]:
-            part.receive(self, None)
         count = len(self.actuator_names)
         self.state = State(
             self.model.nodes.rest_positions.copy(), self.rest_setpoints.copy(),
@@ -240,8 +234,6 @@ class Simulation(Readouts):
             CommandError: The state is of another scene or mesh.
         """
         self.finish_result()
-        for part in self.parts:
-            part.receive(self, state)
         self._check_fits(state)
         self.state = state
         for part in self.parts:

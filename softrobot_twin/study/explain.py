@@ -164,7 +164,7 @@ def print_reduction_errors(simulation: Simulation, largest_range: float) -> None
         simulation: The simulation, where the run ended.
         largest_range: Largest share of the trained range in the run.
     """
-    if not simulation.has_reduced_bodies or simulation.falls_back:
+    if not simulation.has_reduced_bodies:
         return
     with terminal_status("comparing with the full model"):
         by_spare_modes = simulation.reduction_state()
@@ -396,11 +396,6 @@ def _body_effects(body, integration: str, names: list[str]) -> Iterator[Effect]:
             f"{key}.reduced", f"{nodes.mode_count} modes of {entry.reduced.file}, "
             f"{len(kept.sampled.cells)} quadrature points stand for all",
             f"{nodes.mode_count} unknowns, {_measured_error(kept.measured)}")
-        if entry.reduced.fallback is not None:
-            to = {"enrich": "the spare modes", "full_model": "all nodes"}[entry.reduced.fallback]
-            yield Effect(
-                f"{key}.reduced.fallback", f"{entry.reduced.fallback}, above an error of "
-                f"{number(1e3 * entry.reduced.error)} mm", f"a second model with {to}")
     for name, nodes in body.riding.items():
         yield Effect(f"{key}.attached", f"to {name}", f"{len(nodes)} nodes that move with it")
     if integration != "quasi_static":

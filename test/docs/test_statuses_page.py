@@ -14,7 +14,6 @@ from softrobot_twin.scene.loading import load_scene
 from softrobot_twin.simulation import Status
 from softrobot_twin.simulation.building.actuator_kinds import actuator_kinds
 from softrobot_twin.simulation.building.limits import ANGLE
-from softrobot_twin.simulation.effects.fallback import ENRICH, FULL_MODEL
 from softrobot_twin.simulation.result import BURST, COARSE, GRIP, RATE, SAMPLED, STRAINED, UNSTABLE
 from softrobot_twin.simulation.step.actuation import INVERSION
 from softrobot_twin.simulation.step.goals import ENERGY, REACH
@@ -46,7 +45,7 @@ def test_the_page_names_limits_that_are_not_those_of_one_object(name):
     assert name in NAMED
 
 
-@pytest.mark.parametrize("ending", [RATE.lstrip("."), SAMPLED, STRAINED, COARSE, BURST, ENRICH, FULL_MODEL,
+@pytest.mark.parametrize("ending", [RATE.lstrip("."), SAMPLED, STRAINED, COARSE, BURST,
                                     "force_limit", "force_limit_exceeded",
                                     "least_force", "least_force_missed", GRIP])  # fmt: skip
 def test_the_page_names_limits_of_bodies_and_pairs(ending):

@@ -98,7 +98,6 @@ def test_bodies_beside_a_reduced_one_keep_their_nodes(half_trained, first):
     beside["mesh"]["translation"] = [0.5, 0.0, 0.0]
     beside["fixed"][0]["frame"] = "mesh"
     mapping["bodies"] = [body, beside] if first == "body" else [beside, body]
-    body["reduced"] |= {"fallback": "enrich", "error": 1.0}
     mapping.pop("markers")
     for entry in (*mapping["cables"], *mapping["effectors"]):
         entry["body"] = "body"
@@ -116,14 +115,6 @@ def test_bodies_beside_a_reduced_one_keep_their_nodes(half_trained, first):
     assert list(judge.errors(simulation.state)) == ["body"]
     found = simulation.reduction_state()
     assert list(found) == ["body"] and 0.0 < found["body"].error < 1.0e-3
-    # The fallback's two models hold the same places.
-    (fallback,) = (part for part in simulation.parts if part.name == "fallback")
-    better = fallback.better_state(simulation.state)
-    fallback.other.restore(better)
-    np.testing.assert_allclose(fallback.other.effector_positions(), places, atol=1e-12)
-    np.testing.assert_allclose(fallback.other.surface_positions(), surface, atol=1e-12)
-    back = fallback.reduced_state(better)
-    np.testing.assert_allclose(back.positions, simulation.state.positions, atol=1e-12)
 
 
 def test_in_contact_the_full_model_tells_the_error_too(half_trained):

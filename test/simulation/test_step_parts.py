@@ -61,7 +61,7 @@ def test_states_with_another_memory_and_unknown_measurements_are_refused(
 
 
 EFFECTS = (
-    "touch", "guide", "fallback", "falls_back", "stiffness_targets", "wanted_stiffness", "friction",
+    "touch", "guide", "stiffness_targets", "wanted_stiffness", "friction",
     "rubs", "slip", "explor", "strain", "vertebra", "superelement", "reduc", "sampled", "hinge",
     "motor", "cable", "cavit", "beam",
 )  # fmt: skip

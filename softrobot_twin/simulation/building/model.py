@@ -20,7 +20,7 @@ from softrobot_twin.simulation.building.actuators import Actuators
 from softrobot_twin.simulation.building.deformable_body import Body
 from softrobot_twin.solvers.factorization import Factorization
 
-STAGES = ("fallback", "detect", "assemble", "factor", "condense", "stiffness", "optimise", "correct",
+STAGES = ("detect", "assemble", "factor", "condense", "stiffness", "optimise", "correct",
           "residual")  # fmt: skip
 """Names of all stages of a step, in the order they run."""
 
@@ -126,9 +126,7 @@ class Model:
     @property
     def stages(self) -> tuple[str, ...]:
         """Names of the stages of a step, in the order they run."""
-        reduced = (body.entry.reduced for body in self.bodies)
         is_there = {
-            "fallback": any(entry is not None and entry.fallback is not None for entry in reduced),
             "detect": self.rows.varies, "stiffness": self.weighs_stiffness,
             "optimise": any(term.group != "effectors" for term in self.rows.terms),
         }  # fmt: skip

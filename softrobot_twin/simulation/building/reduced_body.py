@@ -406,15 +406,6 @@ def _check_on_body(file: ModelFile, reduction: BodyReduction, body: Body) -> Non
                                "definite: too few points, or modes that depend on each other")
 
 
-def without_fallback(scene: Scene) -> Scene:
-    """The same scene with reduced bodies that stay what they are, whatever their error is.
-
-    Args:
-        scene: The scene.
-    """
-    return scene.with_deformables({"reduced": {"fallback": None, "error": None}})
-
-
 class Placed:
     """Points of a reduced body that no term needs, placed from its coordinates.
 

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 from softrobot_twin.errors import SceneError
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.effects.exploration import explorer_of
-from softrobot_twin.simulation.effects.fallback import fallback_of
 from softrobot_twin.simulation.effects.grip_margins import grip_margins_of
 from softrobot_twin.simulation.effects.guiding import guiding_of
 from softrobot_twin.simulation.effects.near_burst import near_burst_of
@@ -23,7 +22,7 @@ from softrobot_twin.simulation.step.step_part import StepPart, memories_of_terms
 
 EFFECTS: list[Callable[[Model], Iterator[StepPart]]] = [
     explorer_of, guiding_of, sampled_ranges_of, strain_ranges_of, hexahedra_range_of,
-    memories_of_terms, touches_of, observed_forces_of, stiffness_targets_of, near_burst_of, grip_margins_of, fallback_of,
+    memories_of_terms, touches_of, observed_forces_of, stiffness_targets_of, near_burst_of, grip_margins_of,
 ]  # fmt: skip
 """Each gives the parts that a scene calls for."""
 

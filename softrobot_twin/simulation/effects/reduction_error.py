@@ -37,7 +37,6 @@ vertebrae are no stiffer than what is between them, as on the Trunk, that is nea
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -50,7 +49,6 @@ from softrobot_twin.scene import Scene
 from softrobot_twin.scene.scene_changes import with_reduced_entries, without_reductions
 from softrobot_twin.simulation.building.deformable_body import Body
 from softrobot_twin.simulation.building.model import Model
-from softrobot_twin.simulation.building.reduced_body import without_fallback
 from softrobot_twin.simulation.command import LONG, CommandSetpoints
 from softrobot_twin.simulation.effects.touches import Touched
 from softrobot_twin.simulation.effects.trusted_ranges import coordinate_ranges, reduced_bodies
@@ -110,7 +108,7 @@ class BetterModel:
         Args:
             state: State of the scene with reduced bodies.
         """
-        return in_other_model(state, self.model, self.better.model, refined_nodes)
+        return in_better_model(state, self.model, self.better.model)
 
     def moves(self, state: State) -> np.ndarray:
         """How far each effector moves to the balance of the better model [m].
@@ -161,29 +159,24 @@ class ReductionErrors(BetterModel):
 
     def __init__(self, simulation: Steppable):
         """Build a simulation with the spare modes in use."""
-        scene = with_reduced_entries(without_fallback(simulation.scene), {"spare_modes": True})
+        scene = with_reduced_entries(simulation.scene, {"spare_modes": True})
         super().__init__(simulation, scene, 1)
 
 
-def in_other_model(
-    state: State, own: Model, other: Model,
-    nodes_of: Callable[[np.ndarray, Body, Body], np.ndarray],
-) -> State:  # fmt: skip
-    """A state for another model of its scene; what follows the bodies among the nodes stays.
+def in_better_model(state: State, own: Model, better: Model) -> State:
+    """A state for a better model of its scene; what follows the bodies among the nodes stays.
 
     Args:
         state: The state.
         own: Its model.
-        other: The other model.
-        nodes_of: Gives the nodes [m] of a body in the other model, from all node positions of the state
-            [m] and the body in both models; points may be left out of account.
+        better: The better model.
     """
     parts, first = [], 0
-    for body, same in zip(own.bodies, other.bodies, strict=True):
-        parts.append(nodes_of(state.positions, body, same))
+    for body, same in zip(own.bodies, better.bodies, strict=True):
+        parts.append(refined_nodes(state.positions, body, same))
         first += body.scene_node_count
     positions = np.concatenate([*parts, state.positions[first:]])
-    for kind in other.nodes.kinds:
+    for kind in better.nodes.kinds:
         if isinstance(kind, ReducedPoints):
             kind.place(positions)
     return replace(state, positions=positions)

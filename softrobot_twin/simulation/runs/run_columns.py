@@ -192,7 +192,7 @@ class RunColumns:
         self._simulation, model = simulation, simulation.model
         self._pairs = pair_names(simulation)
         self._judged: tuple[str, ...] = ()
-        if with_reduction_errors and not simulation.falls_back:
+        if with_reduction_errors:
             spare = reduced_bodies(model) if has_spare_modes(model) else ()
             self._judged = (*model.superelements, *(body.name for body in spare))
         self._parts = [

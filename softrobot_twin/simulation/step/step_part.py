@@ -60,7 +60,6 @@ class StepPart:
         depends_on_time: Whether it matters how long actuators are held.
         holds_robot: Whether it holds the robot at places, where none but the hand's stiffness shows.
         is_stepping: Whether a robot at rest has steps to make, see `step_in_place`.
-        has_other_model: Whether another model than that of the scene is in use.
         load: Sum of its forces on the robot by magnitude [N].
         entry: Key and value of the scene's entry that asks for it; its name by default.
         refusal: Why it is refused, with a place for what `why_not` tells.
@@ -73,7 +72,6 @@ class StepPart:
     depends_on_time: bool = False
     holds_robot: bool = False
     is_stepping: bool = False
-    has_other_model: bool = False
     load: float = 0.0
     entry: tuple[str, str] = ("", "")
     refusal: str = "is not built beside {}"
@@ -163,14 +161,6 @@ class StepPart:
             efforts: Efforts of the actuators there, in their units, shape (actuator_count,).
         """
         return {}
-
-    def receive(self, simulation: Steppable, state: State | None) -> None:
-        """Make the simulation fit for a state that is put into it.
-
-        Args:
-            simulation: The simulation.
-            state: The state; None for the rest shape.
-        """
 
     def reset(self) -> None:
         """Begin where the robot is in its rest shape."""
@@ -382,8 +372,6 @@ class Steppable(Protocol):
     def come_near(
         self, positions: np.ndarray, efforts: np.ndarray, time_step: float, clock: StageClock
     ) -> np.ndarray | None: ...
-
-    def take_parts(self, parts: tuple) -> None: ...
 
     def forget_solvers(self) -> None: ...
 

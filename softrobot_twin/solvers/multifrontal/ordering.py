@@ -44,7 +44,7 @@ _AXES = np.array([
 ])  # fmt: skip
 PIVOTS = 12
 # A search takes half of the time to build a scene, and a scene is often built more than once: for
-# its error, its fallback, its samples. So the last eliminations are kept; nobody writes to them.
+# its error, its samples. So the last eliminations are kept; nobody writes to them.
 _REMEMBERED = 32
 _RECENT: dict[bytes, Elimination] = {}
 
