@@ -511,6 +511,11 @@ class Vertebrae(Entry):
 class Reduced(Entry):
     """Reduces a body to the coordinates of a basis, made by ``python -m softrobot_twin reduce``."""
 
+    gone: ClassVar[dict[str, str]] = {
+        "fallback": "is gone since version 0.1.0: a twin warns where the reduced model is wrong, and keeps it. "
+        "Remove fallback and error; where that warning comes, train where the robot goes, set spare_modes: "
+        "true, or remove reduced to simulate all nodes"}
+
     file: Path
     """File of the reduced model, relative to the scene file."""
     spare_modes: bool = False

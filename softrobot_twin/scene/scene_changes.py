@@ -22,29 +22,7 @@ def without_reductions(scene: Scene) -> Scene:
     Args:
         scene: The scene.
     """
-    return with_reduced_entries(scene, None)
-
-
-def with_reduced_entries(scene: Scene, changes: dict | None) -> Scene:
-    """The same scene with some keys of `reduced` of its reduced bodies changed, or without these.
-
-    Args:
-        scene: The scene.
-        changes: New values of keys; None for no reduction.
-    """
-    return scene.with_deformables({"reduced": changes})
-
-
-def with_entries(scene: Scene, reduced: dict) -> Scene:
-    """The same scene with other entries `reduced` of some bodies, by their names.
-
-    Args:
-        scene: The scene.
-        reduced: Entry of each body that gets another one, by the body's name; None for no
-            reduction.
-    """
-    return scene.with_deformables(
-        lambda body: body.changed(reduced=reduced.get(body.name, body.reduced)))  # fmt: skip
+    return scene.with_deformables({"reduced": None})
 
 
 def without_vertebrae(scene: Scene) -> Scene:
@@ -119,4 +97,5 @@ def reduced_scene(scene: Scene, body: str, file: Path) -> Scene:
         body: Name of the body.
         file: File of its reduced model.
     """
-    return with_entries(scene, {body: Reduced(file=file.resolve())})
+    reduced = Reduced(file=file.resolve())
+    return scene.with_deformables(lambda one: one.changed(reduced=reduced) if one.name == body else one)

@@ -46,7 +46,7 @@ from softrobot_twin.mechanics.reduced_points import ReducedPoints
 from softrobot_twin.mechanics.superelements import DEFORMATIONS
 from softrobot_twin.mechanics.touch_loads import TouchState
 from softrobot_twin.scene import Scene
-from softrobot_twin.scene.scene_changes import with_reduced_entries, without_reductions
+from softrobot_twin.scene.scene_changes import without_reductions
 from softrobot_twin.simulation.building.deformable_body import Body
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.command import LONG, CommandSetpoints
@@ -105,10 +105,20 @@ class BetterModel:
     def lifted(self, state: State) -> State:
         """A state of the scene with reduced bodies for the better model.
 
+        What follows the bodies among the nodes stays.
+
         Args:
             state: State of the scene with reduced bodies.
         """
-        return in_better_model(state, self.model, self.better.model)
+        parts, first = [], 0
+        for body, same in zip(self.model.bodies, self.better.model.bodies, strict=True):
+            parts.append(_refined_nodes(state.positions, body, same))
+            first += body.scene_node_count
+        positions = np.concatenate([*parts, state.positions[first:]])
+        for kind in self.better.model.nodes.kinds:
+            if isinstance(kind, ReducedPoints):
+                kind.place(positions)
+        return replace(state, positions=positions)
 
     def moves(self, state: State) -> np.ndarray:
         """How far each effector moves to the balance of the better model [m].
@@ -159,30 +169,11 @@ class ReductionErrors(BetterModel):
 
     def __init__(self, simulation: Steppable):
         """Build a simulation with the spare modes in use."""
-        scene = with_reduced_entries(simulation.scene, {"spare_modes": True})
+        scene = simulation.scene.with_deformables({"reduced": {"spare_modes": True}})
         super().__init__(simulation, scene, 1)
 
 
-def in_better_model(state: State, own: Model, better: Model) -> State:
-    """A state for a better model of its scene; what follows the bodies among the nodes stays.
-
-    Args:
-        state: The state.
-        own: Its model.
-        better: The better model.
-    """
-    parts, first = [], 0
-    for body, same in zip(own.bodies, better.bodies, strict=True):
-        parts.append(refined_nodes(state.positions, body, same))
-        first += body.scene_node_count
-    positions = np.concatenate([*parts, state.positions[first:]])
-    for kind in better.nodes.kinds:
-        if isinstance(kind, ReducedPoints):
-            kind.place(positions)
-    return replace(state, positions=positions)
-
-
-def refined_nodes(positions: np.ndarray, own: Body, more: Body) -> np.ndarray:
+def _refined_nodes(positions: np.ndarray, own: Body, more: Body) -> np.ndarray:
     """Nodes of a body in a better model [m], points left out of account.
 
     Coordinates stay and spare ones are zero; all nodes are where the coordinates place them.

@@ -5,7 +5,7 @@ import pytest
 
 from softrobot_twin.mechanics.element_batches import BATCH
 from softrobot_twin.scene import load_scene
-from softrobot_twin.scene.scene_changes import with_reduced_entries, without_reductions
+from softrobot_twin.scene.scene_changes import without_reductions
 from softrobot_twin.simulation import (
     CommandEfforts,
     CommandSetpoints,
@@ -152,7 +152,7 @@ def test_the_estimate_holds_lengths_where_tensions_are_commanded(pair):
 
 def test_spare_modes_in_use_are_the_better_model_that_tells_no_error(pair, half_trained):
     full, reduced = pair
-    scene = with_reduced_entries(reduced.scene, {"spare_modes": True})
+    scene = reduced.scene.with_deformables({"reduced": {"spare_modes": True}})
     extended = Simulation(scene, with_warnings=False)
     assert extended.dof_count == 2 * reduced.dof_count == 48
     errors = []
