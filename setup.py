@@ -65,7 +65,7 @@ setup(
         # Builds docs/ as a site: make docs.
         "docs": ["latex2mathml>=3.77", "mkdocs>=1.6", "mkdocs-material>=9.5.24"],
         # The gymnasium environment.
-        "learning": ["gymnasium>=1.1"],
+        "learning": ["gymnasium>=1.1", "matplotlib>=3.8"],
         # Meshes from CAD files. gmsh has no wheel for aarch64. manifold3d unites solids: mesh --repair.
         "mesh": ["gmsh>=4.12; platform_machine == 'x86_64'", "manifold3d>=3.1"],
         # The parameter `record` of the twin, and `replay`.

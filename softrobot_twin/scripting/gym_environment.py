@@ -31,7 +31,7 @@ from softrobot_twin.scripting.named_commands import finite_numbers, unknown
 from softrobot_twin.scripting.robot import Robot, load
 from softrobot_twin.simulation import CommandSetpoints, Simulation, State
 from softrobot_twin.study.figure import MissingExtraError
-from softrobot_twin.study.rasterization import Triangles, camera_at, rasterize
+from softrobot_twin.study.triangle_drawing import Triangles, camera_at, image_of
 from softrobot_twin.study.scene_picture import layers_of, take_snapshot
 from softrobot_twin.study.workspace import Axis, driven_by, joint_axes
 
@@ -289,6 +289,7 @@ class ReachingEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
 
         Raises:
             CommandError: `reset` was never called.
+            MissingExtraError: matplotlib is not installed.
         """
         if self.render_mode is None:
             return None
@@ -296,8 +297,7 @@ class ReachingEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
             raise CommandError("render", "an episode begins with reset()")
         targets = np.full((len(self.robot.effector_names), 3), np.nan)
         targets[self._effector_index] = self.target
-        image = rasterize(_layers(self._simulation, targets), self._window, _PICTURE)
-        return np.rint(255.0 * (1.0 - image[..., 3:] * (1.0 - image[..., :3]))).astype(np.uint8)
+        return image_of(_layers(self._simulation, targets), self._window, _PICTURE)
 
     def _window_around(self) -> np.ndarray:
         """Left, right, bottom and top of the pictures of this episode [m]."""

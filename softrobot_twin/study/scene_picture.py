@@ -21,7 +21,7 @@ from softrobot_twin.geometry.surface import half_edges
 from softrobot_twin.simulation.colours import pressure_colours
 from softrobot_twin.study.figure import load_pyplot, write_figure
 from softrobot_twin.study.output_file import OutputError
-from softrobot_twin.study.rasterization import LAYERS, Camera, Triangles, camera_at, rasterize
+from softrobot_twin.study.triangle_drawing import LAYERS, Camera, Triangles, camera_at, draw_triangles
 from softrobot_twin.study.terminal import by_key
 from softrobot_twin.view.draw_list import DrawList, Shown
 from softrobot_twin.view.frame import Drawn, Entity
@@ -485,7 +485,7 @@ def figure_of(snapshots: Sequence[Snapshot], title: str, view: tuple[float, floa
         axes = sheet.panel(place)
         for point, normal in snapshot.planes:
             _add_plane(axes, point, normal, box, camera)
-        _add_image(axes, solids, camera, sheet, _sharpness(snapshots))
+        _add_solids(axes, solids, camera)
         axes.set_title(title if alone else snapshot.title, fontsize=12,
                        y=1.0 + (sheet.above + 0.08) / sheet.height)
         if alone:
@@ -643,23 +643,21 @@ def _sharpness(snapshots: Sequence[Snapshot]) -> int:
     return _SHARP_ALONE if len(snapshots) == 1 else _SHARP_BESIDE
 
 
-def _add_image(axes, solids: list[Solid], camera: Camera, sheet: _Sheet, dpi: int) -> None:
+def _add_solids(axes, solids: list[Solid], camera: Camera) -> None:
     """Draws all solids, lit from the viewer's upper left."""
 
     def light(normals: np.ndarray, layer: str) -> np.ndarray:
         share = _brightness(normals, camera)
         return 0.6 + 0.4 * share if layer == "marks" else share
 
-    shape = (round(sheet.height * dpi), round(sheet.width * dpi))
-    image = rasterize(layers_of(solids, camera, light, 1e3), sheet.window, shape)
-    axes.imshow(image, extent=sheet.window, interpolation="none", zorder=2, aspect="auto")
+    draw_triangles(axes, layers_of(solids, camera, light, 1e3))
 
 
 def layers_of(
     solids: Sequence[Solid], camera: Camera, light: Callable[[np.ndarray, str], np.ndarray],
     scale: float = 1.0,
 ) -> dict[str, Triangles]:  # fmt: skip
-    """Solids as `rasterize` takes them.
+    """Solids as `draw_triangles` takes them.
 
     Args:
         solids: What is drawn.
