@@ -123,7 +123,7 @@ from softrobot_twin.mechanics.stencil import add_stencil_matrix, of_frames
 # An element whose ends are turned by more than this against each other counts as folded, and no
 # step makes one [rad]: at π the logarithm has a jump.
 GREATEST_TURN = 0.9 * np.pi
-# Share of bending from which on an element counts as slender; below, shear takes part in an S.
+# Share of bending from which on an element counts as slender; below, shear takes part in an S. Least w.
 _SLENDER, _LEAST_WEIGHT = 0.9, 0.9
 # A length of zero [m], and v of an element whose ends point back along its chord.
 _SHORTEST, _REVERSED = 1.0e-30, 1.0e-6

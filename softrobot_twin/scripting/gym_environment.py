@@ -31,8 +31,8 @@ from softrobot_twin.scripting.named_commands import finite_numbers, unknown
 from softrobot_twin.scripting.robot import Robot, load
 from softrobot_twin.simulation import CommandSetpoints, Simulation, State
 from softrobot_twin.study.figure import MissingExtraError
-from softrobot_twin.study.triangle_drawing import Triangles, camera_at, image_of
 from softrobot_twin.study.scene_picture import layers_of, take_snapshot
+from softrobot_twin.study.triangle_drawing import Triangles, camera_at, image_of
 from softrobot_twin.study.workspace import Axis, driven_by, joint_axes
 
 try:
