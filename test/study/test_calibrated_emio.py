@@ -55,9 +55,11 @@ def test_servos_zeros_and_clamps_of_another_emio_are_found_within_their_interval
     found = calibrate(scene, poses, [*KEYS, *WAYS, *CLAMPS])
     true = np.array([truth["beams[0].material.young_modulus"]] + [
         truth[key] for key in (*(f"hinge_motors[{leg}].offset" for leg in range(4)), *WAYS, *CLAMPS)])
-    low, high = found.estimate.intervals.T
+    low, high = found.joint.intervals.T
     off = (true - 0.5 * (low + high)) / (0.5 * (high - low))
     print("distance from the middle, by half the width of the interval:", np.round(off, 2))
+    # Poses that happen to lie together tell little of how soft the strips are, as they only shift the hub.
+    assert all("young_modulus" in key for group in found.not_told for key in group)
     # One of twenty is outside of its interval; errors of neighbours belong together.
     assert np.abs(off).max() < 2.0
 
