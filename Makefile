@@ -52,7 +52,7 @@ demo: setup ## drive a simulated robot through the twin, live; writes out/demo
 	$(VENV)/bin/python -m softrobot_twin demo --robot $(ROBOT) --output out/demo
 
 bench: setup ## time every stage of a step over sizes; writes out/bench
-	$(VENV)/bin/python -m softrobot_twin bench --output out/bench
+	$(VENV)/bin/python tools/bench_robots.py --output out/bench
 
 pictures: setup ## draw the pictures of the robots in docs/ anew
 	$(VENV)/bin/python tools/draw_robots.py

@@ -208,7 +208,7 @@ def ratio_of(simulation: Simulation, rounds: int = 40, steps: int = 10) -> dict:
     superlu = SuperLUReference(without_rows(simulation.model.factorization))
     for _ in range(rounds):
         # It removes the data of a step from the caches, so one more step runs before the others.
-        unit, _ = superlu.factorize()
+        unit = superlu.factorize()
         simulation.step(next(commands))
         for command in islice(commands, steps):
             made.make(lambda: simulation.step(command))

@@ -530,9 +530,9 @@ def bench(
 
     Time every stage of a step while the effector follows a circle, or, in a scene without effectors,
     while the actuators move over their limits, together with one SuperLU factorization of the same
-    matrices and with dense products. Without a scene: the Diamond at its four refinements, columns of
-    500 and 50 000 dof, and the Grasper and the Octoleg while they hold. tools/contact_growth.py times
-    10 to 200 contacts, tools/compare_solvers.py compares factorizations and QP solvers.
+    matrices. Without a scene it times the Diamond. tools/bench_robots.py times all robots and compares
+    them with the paper, tools/contact_growth.py times 10 to 200 contacts, tools/compare_solvers.py
+    compares factorizations and QP solvers.
 
     Examples:
         softrobot_twin bench
@@ -540,7 +540,7 @@ def bench(
 
     Args:
         scenes (SCENE): Scene file (YAML).
-        output (FOLDER): Write bench.csv and bench.png (needs matplotlib) there.
+        output (FOLDER): Write bench.csv there.
         steps (N): Steps to time for each size (default $default).
         commands (FILE.csv): Time the longest hold of this commands file in place of a circle.
         compare (FILE.csv): bench.csv of an earlier run: steps that are slower by a tenth, in units
@@ -561,12 +561,12 @@ def accuracy(
 ) -> int:  # fmt: skip
     """Measure accuracy against computing time.
 
-    Measure the effector's error and the time of a step over meshes, elements, laws, linearizations,
-    QP tolerances and the factor's precision, against an extrapolation from quadratic meshes. Meshes
-    of one family are in the folder of the scene's mesh, and their names differ only in the number at
-    the end; a mesh without a family is refined uniformly. Meshes of hexahedra have _hexa before that
-    number and are compared too. Reduced models are measured beside their full ones: that of the
-    scene, and those of --reduced and --train. This takes minutes.
+    Measure the effector's error and the time of a step over meshes, elements and laws, against an
+    extrapolation from quadratic meshes. Meshes of one family are in the folder of the scene's mesh,
+    and their names differ only in the number at the end; a mesh without a family is refined
+    uniformly. Meshes of hexahedra have _hexa before that number and are compared too. Reduced models
+    are measured beside their full ones: that of the scene, and those of --reduced and --train. This
+    takes minutes.
 
     Examples:
         softrobot_twin accuracy config/scenes/diamond.yaml

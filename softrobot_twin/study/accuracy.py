@@ -1,4 +1,4 @@
-"""``python -m softrobot_twin accuracy``: measures error and time of a step for many settings.
+"""``python -m softrobot_twin accuracy``: measures error and time of a step for meshes, elements and laws.
 
 This file contains the tables, the picture and the command; `accuracy_study` measures.
 """
@@ -17,9 +17,6 @@ from softrobot_twin.study.accuracy_study import (
     ASSUMED_ORDER,
     CASES,
     MESH,
-    NEWTON,
-    PRECISION,
-    QP,
     REDUCED,
     AccuracyError,
     AccuracyRow,
@@ -30,13 +27,10 @@ from softrobot_twin.study.accuracy_study import (
     check_one_body,
     hexahedral_family,
     mesh_family,
-    shown_progress,
     study_meshes,
     study_reduced,
     study_seconds,
-    vary_knobs,
     with_hold_radius,
-    write_rows,
 )
 from softrobot_twin.study.figure import figure_file, load_pyplot
 from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine
@@ -47,12 +41,12 @@ from softrobot_twin.study.reduced_models import (
     reduced_models,
     train_level,
 )
+from softrobot_twin.study.study_rows import each, write_rows
 from softrobot_twin.study.terminal import (
     approximate_duration,
     console,
     print_apart,
     print_to_stderr,
-    report_activity,
     table,
 )
 
@@ -109,15 +103,6 @@ def full_row(rows: Sequence[AccuracyRow], reduced: AccuracyRow) -> AccuracyRow |
                  and row.knob == MESH), None)
 
 
-def _knob_table(rows: Sequence[AccuracyRow]) -> Table:
-    """Table of the errors that are added by the other settings."""
-    return table(
-        "Error added by other settings, on the scene's own mesh", "varied", "setting", "step [ms]",
-        "added error [%]",
-        rows=([row.knob, row.setting, f"{row.step_ms:.2f}", f"{100.0 * row.error_added:.2g}"]
-              for row in rows if row.knob not in (MESH, REDUCED)))
-
-
 def _reference_table(references: dict[str, Reference]) -> Table:
     """Table of the reference solutions and their uncertainty."""
     made = table("Reference: quadratic meshes, extrapolated", "case", "displacement [mm]",
@@ -131,221 +116,70 @@ def _reference_table(references: dict[str, Reference]) -> Table:
     return made
 
 
-_COLOURS = {"linear": "#1b6ca8", "smoothed": "#c51b7d", "quadratic": "#d95f02", "hexahedral": "#4d9221"}
+# Curves of the picture: colour, name, and how far the name is above the end of the line [point].
+_CURVES = {"linear": ("#1b6ca8", "linear tetrahedra", 2), "smoothed": ("#c51b7d", "smoothed tetrahedra", 2),
+           "quadratic": ("#d95f02", "quadratic tetrahedra", -14), "hexahedral": ("#4d9221", "hexahedra", 2)}
 _REDUCED_COLOUR = "#7b3294"
-_CELLS = {"linear": "linear tets", "smoothed": "smoothed tets", "quadratic": "quadratic tets",
-          "hexahedral": "hexahedra"}  # fmt: skip
-# Where the sizes of meshes are written, above or below their points.
-_UPWARDS = {"linear": 6, "smoothed": -11, "quadratic": -11, "hexahedral": -11}
-_KNOB_COLOURS = {NEWTON: "#3a8f5c", QP: "#a03b76", PRECISION: "#7a5230"}
-_KNOB_LABELS = {NEWTON: "linearizations a step, at 100 Hz", QP: "QP solver and tolerance",
-               PRECISION: "precision of the factor (SuperLU)"}
 _RATES = (50, 100, 200, 500)
-# Smaller errors are drawn at this share.
-_FLOOR = 1.0e-9
-_CASE_LINES = {"tensions": (0, (1, 1.2)), "lengths": "solid", "weightless": (0, (5, 2))}
-_LAW_LINES = {"corotational": "solid", "linear": (0, (4, 2))}
+# Panels of the picture: the error, its title, and the uncertainty of its reference.
+_PANELS = (("error_tensions", "Forces given", "uncertainty_tensions"),
+           ("error", "Lengths given, with or without weight", "uncertainty"))
 
 
 def draw_accuracy(path: Path, name: str, rows: Sequence[AccuracyRow], conditions: str) -> None:
-    """Draws all rows and writes the picture.
+    """Draws error against time of a step, one line for each kind of elements, and reduced models.
 
     Args:
         path: Picture to write; its suffix determines the format.
         name: Name of the robot.
-        rows: All measured rows, including those that vary the mesh.
+        rows: All rows of a study.
         conditions: Machine and versions, for the bottom of the picture.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
         OutputError: The picture cannot be written.
     """
-    with figure_file(path, (13.0, 13.0), f"{name}: accuracy and time", conditions) as figure:
-        grid = figure.add_gridspec(3, 2, height_ratios=(1.0, 0.95, 0.55))
-        _draw_error_over_mesh(figure.add_subplot(grid[0, 0]), rows)
-        _draw_time_over_mesh(figure.add_subplot(grid[0, 1]), rows)
-        forces, displacements = (figure.add_subplot(grid[1, column]) for column in (0, 1))
-        _draw_error_against_time(forces, rows, "error_tensions")
-        _draw_error_against_time(displacements, rows, "error")
-        if any(row.knob in _KNOB_COLOURS for row in rows):
-            _draw_added_against_time(figure.add_subplot(grid[2, :]), rows)
+    with figure_file(path, (12.0, 4.6), f"{name}: what accuracy costs", conditions) as figure:
+        for axes, panel in zip(figure.subplots(1, 2, sharex=True), _PANELS, strict=True):
+            _draw_errors(axes, rows, *panel)
 
 
-def curve(rows: Sequence[AccuracyRow], element: str, law: str) -> list[AccuracyRow]:
-    """Meshes with one element and law, the coarsest first.
-
-    Args:
-        rows: All rows of a study.
-        element: Kind of the elements.
-        law: Name of the law.
-    """
-    found = [row for row in rows if (row.knob, row.element, row.law) == (MESH, element, law)]
-    return sorted(found, key=lambda row: row.dof_count)
-
-
-def _drawn(rows: Sequence[AccuracyRow]) -> dict[str, str]:
-    """Colour of each kind of elements that was measured."""
-    measured = {row.element for row in rows}
-    return {element: colour for element, colour in _COLOURS.items() if element in measured}
-
-
-def _draw_error_over_mesh(axes, rows: Sequence[AccuracyRow]) -> None:
-    """Error over mesh size (Coevoet 2017, figure 8), all elements, with the reference's
-    uncertainty.
-    """
-    for element, colour in _drawn(rows).items():
-        shown = curve(rows, element, "corotational")
-        dofs = [row.dof_count for row in shown]
-        for case, text in _CASE_LABELS.items():
-            errors = [100.0 * getattr(row, f"error_{case}") for row in shown]
-            axes.plot(dofs, errors, "o", linestyle=_CASE_LINES[case], color=colour, markersize=4,
-                      linewidth=1.6, label=f"{text}, {_CELLS[element]}")
-    first = next(row for row in rows if row.knob == MESH)
-    uncertainty = {case: 100.0 * getattr(first, f"uncertainty_{case}") for case in _CASE_LABELS}
-    low = min(uncertainty.values()) / 4.0
-    axes.set(xscale="log", yscale="log", xlabel="degrees of freedom",
-             ylabel="effector error [% of its displacement]",
-             title="Error over the mesh (all cables but the last, and all cavities, actuated)")
-    axes.set_ylim(low, 1500.0)  # space for the legend
-    for case, value in uncertainty.items():
-        _draw_uncertainty(axes, low, value, f"uncertainty, {_CASE_LABELS[case]}", (0.0, 4))
-    axes.legend(loc="upper center", ncols=2, fontsize=7.5)
-    _plain_percent(axes)
-
-
-def _draw_time_over_mesh(axes, rows: Sequence[AccuracyRow]) -> None:
-    for element, colour in _drawn(rows).items():
-        for law, line in _LAW_LINES.items():
-            shown = curve(rows, element, law)
-            axes.plot([row.dof_count for row in shown], [row.step_ms for row in shown], "o",
-                      linestyle=line, color=colour, markersize=4,
-                      linewidth=1.6, label=f"{_CELLS[element]}, {law} law")
-    axes.set(xscale="log", yscale="log", xlabel="degrees of freedom", ylabel="median [ms]",
-             title="Time of one step with one linearization")
-    axes.legend(loc="upper left", fontsize=8)
-
-
-# What is prescribed where an error is drawn, and the uncertainty of its reference.
-_GIVEN = {
-    "error_tensions": ("forces prescribed", "uncertainty_tensions"),
-    "error": ("displacements prescribed, with or without weight", "uncertainty"),
-}
-
-
-def _draw_error_against_time(axes, rows: Sequence[AccuracyRow], error: str) -> None:
-    """One error of `_GIVEN` over time of a step for every mesh, element and law."""
-    given, doubt = _GIVEN[error]
-    for element, colour in _drawn(rows).items():
-        for law, line in _LAW_LINES.items():
-            shown, is_thick = curve(rows, element, law), law == "corotational"
-            times, errors = _places(shown, error)
-            axes.plot(times, errors, "o", linestyle=line, color=colour,
-                      linewidth=2.4 if is_thick else 1.2, markersize=5 if is_thick else 3.5,
-                      label=f"{_CELLS[element]}, {law} law")
-            for row, *place in zip(shown, times, errors) if is_thick else ():
-                axes.annotate(_number_of(row), place, (0, _UPWARDS[element]), ha="center",
-                              textcoords="offset points", fontsize=7, color=colour)
-    _draw_reduced(axes, rows, error)
-    axes.set(xscale="log", yscale="log", ylabel="effector error [% of its displacement]",
-             xlabel="median time of a step [ms]; numbers: nodes of the mesh",
-             title=f"Error against time: {given}")
-    value = 100.0 * getattr(next(row for row in rows if row.knob == MESH), doubt)
-    _draw_uncertainty(axes, 0.4 * value, value, "uncertainty of the reference", (1.0, -4))
-    axes.set_ylim(0.4 * value, 4.0 * axes.get_ylim()[1])  # space for the legend
-    _draw_rates(axes)
-    _plain_percent(axes)
-    axes.legend(loc="upper right", ncols=2, fontsize=7)
-
-
-def _draw_reduced(axes, rows: Sequence[AccuracyRow], error: str) -> None:
-    """Reduced models, each with a line to the full model of its mesh."""
-    reduced = [row for row in rows if row.knob == REDUCED and np.isfinite(getattr(row, error))]
-    for row in reduced:
-        full = full_row(rows, row)
-        if full is not None:
-            axes.plot(*_places([row, full], error), linestyle=(0, (1, 2)), color=_REDUCED_COLOUR,
-                      linewidth=1.1, zorder=1)
-        axes.annotate(f"{_number_of(row)} {row.element}, {row.mode_count} modes",
-                      (row.step_ms, 100.0 * getattr(row, error)), (6, -11),
-                      textcoords="offset points", fontsize=7.5, color=_REDUCED_COLOUR)
-    if reduced:
-        axes.plot(*_places(reduced, error), "*", color=_REDUCED_COLOUR, markersize=13, zorder=4,
-                  label="reduced models of these meshes")
+def _draw_errors(axes, rows: Sequence[AccuracyRow], error: str, title: str, doubt: str) -> None:
+    """One panel: the points of a line are the meshes of one kind of elements."""
+    for element, (colour, words, height) in _CURVES.items():
+        drawn = sorted((row for row in rows if (row.knob, row.element, row.law) == (MESH, element, "corotational")
+                        and np.isfinite(getattr(row, error))), key=lambda row: row.dof_count)
+        if drawn:
+            times, errors = _places(drawn, error)
+            axes.plot(times, errors, "o-", color=colour, linewidth=2.0, markersize=4)
+            axes.annotate(words, (times[-1], errors[-1]), (7, height), textcoords="offset points", color=colour)
+    for row in rows:
+        if row.knob == REDUCED and np.isfinite(getattr(row, error)):
+            place = _places([row], error)
+            axes.plot(*place, "*", color=_REDUCED_COLOUR, markersize=12)
+            axes.annotate("reduced", (place[0][0], place[1][0]), (6, 6), textcoords="offset points",
+                          color=_REDUCED_COLOUR)
+    unsure = 100.0 * max(getattr(row, doubt) for row in rows)
+    axes.axhline(unsure, color="#9a9a9a", linewidth=1.0, linestyle=(0, (4, 2)))
+    axes.annotate("uncertainty of the reference", (0.0, unsure), (4, 3), xycoords=("axes fraction", "data"),
+                  textcoords="offset points", fontsize=8, color="#666666")
+    # Where a step takes 0.7 of a period.
+    for rate in _RATES:
+        axes.axvline(0.7e3 / rate, color="#bbbbbb", linewidth=1.0, zorder=0)
+        axes.annotate(f"{rate} Hz", (0.7e3 / rate, 1.0), (-9, -30), xycoords=("data", "axes fraction"),
+                      textcoords="offset points", rotation=90, fontsize=8, color="#777777")
+    axes.set(xscale="log", yscale="log", xlabel="time of a step [ms]", ylabel="error [% of the displacement]",
+             title=title)
+    # Space for names of lines and rates.
+    axes.set_xlim(right=8.0 * max(row.step_ms for row in rows))
+    axes.set_ylim(top=2.5 * axes.get_ylim()[1])
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_formatter(lambda value, _: f"{value:g}")
 
 
 def _places(rows: Sequence[AccuracyRow], error: str) -> tuple[list[float], list[float]]:
     """Times of a step [ms] and one of the errors [%], as they are drawn."""
     return [row.step_ms for row in rows], [100.0 * getattr(row, error) for row in rows]
-
-
-def _number_of(row: AccuracyRow) -> str:
-    """The number at the end of the name of a mesh."""
-    return row.mesh.rpartition("_")[2]
-
-
-def _draw_added_against_time(axes, rows: Sequence[AccuracyRow]) -> None:
-    """Added error over time of a step for the other settings, each varied alone on the scene's own
-    mesh.
-    """
-    for knob, colour in _KNOB_COLOURS.items():
-        shown = [row for row in rows if row.knob == knob]
-        errors = [100.0 * max(row.error_added, _FLOOR) for row in shown]
-        axes.plot([row.step_ms for row in shown], errors, "D", linestyle=(0, (1, 1.5)),
-                  color=colour, markersize=5, linewidth=1.1, label=_KNOB_LABELS[knob])
-        _name_settings(axes, shown, errors, colour)
-    axes.set(xscale="log", yscale="log", xlabel="median time of a step [ms]",
-             ylabel="added error [% of its displacement]",
-             title="Error added by each other setting, varied alone on the scene's own mesh "
-             f"(smaller ones are drawn at {100.0 * _FLOOR:g} %)")
-    _draw_rates(axes, named=False)
-    axes.legend(loc="upper right", fontsize=8)
-
-
-def _draw_rates(axes, named: bool = True) -> None:
-    """Draws lines where a step takes 0.7 of a period."""
-    for rate in _RATES:
-        time = 0.7e3 / rate
-        axes.axvline(time, color="#bbbbbb", linewidth=1.0, zorder=0)
-        if named:
-            axes.annotate(f"{rate} Hz", (time, 0.0), (-9, 4), xycoords=("data", "axes fraction"),
-                          textcoords="offset points", rotation=90, fontsize=8, color="#777777")
-
-
-def _name_settings(axes, shown: Sequence[AccuracyRow], errors: list[float], colour: str) -> None:
-    """Writes names of settings; neighbouring points at the same place share one name."""
-    groups: list[list[int]] = []
-    for index, error in enumerate(errors):
-        if groups and abs(np.log10(error / errors[groups[-1][-1]])) < 0.2:
-            groups[-1].append(index)
-        else:
-            groups.append([index])
-    for members in groups:
-        text = ", ".join(_short(shown[index].setting) for index in members)
-        right = max(members, key=lambda index: shown[index].step_ms)
-        axes.annotate(text, (shown[right].step_ms, errors[right]), (7, -3),
-                      textcoords="offset points", fontsize=7.5, color=colour)
-
-
-def _short(setting: str) -> str:
-    return setting.replace("OSQP at ", "OSQP ").partition(" linearization")[0].replace(
-        ", SuperLU", "")
-
-
-def _draw_uncertainty(
-    axes, low: float, value: float, words: str, side: tuple[float, int]
-) -> None:
-    """A band below an uncertainty [%], told at one side: share of the width, and shift [point]."""
-    axes.axhspan(low, value, color="#9a9a9a", alpha=0.16, linewidth=0)
-    axes.annotate(f"{words}: {value:.2g} %", (side[0], value), (side[1], -3), va="top", fontsize=7.5,
-                  ha="right" if side[0] else "left", xycoords=("axes fraction", "data"),
-                  textcoords="offset points", color="#666666")
-
-
-def _plain_percent(axes) -> None:
-    axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-
-
-KNOB_STEPS = 100
 
 
 def accuracy(
@@ -383,16 +217,12 @@ def accuracy(
     print_to_stderr(f"{len(levels)} meshes: this takes "
                     f"{approximate_duration(study_seconds(levels, limits))} on this machine"
                     + (", and the training of reduced models" if train is not None else ""))
-    with shown_progress(levels, limits, hexahedra) as begun:
-        study = study_meshes(levels, limits, begun, hexahedra)
+    study = study_meshes(levels, limits, hexahedra)
     if train is not None:
         trained = trained or [_most_accurate(study, every)]
         models += [train_level(scene_path, level, output / "reduced") for level in trained]
-    report_activity("settings besides the mesh")
-    displacement = study.references["lengths"].displacement
-    rows = [*study.rows,
-            *(study_reduced(model, study, limits.timed_steps, report_activity) for model in models),
-            *vary_knobs(held, displacement, KNOB_STEPS)]
+    rows = [*study.rows, *(study_reduced(model, study, limits.timed_steps) for model in each(
+        models, lambda model: model.name, "fewer --reduced models shorten it"))]
     conditions = describe_machine(NUMERICAL_LIBRARIES)
     shown = console()
     shown.print(conditions)
@@ -400,8 +230,7 @@ def accuracy(
         shown.print("The force of a cable at a point acts on the material within "
                     f"{1e3 * held.cables[0].hold_radius:.1f} mm.")
     shown.print()
-    print_apart(_reference_table(study.references), _mesh_table(rows), _reduced_table(rows),
-                _knob_table(rows))
+    print_apart(_reference_table(study.references), _mesh_table(rows), _reduced_table(rows))
     write_rows(output / "accuracy.csv", rows)
     draw_accuracy(output / "accuracy.png", scene.name, rows, conditions)
     shown.print(f"written: {output / 'accuracy.csv'}, {output / 'accuracy.png'}")

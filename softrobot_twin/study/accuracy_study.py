@@ -7,13 +7,10 @@ mesh, or extrapolated from quadratic meshes with v(h) = v∞ + c hᵖ, whichever
 
 from __future__ import annotations
 
-import csv
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, fields, replace
-from functools import partial
+from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
 from statistics import median
@@ -21,10 +18,8 @@ from time import perf_counter, thread_time
 from typing import NamedTuple
 
 import numpy as np
-import scipy.sparse as sp
 import yaml
 from scipy.optimize import minimize_scalar
-from scipy.sparse.linalg import splu
 
 from softrobot_twin.errors import NamedError, SoftRobotTwinError
 from softrobot_twin.geometry.tet_mesh import TetMesh
@@ -39,7 +34,6 @@ from softrobot_twin.scene.scene_parameters import with_values
 from softrobot_twin.simulation import (
     CommandEfforts,
     CommandSetpoints,
-    FollowTargets,
     Hold,
     Simulation,
     State,
@@ -53,9 +47,8 @@ from softrobot_twin.simulation.mesh_error import (
     MeshErrorEstimator,
     MeshErrorUnknown,
 )
-from softrobot_twin.solvers.quadratic_program import DAQPSolver, OSQPSolver
-from softrobot_twin.solvers.superlu import OPTIONS, SuperLU
-from softrobot_twin.study.output_file import cell, csv_output, writing
+from softrobot_twin.study.output_file import writing
+from softrobot_twin.study.study_rows import read_rows
 from softrobot_twin.study.terminal import progress, warn
 from softrobot_twin.study.timing import spread, without_garbage_collection
 
@@ -214,33 +207,6 @@ def only_body(scene: Scene) -> Body:
     return build_body(scene.body, "body", 0, scene, [])
 
 
-class _RoundedSolve:
-    """Solves in single precision and returns double precision."""
-
-    def __init__(self, factor):
-        self._factor = factor
-
-    def solve(self, right: np.ndarray) -> np.ndarray:
-        return self._factor.solve(right.astype(np.float32)).astype(np.float64)
-
-
-class SingleSuperLU(SuperLU):
-    """SuperLU with factor and solves in float32 and everything else in double precision."""
-
-    name = "SuperLU, single precision"
-
-    def factor(self) -> bool:
-        """See `Factorization.factor`; positive pivots show definiteness."""
-        if not np.all(np.isfinite(self.storage)):
-            return False
-        try:
-            lu = splu(sp.csc_matrix(self.matrix().astype(np.float32)), **OPTIONS)
-        except RuntimeError:  # exactly singular
-            return False
-        self._lu = _RoundedSolve(lu)
-        return np.array_equal(lu.perm_r, lu.perm_c) and bool(np.all(lu.U.diagonal() > 0.0))
-
-
 LOWEST_ORDER, HIGHEST_ORDER = 0.25, 6.0
 """An observed order outside this range is rejected: the meshes are too coarse or too different."""
 ASSUMED_ORDER = 1.0
@@ -341,36 +307,6 @@ def study_seconds(levels: list[MeshLevel], limits: Limits) -> float:
     return seconds
 
 
-@contextmanager
-def shown_progress(
-    levels: list[MeshLevel], limits: Limits, hexahedra: Sequence[MeshLevel]
-) -> Iterator[Callable[[str], None]]:  # fmt: skip
-    """Shows the present activity and the progress of a study; see `study_meshes`.
-
-    Yields:
-        A function to call with a line for each activity.
-    """
-    begun = count()
-    with progress() as bar:
-        task = bar.add_task("meshes", total=study_parts(levels, limits, hexahedra), note="")
-        yield lambda text: bar.update(task, completed=next(begun), note=text)
-
-
-def study_parts(
-    levels: list[MeshLevel], limits: Limits, hexahedra: Sequence[MeshLevel] = ()
-) -> int:
-    """Number of activities of a study: reference meshes, and meshes with an element and a law.
-
-    Args:
-        levels: The meshes.
-        limits: The numbers of unknowns up to which meshes are timed and are references.
-        hexahedra: Meshes of hexahedra, which are compared with them.
-    """
-    every = _with_elements(levels)
-    timed = [level for level in (*every, *hexahedra) if dof_count(level) <= limits.timed_dof]
-    return 2 * len(timed) + len(_for_reference(every, limits))
-
-
 def _with_elements(levels: Sequence[MeshLevel]) -> list[MeshLevel]:
     """Meshes of tetrahedra with each kind of `ELEMENTS`."""
     return [level.with_element(element) for element in ELEMENTS for level in levels]
@@ -382,12 +318,8 @@ def _for_reference(every: Sequence[MeshLevel], limits: Limits) -> list[MeshLevel
             and dof_count(level) <= limits.reference_dof]
 
 
-MESH, NEWTON, QP, PRECISION = "mesh", "newton", "qp tolerance", "factor precision"
-"""Kinds of settings (column ``knob``). Rows of the first, and of `REDUCED`, contain total errors,
-all others only added errors.
-"""
-REDUCED = "reduced"
-"""A reduced model of a mesh: its error includes that of the mesh."""
+MESH, REDUCED = "mesh", "reduced"
+"""Kinds of rows (column ``knob``): a full model, and a reduced one, whose error includes that of its mesh."""
 
 
 class Setting(NamedTuple):
@@ -418,19 +350,18 @@ class AccuracyRow:
     """Measurement of one setting. Errors are relative to the reference's displacement from rest.
 
     Attributes:
-        knob: Kind of setting that is varied.
-        setting: Its value.
+        knob: Whether the model is full or reduced.
+        setting: Element and law, or modes and points.
         mesh: Name of the mesh.
         element: ``linear``, ``quadratic`` or ``hexahedral``.
         law: ``corotational`` or ``linear``.
         node_count: Nodes, including mid-edge nodes.
         dof_count: Unknowns.
-        step_ms: Median time of a step of one linearization, or as the setting says [ms].
+        step_ms: Median time of a step of one linearization [ms].
         step_p99_ms: Its 99th percentile [ms].
         error_lengths: Error with displacements prescribed.
         error_tensions: Error with forces prescribed.
         error_weightless: Error with displacements prescribed and no gravity.
-        error_added: Error added by this setting alone.
         uncertainty_lengths: Uncertainty of the reference for `error_lengths`.
         uncertainty_tensions: The same of `error_tensions`.
         uncertainty_weightless: The same of `error_weightless`.
@@ -449,14 +380,13 @@ class AccuracyRow:
     dof_count: int
     step_ms: float
     step_p99_ms: float
-    error_lengths: float = np.nan
-    error_tensions: float = np.nan
-    error_weightless: float = np.nan
-    error_added: float = np.nan
-    uncertainty_lengths: float = np.nan
-    uncertainty_tensions: float = np.nan
-    uncertainty_weightless: float = np.nan
-    displacement_mm: float = np.nan
+    error_lengths: float
+    error_tensions: float
+    error_weightless: float
+    uncertainty_lengths: float
+    uncertainty_tensions: float
+    uncertainty_weightless: float
+    displacement_mm: float
     file: str = ""
     mode_count: int = 0
     point_count: int = 0
@@ -474,28 +404,8 @@ class AccuracyRow:
         return max(self.uncertainty_lengths, self.uncertainty_weightless)
 
 
-def write_rows(path: Path, rows: Sequence[AccuracyRow]) -> None:
-    """Writes rows as CSV; unknown values are left empty.
-
-    Args:
-        path: The CSV file.
-        rows: The rows.
-
-    Raises:
-        OutputError: The file cannot be written.
-    """
-    names = [field.name for field in fields(AccuracyRow)]
-    with csv_output(path, names) as write:
-        for row in rows:
-            write([cell(getattr(row, name)) for name in names])
-
-
-# Columns that files of before there were reduced models lack.
-_LATER = ("file", "mode_count", "point_count")
-
-
-def read_rows(path: Path) -> list[AccuracyRow]:
-    """Reads a file written by `write_rows`.
+def read_study(path: Path) -> list[AccuracyRow]:
+    """Reads what an earlier study measured of full and reduced models.
 
     Args:
         path: The CSV file.
@@ -503,25 +413,10 @@ def read_rows(path: Path) -> list[AccuracyRow]:
     Raises:
         AccuracyError: The file cannot be read as such.
     """
-    names = [field.name for field in fields(AccuracyRow)]
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            reader = csv.DictReader(file)
-            known = (*(reader.fieldnames or ()), *_LATER)
-            missing = [name for name in names if name not in known]
-            if missing:
-                reason = f"is not a file of 'accuracy': it lacks {missing[0]}"
-                raise AccuracyError(str(path), reason)
-            return [AccuracyRow(**{field.name: _value(line.get(field.name, ""), str(field.type))
-                                   for field in fields(AccuracyRow)}) for line in reader]
+        return [row for row in read_rows(path, AccuracyRow) if row.knob in (MESH, REDUCED)]
     except (OSError, UnicodeDecodeError, ValueError) as error:
         raise AccuracyError(str(path), f"cannot be read as a file of 'accuracy': {error}") from None
-
-
-def _value(cell: str, kind: str):
-    if kind == "str":
-        return cell
-    return int(cell or 0) if kind == "int" else float(cell or "nan")
 
 
 # Shortening of the actuated cables and growth of the cavities in each pose, as shares of their
@@ -766,24 +661,8 @@ def follow_lengths(
         iterations: Linearizations in each step.
         **parts: Arguments of `Simulation` besides, by name.
     """
-    simulation = _ready(scene, iterations, parts)
-    return _follow(simulation, start, _along(simulation, path))
-
-
-def follow_targets(
-    scene: Scene, path: LengthPath, targets: np.ndarray, start: State, **parts
-) -> FollowedPath:
-    """Follows targets [m] by the inverse problem, with one linearization per step.
-
-    Args:
-        scene: A scene with one body.
-        path: The path that the targets were taken from; gives the time step.
-        targets: Targets of the effectors [m], shape (step_count, effector_count, 3).
-        start: The equilibrium at the beginning.
-        **parts: Arguments of `Simulation` besides, by name.
-    """
-    commands = [FollowTargets(target, path.time_step) for target in targets]
-    return _follow(_ready(scene, 1, parts), start, commands)
+    simulation = ready_simulation(scene, iterations, parts)
+    return follow(simulation, start, _along(simulation, path))
 
 
 def rounds_of(
@@ -800,13 +679,20 @@ def rounds_of(
         now: The clock; by default the processor time of this thread, in which waiting for other
             programs does not count.
     """
-    simulation = _ready(scene, iterations, {"now": now})
+    simulation = ready_simulation(scene, iterations, {"now": now})
     simulation.step(CommandSetpoints(simulation.actuators.setpoints(path.displacements[0]), 1.0))
     start, commands = simulation.state, _along(simulation, path)
-    return lambda: _follow(simulation, start, commands, seconds).times
+    return lambda: follow(simulation, start, commands, seconds).times
 
 
-def _ready(scene: Scene, iterations: int, parts: dict) -> Simulation:
+def ready_simulation(scene: Scene, iterations: int, parts: dict) -> Simulation:
+    """A simulation, warmed up, whose steps take a given number of linearizations.
+
+    Args:
+        scene: The scene; its actuators have no limits.
+        iterations: Linearizations in each step.
+        parts: Arguments of `Simulation` besides, by name.
+    """
     # With a tolerance that is never reached, every step makes all its iterations.
     timed = with_newton(unlimited(scene), iterations, 1.0e-300)
     simulation = Simulation(timed, with_warnings=False, **parts)
@@ -820,10 +706,17 @@ def _along(simulation: Simulation, path: LengthPath) -> list[CommandSetpoints]:
             for moved in path.displacements[1:]]
 
 
-def _follow(
+def follow(
     simulation: Simulation, start: State, commands: list, seconds: float = np.inf
 ) -> FollowedPath:
-    """Runs commands from a state, for as long as their steps take together at most [s]."""
+    """Runs commands from a state.
+
+    Args:
+        simulation: Runs them.
+        start: The state.
+        commands: The commands.
+        seconds: The run ends when its steps have taken more [s].
+    """
     simulation.restore(start)
     positions, times = [], []
     with without_garbage_collection():
@@ -1056,49 +949,6 @@ def _refined(scene: Scene, folder: Path, most_tets: float) -> list[MeshLevel]:
     return levels
 
 
-ITERATIONS = (1, 2, 3)
-QP_TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-6, 1e-8)
-# With this tolerance DAQP's solution is exact up to rounding.
-_EXACT_QP = 1.0e-12
-
-
-def vary_knobs(scene: Scene, displacement: float, step_count: int) -> Iterator[AccuracyRow]:
-    """Added error and time of each other setting, varied alone.
-
-    Args:
-        scene: The scene on its own mesh.
-        displacement: Displacement to which errors are relative [m].
-        step_count: Number of steps of the path.
-    """
-    path = length_path(scene, RATE, step_count)
-    targets, start = follow_exactly(scene, path)
-    size = Simulation(scene)
-
-    def row(knob: str, setting: str, followed: FollowedPath, exact: np.ndarray) -> AccuracyRow:
-        times = spread(1e3 * followed.times)
-        return AccuracyRow(
-            knob, setting, scene.mesh_name, scene.body.element, scene.body.material.law,
-            size.node_count, size.dof_count, times.median, times.p99,
-            error_added=mean_distance(followed.positions - exact) / displacement)
-
-    def inverse(solver) -> FollowedPath:
-        return follow_targets(scene, path, targets, start, qp_solvers=(solver,))
-
-    direct = partial(follow_lengths, scene, path, start)
-    for iterations in ITERATIONS:
-        yield row(NEWTON, f"{iterations} linearization{'s' * (iterations > 1)} at {RATE:g} Hz",
-                  direct(iterations), targets)
-    double = direct(1, factorization_type=SuperLU)
-    single = direct(1, factorization_type=SingleSuperLU)
-    yield row(PRECISION, "single, SuperLU", single, double.positions)
-    # Double precision is compared with the other factorization, which rounds differently.
-    yield row(PRECISION, "double, SuperLU", double, direct(1).positions)
-    exact = inverse(DAQPSolver(tolerance=_EXACT_QP)).positions
-    for tolerance in QP_TOLERANCES:
-        yield row(QP, f"OSQP at {tolerance:g}", inverse(OSQPSolver(tolerance=tolerance)), exact)
-    yield row(QP, "DAQP", inverse(DAQPSolver()), exact)
-
-
 CASES = ("lengths", "tensions", "weightless")
 """Load cases: displacements prescribed, forces prescribed, displacements prescribed without
 gravity.
@@ -1178,15 +1028,13 @@ class Loads(NamedTuple):
 
 
 def study_meshes(
-    levels: list[MeshLevel], limits: Limits, report_activity: Callable[[str], None],
-    hexahedra: Sequence[MeshLevel] = (),
-) -> Study:  # fmt: skip
-    """Measures every mesh with every element and law.
+    levels: list[MeshLevel], limits: Limits, hexahedra: Sequence[MeshLevel] = ()
+) -> Study:
+    """Measures every mesh with every element and law, and shows the progress.
 
     Args:
         levels: Meshes of linear tetrahedra, the coarsest first.
         limits: Size limits.
-        report_activity: Called with a line for each activity.
         hexahedra: Meshes of hexahedra, see `hexahedral_family`; they are no part of the reference.
 
     Raises:
@@ -1194,20 +1042,27 @@ def study_meshes(
     """
     name = levels[0].scene.name
     moved, every = displacements(levels[0].scene), _with_elements(levels)
-    used = _for_reference(every, limits)
+    used = [level for level in every if level.scene.body.element == "quadratic"
+            and dof_count(level) <= limits.reference_dof]
     if len(used) < 2:
         raise AccuracyError(name, "a reference needs two quadratic meshes of at most "
                             f"{limits.reference_dof} dof; there are {len(used)}")
-    loads, solved = _solve_reference(used, moved, report_activity)
-    references = {case: _reference(name, case, used, solved, loads) for case in CASES}
-    rows = []
     own = levels[0].scene.body.material.law
-    for law in dict.fromkeys((own, "corotational", "linear")):
-        for level in [*every, *hexahedra]:
-            if dof_count(level) <= limits.timed_dof:
-                known = solved.get(level.name) if law == own and level in used else None
-                rows.append(_judge(level, law, loads, references, known, limits.timed_steps,
-                                   report_activity))
+    models = [(level, law) for law in dict.fromkeys((own, "corotational", "linear"))
+              for level in (*every, *hexahedra) if dof_count(level) <= limits.timed_dof]
+    with progress() as bar:
+        task, begun = bar.add_task("meshes", total=len(models) + len(used), note=""), count()
+
+        def begin(text: str) -> None:
+            bar.update(task, completed=next(begun), note=text)
+
+        loads, solved = _solve_reference(used, moved, begin)
+        references = {case: _reference(name, case, used, solved, loads) for case in CASES}
+        rows = []
+        for level, law in models:
+            begin(f"{level.name}, {level.scene.body.element}, {law} law")
+            known = solved.get(level.name) if law == own and level in used else None
+            rows.append(_judge(level, law, loads, references, known, limits.timed_steps))
     return Study(rows, references, loads)
 
 
@@ -1221,13 +1076,13 @@ def dof_count(level: MeshLevel) -> int:
 
 
 def _solve_reference(
-    used: list[MeshLevel], moved: np.ndarray, report_activity: Callable[[str], None]
+    used: list[MeshLevel], moved: np.ndarray, begin: Callable[[str], None]
 ) -> tuple[Loads, dict[str, dict[str, Poses]]]:
     """Equilibria on the quadratic meshes; the finest one determines the prescribed efforts."""
     solved: dict[str, dict[str, Poses]] = {}
     loads = None
     for level in reversed(used):
-        report_activity(f"reference: {level.name}, quadratic")
+        begin(f"reference: {level.name}, quadratic")
         lengths = equilibria(level.scene, "lengths", Loads(moved))
         if loads is None:
             loads = Loads(moved, prescribed_efforts(level.scene, lengths.efforts))
@@ -1299,9 +1154,8 @@ def _limits(scene: Scene, case: str, loads: Loads) -> np.ndarray:
     return np.array(found)
 
 
-def _judge(level, law, loads, references, known, timed_steps, report_activity) -> AccuracyRow:
+def _judge(level, law, loads, references, known, timed_steps) -> AccuracyRow:
     element = level.scene.body.element
-    report_activity(f"{level.name}, {element}, {law} law")
     scene = with_law(level.scene, law)
     solved = known or {case: equilibria(scene, case, loads) for case in CASES}
     path = length_path(scene, RATE, timed_steps)
@@ -1315,20 +1169,16 @@ def _judge(level, law, loads, references, known, timed_steps, report_activity) -
         displacement_mm=1e3 * references["lengths"].displacement)
 
 
-def study_reduced(
-    reduced: ReducedModel, study: Study, timed_steps: int, report_activity: Callable[[str], None]
-) -> AccuracyRow:
+def study_reduced(reduced: ReducedModel, study: Study, timed_steps: int) -> AccuracyRow:
     """Error of a reduced model against the reference of a study, and the time of its step.
 
     Args:
         reduced: The reduced model of one of the meshes of the study.
         study: The study of the full models.
         timed_steps: Most steps that are timed.
-        report_activity: Called with a line for each activity.
     """
     level = reduced.level._replace(scene=reduced.scene)
-    row = _judge(level, reduced.law, study.loads, study.references, None, timed_steps,
-                 report_activity)  # fmt: skip
+    row = _judge(level, reduced.law, study.loads, study.references, None, timed_steps)
     return replace(row, **reduced.columns)
 
 

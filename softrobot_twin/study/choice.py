@@ -42,15 +42,13 @@ from softrobot_twin.study.accuracy_study import (
     length_path,
     mean_distance,
     mesh_family,
-    read_rows,
+    read_study,
     rounds_of,
-    shown_progress,
     study_meshes,
     study_seconds,
     with_element,
     with_hold_radius,
     with_law,
-    write_rows,
     write_scene_copy,
 )
 from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine
@@ -67,6 +65,7 @@ from softrobot_twin.study.reduced_models import (
     trained_model,
     with_ranges,
 )
+from softrobot_twin.study.study_rows import write_rows
 from softrobot_twin.study.terminal import (
     approximate_duration,
     console,
@@ -252,8 +251,7 @@ def measure_candidates(
         rate: Requested rate [Hz].
         measure: Measures one setting on this machine.
     """
-    known = [row for row in rows if row.knob in (MESH, REDUCED)
-             and np.isfinite(row.error_lengths + row.error_weightless)]
+    known = [row for row in rows if np.isfinite(row.error_lengths + row.error_weightless)]
     found: list[Candidate] = []
     for row in sorted(known, key=lambda row: row.error):
         best = min((one.error for one in found if one.keeps_rate), default=np.inf)
@@ -715,7 +713,7 @@ def _rows(
     """Errors by setting: read from the file, or studied now and written to it."""
     if file is not None and file.exists():
         known = {level.name for level in levels}
-        rows = [row for row in read_rows(file) if row.knob in (MESH, REDUCED)]
+        rows = read_study(file)
         if not any(row.mesh in known for row in rows):
             raise AccuracyError(str(file), "contains none of the meshes of this scene: "
                                 + ", ".join(sorted(known)))
@@ -724,8 +722,7 @@ def _rows(
     print_to_stderr(f"the errors of these {len(levels)} meshes are not known. Their study takes "
              f"{approximate_duration(study_seconds(levels, QUICK))} on this machine; then the "
              "candidates are timed. --accuracy FILE stores the errors")
-    with shown_progress(levels, QUICK, hexahedra) as begun:
-        rows = study_meshes(levels, QUICK, begun, hexahedra).rows
+    rows = study_meshes(levels, QUICK, hexahedra).rows
     if file is not None:
         write_rows(file, rows)
     return rows

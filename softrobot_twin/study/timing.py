@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import resource
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -67,33 +66,6 @@ def without_garbage_collection() -> Iterator[None]:
             gc.enable()
 
 
-def page_faults() -> int:
-    """Number of page faults of this process so far."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt
-
-
-_SIZE = 512
-
-
-class DenseSpeed:
-    """Times products of two square matrices in double precision."""
-
-    def __init__(self) -> None:
-        generator = np.random.default_rng(1)
-        self._a, self._b = generator.standard_normal((2, _SIZE, _SIZE))
-        self._c = np.empty((_SIZE, _SIZE))
-
-    def measure(self) -> float:
-        """Speed of one product, after another one that fills the caches [flop/s].
-
-        It is measured in processor time, which does not include other processes.
-        """
-        np.matmul(self._a, self._b, out=self._c)
-        start = thread_time()
-        np.matmul(self._a, self._b, out=self._c)
-        return 2.0 * _SIZE**3 / (thread_time() - start)
-
-
 _TRANSPOSED = np.arange(9).reshape(3, 3).T.ravel()
 """Places of the entries of a transposed block."""
 
@@ -127,15 +99,12 @@ class SuperLUReference:
         self._copy.storage[self._places] = self._factorization.storage
         return self._copy.matrix()
 
-    def factorize(self) -> tuple[float, int]:
-        """Processor time of one factorization [s], whose result is not used, and its page faults:
-        the operating system fills a page with zeros at its first use.
-        """
+    def factorize(self) -> float:
+        """Processor time of one factorization [s], whose result is not used."""
         matrix = self.matrix()
-        faults = page_faults()
         start = thread_time()
         splu(matrix, **OPTIONS)
-        return thread_time() - start, page_faults() - faults
+        return thread_time() - start
 
 
 Round = Callable[[], np.ndarray]

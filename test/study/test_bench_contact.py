@@ -1,15 +1,13 @@
-"""``bench`` with contact: held commands, and the paper's robots."""
+"""``bench`` with contact: held commands."""
 
 import math
 
 import pytest
 
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.study import bench
 from softrobot_twin.study.bench_measurement import (
     WHOLE_STEP,
     NoHoldError,
-    Paper,
     given_cases,
     held_commands,
     measure,
@@ -19,7 +17,7 @@ from softrobot_twin.study.bench_measurement import (
 @pytest.fixture(scope="module")
 def held(stamp):
     case = given_cases([stamp], stamp.parent / "stamping.csv")[0]
-    return measure(case._replace(paper=Paper(1000, 1.0)), 5)
+    return measure(case, 5)
 
 
 def test_a_hold_is_timed_in_contact(held):

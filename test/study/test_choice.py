@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import pytest
 
-from softrobot_twin.study.accuracy_study import MESH, QP, REDUCED, AccuracyRow
+from softrobot_twin.study.accuracy_study import MESH, REDUCED, AccuracyRow
 from softrobot_twin.study.choice import (
     MARGIN,
     Foreseen,
@@ -22,8 +22,9 @@ FINE = {"coarse": (0.10, 0.5), "middle": (0.05, 1.5), "fine": (0.02, 6.0)}
 
 
 def rows():
-    return [AccuracyRow(MESH, "", mesh, "linear", "corotational", 0, 0, ms, ms, error_lengths=error,
-                        error_weightless=0.5 * error, error_tensions=5.0 * error)
+    unknown = float("nan")
+    return [AccuracyRow(MESH, "", mesh, "linear", "corotational", 0, 0, ms, ms, error, 5.0 * error, 0.5 * error,
+                        unknown, unknown, unknown, unknown)
             for mesh, (error, ms) in FINE.items()]
 
 
@@ -77,9 +78,8 @@ def test_a_mesh_too_inaccurate_to_be_chosen_is_not_timed():
     assert {one.setting.mesh for one in found} == {"fine"}
 
 
-def test_only_settings_of_the_mesh_with_a_known_error_are_candidates():
-    others = [replace(rows()[0], knob=QP), replace(rows()[1], error_lengths=float("nan"))]
-    assert measure_candidates(others, 100.0, clock) == []
+def test_only_settings_with_a_known_error_are_candidates():
+    assert measure_candidates([replace(rows()[1], error_lengths=float("nan"))], 100.0, clock) == []
 
 
 def test_a_rate_that_no_setting_keeps_is_refused_with_the_highest_possible_rate():

@@ -15,9 +15,9 @@ from softrobot_twin.study.accuracy_study import (
     hexahedral_family,
     mesh_family,
     study_meshes,
-    study_parts,
 )
 from softrobot_twin.study.choice import Measured, choose
+from softrobot_twin.study.study_rows import write_rows
 
 pytestmark = pytest.mark.exhaustive
 
@@ -61,11 +61,9 @@ def bar(tmp_path_factory):
 def study(bar, tmp_path_factory):
     scene = load_scene(bar)
     levels = mesh_family(scene, tmp_path_factory.mktemp("none"))
-    limits, begun = Limits(1_500, 1_500, 5), []
+    limits = Limits(1_500, 1_500, 5)
     hexahedra = hexahedral_family(scene, report_skipped=lambda line: None)
-    result = study_meshes(levels, limits, begun.append, hexahedra)
-    assert len(begun) == study_parts(levels, limits, hexahedra)
-    return result
+    return study_meshes(levels, limits, hexahedra)
 
 
 def test_hexahedra_of_the_same_body_are_found_by_their_names(bar, tmp_path):
@@ -92,8 +90,6 @@ def no_trial(*_):
 
 def test_the_picture_and_the_choice_know_hexahedra(bar, study, tmp_path, monkeypatch):
     monkeypatch.setattr(choice, "make_trial", no_trial)
-    from softrobot_twin.study.accuracy_study import write_rows
-
     draw_accuracy(tmp_path / "accuracy.png", "bar", study.rows, "a machine")
     assert (tmp_path / "accuracy.png").stat().st_size > 10_000
     write_rows(tmp_path / "accuracy.csv", study.rows)

@@ -19,10 +19,10 @@ from softrobot_twin.study.accuracy_study import (
     mesh_family,
     prescribed_efforts,
     study_meshes,
-    write_rows,
     write_mesh,
 )
 from softrobot_twin.study.choice import Measured, choose
+from softrobot_twin.study.study_rows import write_rows
 
 SIZE = (0.03, 0.03, 0.06)
 FINEST = 2
@@ -66,7 +66,7 @@ def inflated(tmp_path_factory):
 def study(inflated, tmp_path_factory):
     """The study of that column."""
     levels = mesh_family(load_scene(inflated), tmp_path_factory.mktemp("none"))
-    return study_meshes(levels, Limits(1_500, 10_000, 10), lambda words: None)
+    return study_meshes(levels, Limits(1_500, 10_000, 10))
 
 
 def changed(path, change):
