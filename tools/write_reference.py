@@ -54,6 +54,12 @@ DEFAULT = re.compile(r"\s*\(default:? ([^()]*)\)")
 """How the help of an option tells its default."""
 
 
+EVERYWHERE = ("SCENE", "--set KEY=VALUE ...", "--scheduler ADDRESS", "--workers N")
+"""Arguments of many commands that docs/commands.md explains once, above its generated part."""
+USUAL_QUALITY = "reliable, newest 1"
+"""Quality of service of topics that docs/topics.md does not tell for each of them."""
+
+
 class UndescribedError(Exception):
     """A key without a meaning, or a number without a unit."""
 
@@ -62,48 +68,33 @@ class UndescribedError(Exception):
 
 
 def scene_reference() -> str:
-    """Tables of all keys of a scene, one for each kind of section."""
-    places = {Scene: "", Pattern: "repeat"}
+    """Tables of all keys of a scene, one for each section."""
+    models = {Scene: "", Pattern: "repeat"}
     for name, field in Scene.model_fields.items():
-        for model in entries_in(field.annotation):
-            _find_places(model, name, places)
-    parts = [table_of(Scene, "", places), "## `repeat`", _section(Pattern, "repeat", places)]
-    for model, place in places.items():
-        if model in (Scene, Pattern):
-            continue
-        names = [name for name, field in Scene.model_fields.items()
-                 if model in entries_in(field.annotation)]  # fmt: skip
-        parts.append(_heading(places, model))
-        parts.append(_section(model, place, places, names))
+        models |= {model: name for model in entries_in(field.annotation) if model not in models}
+    anchors = {model: f"[section](#{_anchor(place)})" for model, place in models.items()}
+    owners: dict[type, str] = {}
+    parts = []
+    for model, place in models.items():
+        rows, shared = _rows(model, "", place, anchors, owners)
+        if place:
+            parts += [_heading(place), _introduction(model, place, models, shared)]
+        table = ["| key | value | meaning |", "|---|---|---|", *rows]
+        parts.append("\n".join(table))
+    names = [f"[`{name}`](#{_anchor(models[entries_in(field.annotation)[0]])})"
+             for name, field in Scene.model_fields.items() if entries_in(field.annotation)]  # fmt: skip
+    parts.insert(1, f"Sections, all optional: {', '.join(names)}.")
     return "\n\n".join(parts)
 
 
-def _heading(places: dict, model: type[BaseModel]) -> str:
-    place = places[model]
-    if place == "body":
-        return "## `body`, `bodies`"
-    return f"{'###' if '.' in place else '##'} `{place}`"
+def _heading(place: str) -> str:
+    return "## `body`, `bodies`" if place == "body" else f"## `{place}`"
 
 
-def _anchor(places: dict, model: type[BaseModel]) -> str:
+def _anchor(place: str) -> str:
     """The anchor that GitHub and mkdocs make of a heading."""
-    words = _heading(places, model).lstrip("# ").replace(" ", "-")
+    words = _heading(place).lstrip("# ").replace(" ", "-")
     return "".join(letter for letter in words if letter.isalnum() or letter in "-_")
-
-
-def _find_places(model: type[BaseModel], place: str, places: dict) -> None:
-    """Adds the first place of every kind of entry below a section."""
-    if model in places:
-        return
-    places[model] = place
-    for name, field in model.model_fields.items():
-        for inner in entries_in(field.annotation):
-            _find_places(inner, f"{place}.{name}", places)
-
-
-def _is_listed(model: type[BaseModel], parent: type[BaseModel]) -> bool:
-    """Whether a kind of entry is the item of a list in another one."""
-    return any(item_of_list(field.annotation) is model for field in parent.model_fields.values())
 
 
 def entries_in(annotation: Any) -> list[type[BaseModel]]:
@@ -113,30 +104,50 @@ def entries_in(annotation: Any) -> list[type[BaseModel]]:
     return [model for part in get_args(annotation) for model in entries_in(part)]
 
 
-def _section(
-    model: type[BaseModel], place: str, places: dict, names: Iterable[str] = ()
+def _introduction(
+    model: type[BaseModel], place: str, models: dict, shared: dict[str, list[str]]
 ) -> str:
-    """What a kind of entry is, and the table of its keys."""
+    """What a section is, where it is explained, and the keys that it has of another one."""
     text = _plain(inspect.getdoc(model).split("\n\nAttributes:")[0])
-    if model.placed is not None and any(_is_listed(model, parent) for parent in places):
-        text += " May have [`repeat`](#repeat)."
-    guide = GUIDES.get(place)
-    if guide is not None:
-        text += f" Explained with examples: [{guide.partition('.')[0].replace('_', ' ')}]({guide})."
-    elif any(name in Scene.model_fields for name in names):
+    if model.placed is not None and any(
+            item_of_list(field.annotation) is model for field in Scene.model_fields.values()):
+        text += " [Repeatable](#repeat)."
+    pages = [page for key, page in GUIDES.items() if key.partition(".")[0] == place]
+    if not pages:
         raise UndescribedError(f"{place} has no page that explains it: add one to GUIDES")
-    return f"{text}\n\n{table_of(model, place, places)}"
+    links = [f"[{page.partition('.')[0].replace('_', ' ')}]({page})" for page in dict.fromkeys(pages)]
+    text += f" Explained in {', '.join(links)}."
+    return "\n\n".join([text, *_of_others(shared, models)])
 
 
-def table_of(model: type[BaseModel], place: str, places: dict) -> str:
-    """The keys of an entry, a row each."""
-    meanings = meanings_of(model)
-    rows = ["| key | value | unit | default | meaning |", "|---|---|---|---|---|"]
+def _of_others(shared: dict[str, list[str]], models: dict) -> list[str]:
+    places = {place: f"[`{place}`](#{_anchor(place)})" for place in models.values() if place}
+    return [f"As in {places.get(other, f'`{other}`')}: {', '.join(f'`{name}`' for name in names)}."
+            for other, names in shared.items()]  # fmt: skip
+
+
+def _rows(
+    model: type[BaseModel], before: str, place: str, anchors: dict, owners: dict
+) -> tuple[list[str], dict[str, list[str]]]:
+    """The keys of an entry, a row each, with those of entries in it.
+
+    Args:
+        model: The entry.
+        before: Keys that lead to it in its section, each with a point after it.
+        place: Its place in the scene.
+        anchors: How the value of an entry that has been shown is told, by its model; grows.
+        owners: Place where the keys that a class declares have been shown; grows.
+
+    Returns:
+        The rows, and the keys that have been shown for another place, by that place.
+    """
+    meanings, rows, shared = meanings_of(model), [], {}
     for name, field in model.model_fields.items():
         if field.exclude:
             continue
-        key = f"{place}.{name}" if place else name
-        inner = entries_in(field.annotation)
+        key, inner = f"{place}.{name}" if place else name, entries_in(field.annotation)
+        if inner and not place:
+            continue
         meaning = meanings.get(name)
         if meaning is None and inner:
             meaning = inspect.getdoc(inner[0]).split("\n\n")[0]
@@ -145,10 +156,23 @@ def table_of(model: type[BaseModel], place: str, places: dict) -> str:
         measured = _unit(field)
         if measured is None and _has_numbers(field.annotation):
             raise UndescribedError(f"{key} has no unit: declare it by unit(..)")
-        shown = _escaped(_value(field, places))
-        rows.append(f"| `{name}` | {shown} | {measured or ''} | {_default(field)} "
-                    f"| {_escaped(_plain(meaning))} |")  # fmt: skip
-    return "\n".join(rows)
+        owner = next(part for part in model.__mro__ if name in part.__dict__.get("__annotations__", {}))
+        if owners.setdefault((owner, name), (place, field.default))[0] != place and (
+                owners[owner, name][1] == field.default):
+            shared.setdefault(owners[owner, name][0], []).append(name)
+            continue
+        new = [part for part in inner if part not in anchors]
+        value = _escaped(_value(field, anchors)) + (f" [{measured}]" if measured else "")
+        rows.append(f"| `{before}{name}` | {_with_default(field, value)} | {_escaped(_plain(meaning))} |")
+        for part in new:
+            top = key.partition(".")[0]
+            below, others = _rows(part, f"{before}{name}.", key, anchors, owners)
+            anchors[part] = f"as [`{key}`](#{_anchor(top)})"
+            as_there = [text.rstrip(".") for text in _of_others(others, {})]
+            if as_there:
+                rows[-1] = f"{rows[-1][:-2]} {'; '.join(as_there)}. |"
+            rows += below
+    return rows, shared
 
 
 @cache
@@ -173,31 +197,31 @@ def meanings_of(model: type[BaseModel]) -> dict[str, str]:
     return found
 
 
-def _value(field: FieldInfo, places: dict) -> str:
+def _value(field: FieldInfo, anchors: dict) -> str:
     """What may be given, in words."""
-    return _words(field.annotation, field.metadata, places)
+    return _words(field.annotation, field.metadata, anchors)
 
 
-def _words(annotation: Any, metadata: list, places: dict) -> str:
+def _words(annotation: Any, metadata: list, anchors: dict) -> str:
     origin, arguments = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
-        return _words(arguments[0], [*metadata, *_flat(arguments[1:])], places)
+        return _words(arguments[0], [*metadata, *_flat(arguments[1:])], anchors)
     if origin in (Union, UnionType):
         return " or ".join(
-            _words(part, metadata, places) for part in arguments if part is not type(None)
+            _words(part, metadata, anchors) for part in arguments if part is not type(None)
         )
     if origin is Literal:
         return ", ".join(f"`{word}`" for word in arguments)
     if origin is tuple and arguments[-1] is Ellipsis:
-        item = _words(arguments[0], [], places)
+        item = _words(arguments[0], [], anchors)
         each = " each" if item[0].isdigit() else ""
         return f"list of {_plural(item)}{each}{_length(metadata)}"
     if origin is tuple:
-        kinds = sorted({_words(part, [], places) for part in arguments})
+        kinds = sorted({_words(part, [], anchors) for part in arguments})
         free = " or null" if any(type(None) in get_args(part) for part in arguments) else ""
         return f"{len(arguments)} {_plural(' or '.join(kinds))}{free}"
     if is_entry(annotation):
-        return f"[section](#{_anchor(places, annotation)})"
+        return anchors.get(annotation, "section")
     if annotation is str:
         return _text(metadata)
     names = {float: "number", int: "whole number", bool: "`true`, `false`", Path: "file"}
@@ -205,6 +229,8 @@ def _words(annotation: Any, metadata: list, places: dict) -> str:
 
 
 def _plural(words: str) -> str:
+    if words.startswith("as "):
+        return f"entries {words}"
     for word in ("number", "name", "text", "section", "file"):
         if words.startswith((word, f"whole {word}", f"[{word}")):
             return words.replace(word, f"{word}s", 1)
@@ -264,13 +290,15 @@ def _units_in(annotation: Any) -> list[str]:
     return units
 
 
-def _default(field: FieldInfo) -> str:
+def _with_default(field: FieldInfo, words: str) -> str:
+    """What may be given, with `required` or the default after it; a default among words is bold."""
     if field.is_required():
-        return "required"
+        return f"{words}, required"
     value = field.default
-    if value is None or value == ():
-        return "none"
-    return "its defaults" if isinstance(value, BaseModel) else f"`{_yaml(value)}`"
+    if value is None or value == () or isinstance(value, BaseModel):
+        return words
+    shown = f"`{_yaml(value)}`"
+    return words.replace(shown, f"**{shown}**") if shown in words else f"{words}, {shown}"
 
 
 def _yaml(value: Any) -> str:
@@ -313,9 +341,7 @@ def commands() -> str:
     (choices,) = (action for action in parser._actions
                   if isinstance(action, argparse._SubParsersAction))  # fmt: skip
     purposes = {action.dest: action.help for action in choices._choices_actions}
-    overview = ["| command | what it does |", "|---|---|"]
-    overview += [f"| [`{command}`](#{command}) | {_escaped(purposes[command])} |"
-                 for command in choices.choices]  # fmt: skip
+    overview = [f"- [`{command}`](#{command}): {purposes[command]}" for command in choices.choices]
     parts = ["\n".join(overview)]
     parts += [_command(name, command, inner) for command, inner in choices.choices.items()]
     return "\n\n".join(parts)
@@ -325,21 +351,35 @@ def _command(name: str, command: str, parser: argparse.ArgumentParser) -> str:
     shown = [action for action in parser._actions
              if not isinstance(action, argparse._HelpAction)
              and action.help is not argparse.SUPPRESS]  # fmt: skip
-    needed = [_argument(action) for action in shown
-              if not action.option_strings or action.required]  # fmt: skip
     parts = [f"## {command}", _without_angles(_plain(parser.description))]
     examples = parser.get_default("examples") or ()
-    lines = [f"{name} {command} {' '.join(needed)} [options]".replace("  ", " "), ""]
-    lines += [f"{name} {command} {example}".rstrip() for example in examples]
-    parts.append("```sh\n" + "\n".join(lines).rstrip() + "\n```")
-    if shown:
-        rows = ["| argument | default | meaning |", "|---|---|---|"]
-        rows += [_option(parser, action) for action in shown]
-        parts.append("\n".join(rows))
+    lines = [line for example in examples
+             for line in _wrapped(f"{name} {command} {example}".rstrip())]  # fmt: skip
+    parts.append("```sh\n" + "\n".join(lines) + "\n```")
+    rows = [_option(parser, action) for action in shown if _argument(action) not in EVERYWHERE]
+    rest = [f"`{_argument(action).split()[0]}`" for action in shown
+            if _argument(action) in EVERYWHERE]  # fmt: skip
+    if rows:
+        parts.append("\n".join(["| argument | meaning |", "|---|---|", *rows]))
+    if rest:
+        parts.append(f"And {', '.join(rest)}.")
     for group in parser._mutually_exclusive_groups:
         names = ", ".join(f"`{_argument(action).split()[0]}`" for action in group._group_actions)
         parts.append(f"{'Exactly' if group.required else 'At most'} one of {names}.")
     return "\n\n".join(parts)
+
+
+def _wrapped(line: str) -> list[str]:
+    """A command in lines that fit a code block."""
+    parts = re.split(r" (?=--)", " ".join(line.replace("\\\n", " ").split()))
+    lines = [parts[0]]
+    for part in parts[1:]:
+        if len(lines[-1]) + len(part) > 92:
+            lines[-1] += " \\"
+            lines.append("    " + part)
+        else:
+            lines[-1] += f" {part}"
+    return lines
 
 
 def _argument(action: argparse.Action) -> str:
@@ -358,22 +398,18 @@ def _argument(action: argparse.Action) -> str:
 
 
 def _option(parser: argparse.ArgumentParser, action: argparse.Action) -> str:
-    """A row of the table; a default that the help tells in brackets has its own column."""
+    """A row of the table; the default follows the meaning in brackets."""
     if not action.help:
         raise UndescribedError(f"{parser.prog}: {_argument(action)} has no help")
     text = _plain(action.help % {**vars(action), "prog": parser.prog})
     told = DEFAULT.search(text)
-    if action.required or not (action.option_strings or action.nargs in ("?", "*")):
-        default = "required"
-    elif told is not None:
-        default, text = _without_angles(told[1]), DEFAULT.sub("", text, count=1)
-    elif action.nargs == 0:
-        default = "off"
-    elif action.default in (None, argparse.SUPPRESS, (), "") or action.default == []:
-        default = "none"
-    else:
-        default = f"`{_yaml(action.default)}`"
-    return f"| `{_argument(action)}` | {default} | {_escaped(_without_angles(text))} |"
+    default = None if told is None else told[1]
+    if default is None and action.nargs != 0 and action.default not in (
+            None, argparse.SUPPRESS, (), "") and action.default != []:  # fmt: skip
+        default = _yaml(action.default)
+    text = DEFAULT.sub("", text, count=1) + (f" (default {default})" if default else "")
+    needed = "; required" if action.required and action.option_strings else ""
+    return f"| `{_argument(action)}` | {_escaped(_without_angles(text))}{needed} |"
 
 
 def _without_angles(text: str) -> str:
@@ -391,7 +427,7 @@ def parameters() -> str:
     parts = []
     for node, table in tables.items():
         own = [entry for entry in table if node == "twin" or entry.name not in shared]
-        rows = ["| parameter | default | range | unit | meaning |", "|---|---|---|---|---|"]
+        rows = ["| parameter | value | meaning |", "|---|---|---|"]
         parts += [f"## {node}", "\n".join(rows + [_parameter(entry) for entry in own])]
         others = [f"`{entry.name}`" for entry in table if entry not in own]
         if others:
@@ -400,13 +436,16 @@ def parameters() -> str:
 
 
 def _parameter(entry: Parameter) -> str:
-    default = "empty" if entry.default == "" else f"`{_yaml_of_ros(entry.default)}`"
-    bounds = ", ".join(f"`{choice}`" for choice in entry.choices)
+    shown = f"`{_yaml_of_ros(entry.default)}`"
+    value = "empty" if entry.default == "" else shown
+    if entry.choices:
+        choices = ", ".join(f"`{choice}`" for choice in entry.choices)
+        value = choices.replace(shown, f"**{shown}**")
+    value += f" {entry.unit}" if entry.unit else ""
     if entry.low is not None:
-        bounds = f"{_number(float(entry.low))} to {_number(float(entry.high))}"
+        value += f", {_number(float(entry.low))} to {_number(float(entry.high))}"
     star = "" if entry.read_only else " *"
-    return (f"| `{entry.name}`{star} | {default} | {bounds} | {entry.unit} "
-            f"| {_escaped(_without_angles(entry.description))} |")  # fmt: skip
+    return f"| `{entry.name}`{star} | {value} | {_escaped(_without_angles(entry.description))} |"
 
 
 def _yaml_of_ros(value: Any) -> str:
@@ -427,8 +466,7 @@ def topics() -> str:
     for node, table in NODES.items():
         parts.append(f"## {node}")
         for direction, title in ((Direction.IN, "receives"), (Direction.OUT, "publishes")):
-            rows = [f"| the {node} {title} | type | unit | quality of service | meaning |",
-                    "|---|---|---|---|---|"]  # fmt: skip
+            rows = [f"| the {node} {title} | message | meaning |", "|---|---|---|"]
             rows += [_topic(topic) for topic in table.values() if topic.direction is direction]
             parts.append("\n".join(rows))
         if node == "twin":
@@ -440,8 +478,9 @@ def topics() -> str:
 
 
 def _topic(topic: Topic) -> str:
-    return (f"| `{topic.name}` | {topic.type_name} | {topic.unit} | {topic.quality_in_words} "
-            f"| {_escaped(topic.meaning)} |")  # fmt: skip
+    unit = f" [{topic.unit}]" if topic.unit else ""
+    quality = "" if topic.quality_in_words == USUAL_QUALITY else f", {topic.quality_in_words}"
+    return f"| `{topic.name}` | {topic.type_name}{unit}{quality} | {_escaped(topic.meaning)} |"
 
 
 # --- pages ----------------------------------------------------------------------------------------

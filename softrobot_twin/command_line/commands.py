@@ -231,12 +231,9 @@ def mesh(
 ) -> int:  # fmt: skip
     """Fill a part from a CAD program with tetrahedra.
 
-    Mesh a part with gmsh. Closed surfaces inside it become the named surfaces cavity_1, cavity_2,
-    ..., that cavities of a scene name as their part; the solids of a STEP file become named regions.
-    The mesh is in metres. Quality, the time of a step on this machine and an estimate of the mesh's
-    error are printed. With --rate or --step-time the size is searched: some meshes are made and
-    measured. A surface that is open, or consists of solids that overlap, is refused; --repair closes
-    its holes and unites its solids.
+    Mesh a part with gmsh, in metres. Closed surfaces inside it become the named surfaces cavity_1,
+    cavity_2, ...; solids of a STEP file become named regions. It prints quality, step time and mesh
+    error. An open surface, or solids that overlap, are refused; --repair mends them.
 
     Examples:
         softrobot_twin mesh finger.stl --size 6mm --output finger.msh
@@ -249,13 +246,13 @@ def mesh(
         size (LENGTH): Edge of the tetrahedra, such as 6mm.
         rate (HZ): Search the least size whose steps keep this rate.
         step_time (TIME): Search the least size whose steps take at most this time, such as 5ms.
-        output (FILE): Mesh file, .msh (default: the part's name, in the current folder); with
-            --repair also .stl, for the repaired surface alone, without a size.
+        output (FILE): Mesh file, .msh (default: the part's name, in the current folder); with --repair
+            also .stl.
         unit: Unit of a file of triangles, which states none (default: mm).
         element: Elements whose step is measured (default: quadratic).
         repair: Close holes, and unite solids that overlap or touch.
-        turn (N): Elements in a full turn of all curved faces; 0 refines none (default: about 16 on
-            the round walls of cavities, so that facets cut off less than 3 % of their volume).
+        turn (N): Elements in a full turn of curved faces; 0 refines none (default: about 16 on the
+            round walls of cavities).
     """
     from softrobot_twin.study.choice import MARGIN
     from softrobot_twin.study.meshing import mesh_part
@@ -271,16 +268,15 @@ def init(
 ) -> int:  # fmt: skip
     """Write a first scene for a mesh.
 
-    Write a commented scene for a mesh or CAD file that loads and runs as it is: fixed region, scale,
-    material, effector and limits of pressure are guessed and told; examples of cables and markers at
-    places of this part are in comments. Nothing is asked.
+    Write a commented scene for a mesh or CAD file. It runs as it is: fixed region, scale, material,
+    effector and limits of pressure are guessed and told.
 
     Examples:
         softrobot_twin init finger.msh
         softrobot_twin init finger.stl --size 6mm --output scenes/finger.yaml
 
     Args:
-        mesh (MESH): Mesh file (.msh, .vtk, .vtu, .inp), or CAD file (.stl, .obj, .ply, .off, .step, .stp).
+        mesh (MESH): Mesh file (.msh, .vtk, .vtu, .inp) or CAD file.
         output (SCENE): Scene to write (default: beside the mesh, with its name).
         size (LENGTH): Edge of the tetrahedra of a CAD file, such as 6mm (default: a coarse mesh).
         unit: Unit of the file (default: guessed; STEP files state theirs).
@@ -301,16 +297,9 @@ def simulate(
 ) -> int:  # fmt: skip
     """Run a scene offline, without ROS.
 
-    Run a scene over a targets file, row by row; over a commands file, at a fixed rate; or without
-    commands, for some seconds or steps: actuators hold, bodies sag and fall. Both have the column
-    time_s. A targets file has, for the inverse problem, <effector>_x_m, _y_m, _z_m, and where the
-    scene asks for them _qx, _qy, _qz, _qw and _kx_N_per_m. Either drives actuators by
-    <cable>_shortening_m, _length_m or _tension_N, <motor>_shortening_m for all its cables,
-    <cavity>_pressure_Pa, or <cavity>_growth_m3 or _volume_m3 where the scene controls its volume.
-    The time step of a row of a targets file is the time since the row before; for the first row it
-    is that of the second, for a single row 0.02 s. A commands file is interpolated between rows, and
-    has <guided body>_x_m, _y_m, _z_m and _qx, _qy, _qz, _qw too. What a run wrote can be given back
-    as either.
+    Run a scene over a targets file, over a commands file, or without commands. Both files have the
+    column time_s and are described in docs/files.md. A row of a targets file is one step; a commands
+    file is interpolated at a fixed rate. What a run wrote can be given back as either.
 
     Examples:
         softrobot_twin simulate config/scenes/diamond.yaml --targets config/targets/diamond_circle.csv --output run.csv
@@ -375,10 +364,8 @@ def _check_outputs(inputs: Sequence[Path | None], **outputs: Path | None) -> Non
 def plot(file: Path, *, columns: Sequence[str] = (), output: Path | None = None) -> int:
     """Draw what a run wrote over time.
 
-    Draw the file of a run, a panel for each quantity: places of effectors with their targets, errors,
-    shortenings, tensions, pressures, contact forces, the residual, the status of each step and the
-    limits that were active. It draws what workspace writes over the samples, and tables of targets
-    and commands too.
+    Draw the file of a run, a panel for each quantity, with the status of each step and the active
+    limits. Files of workspace, targets and commands can be drawn too.
 
     Examples:
         softrobot_twin plot run.csv
@@ -386,7 +373,7 @@ def plot(file: Path, *, columns: Sequence[str] = (), output: Path | None = None)
 
     Args:
         file (RUN.csv): File of a run.
-        columns (GLOB): Draw all columns that match, in place of those that tell the most.
+        columns (GLOB): Draw all columns that match.
         output (FILE.png): Picture to write (default RUN_plot.png beside the file).
     """
     from softrobot_twin.study import run_plot
@@ -401,9 +388,8 @@ def explain(
 ) -> int:  # fmt: skip
     """Show the effects of a scene and the terms they become.
 
-    Print what a scene contains: actuators and effectors, size, mass and sag, elements across the
-    thinnest part, cables at rest, all entries and the terms that they become, the stages of a step,
-    and an estimate of the error of its mesh.
+    Print what a scene contains: actuators, effectors, size, mass, sag, cables at rest, all entries and
+    terms, the stages of a step, and an estimate of the mesh's error.
 
     Examples:
         softrobot_twin explain config/scenes/diamond.yaml
@@ -413,16 +399,13 @@ def explain(
 
     Args:
         scene (SCENE): Scene file (YAML).
-        mesh_error: Leave out this estimate, which takes longer than everything else.
-        picture (FILE.png): Draw the robot at rest with the names of all its things (needs matplotlib).
+        mesh_error: Leave out this estimate, which takes the longest.
+        picture (FILE.png): Draw the robot at rest with names (needs matplotlib).
         picture_view (ELEVATION AZIMUTH): Direction of view [degrees] (default 24 -58).
-        stiffness: Print instead how the effectors yield to forces while the actuators hold, and how
-            each actuator moves them.
-        effects: Print instead what each effect of the scene costs in time, and what changes without
-            it.
-        at (COLUMN=VALUE): With --stiffness or --effects: the actuation, with columns of a commands
-            file, such as north_shortening_m=0.01 (default: at rest; of --effects: the first actuator
-            by a third of its travel).
+        stiffness: Print instead how effectors yield to forces, and how each actuator moves them.
+        effects: Print instead what each effect costs in time, and what changes without it.
+        at (COLUMN=VALUE): With --stiffness or --effects: the actuation, such as north_shortening_m=0.01
+            (default: at rest; of --effects: the first actuator by a third of its travel).
     """
     from softrobot_twin.study.effect_costs import print_effects
     from softrobot_twin.study.explain import explain as print_scene
@@ -449,11 +432,9 @@ def calibrate(
 ) -> int:  # fmt: skip
     """Fit numbers of a scene to what was measured on the robot.
 
-    Fit numbers of a scene, such as Young's modulus, zero errors of winches or the frame of the
-    cameras, to markers and efforts that were measured while the robot rested. One of four poses is
-    held back, and tells whether the scene has become better. Numbers that the data do not tell are
-    refused by name, with what would tell them. A new scene is written only where all numbers are told
-    and the poses that were held back are predicted better; everything else in the file stays.
+    Fit numbers of a scene to markers and efforts that were measured while the robot rested. One of four
+    poses is held back to judge the result. Numbers that the data do not tell are refused by name. A new
+    scene is written only where it predicts the held poses better.
 
     Examples:
         softrobot_twin calibrate config/scenes/diamond.yaml --data run.mcap \\
@@ -463,17 +444,16 @@ def calibrate(
     Args:
         scene (SCENE): Scene file (YAML).
         data (FILE): Recorded runs (.mcap), or tables (.csv) with setpoints, markers (marker_4_x_m) and
-            efforts; without the column time_s each row is a pose at rest.
-        fit (KEY): Numbers to fit, perhaps with *; all numbers of a section or a list; keys joined by +
-            change together (default: moduli, regulators, zeros of motors and winches and places of
-            cables, as far as the data tell them).
-        known (KEY=DEVIATION): What is known of them before: a standard deviation in their unit, or as a
-            share of moduli, stiffnesses and densities (default: 30 % of moduli and densities, 2 % of
-            the robot's size for lengths).
-        check (FILE): Runs and tables that judge the result (default: every fourth pose of the data).
+            efforts; without time_s each row is a pose at rest.
+        fit (KEY): Numbers to fit, perhaps with *; keys joined by + change together (default: those of
+            the robot that the data tell).
+        known (KEY=DEVIATION): Standard deviation before the fit, in the number's unit, or as a share of
+            moduli, stiffnesses and densities (default: 30 % of moduli and densities, 2 % of the robot's
+            size for lengths).
+        check (FILE): Runs and tables that judge the result (default: every fourth pose).
         output (FILE.yaml): Scene to write (default: beside the scene, SCENE_calibrated.yaml).
-        picture (FILE.png): Draw the errors at poses held back, before and after, and the intervals.
-        suggest: Tell what should be measured next, and what it would bring.
+        picture (FILE.png): Draw the errors before and after, and the intervals.
+        suggest: Tell what should be measured next.
     """
     from softrobot_twin.study.calibration_report import calibrate_scene
 
@@ -488,12 +468,9 @@ def workspace(
 ) -> int:  # fmt: skip
     """Sample where a robot gets, and how stiff it is there.
 
-    Sample the setpoints of a scene's actuators over their bounds, and write where the effectors come
-    to rest, their stiffness, and the efforts of the actuators, a row for each sample; samples that do
-    not come to rest are written with their status. Sample 0 is the robot at rest; each other one is
-    reached from there on a straight line of setpoints, so that the file does not depend on the
-    workers. After Ctrl-C the rows so far are in FILE.csv.part, and the same command goes on from
-    there.
+    Sample the actuators over their bounds, and write where the effectors come to rest, their stiffness,
+    and the efforts, a row for each sample. Sample 0 is the robot at rest. After Ctrl-C the same command
+    goes on.
 
     Examples:
         softrobot_twin workspace config/scenes/diamond.yaml --samples 160 --output workspace.csv --picture workspace.png
@@ -503,11 +480,9 @@ def workspace(
         scene (SCENE): Scene file (YAML).
         output (FILE.csv): File to write.
         picture (FILE.png): Draw the places, coloured by stiffness (needs matplotlib).
-        samples (N): Samples, that at rest included (default $default); more of them begin with the
-            same ones.
+        samples (N): Samples (default $default).
         seed (S): Seed of their places (default $default).
-        range_ (COLUMN=LOW:HIGH): Bounds in place of the scene's, with columns of a commands file,
-            such as north_shortening_m=0:0.01.
+        range_ (COLUMN=LOW:HIGH): Bounds in place of the scene's, such as north_shortening_m=0:0.01.
         workers (N): Processes on this machine (default: one on each core).
         scheduler (ADDRESS): Compute on the Dask cluster of this scheduler instead, such as
             tcp://10.0.0.1:8786 (needs distributed).
@@ -528,11 +503,9 @@ def bench(
 ) -> int:  # fmt: skip
     """Time a step, stage by stage, over sizes.
 
-    Time every stage of a step while the effector follows a circle, or, in a scene without effectors,
-    while the actuators move over their limits, together with one SuperLU factorization of the same
-    matrices. Without a scene it times the Diamond. tools/bench_robots.py times all robots and compares
-    them with the paper, tools/contact_growth.py times 10 to 200 contacts, tools/compare_solvers.py
-    compares factorizations and QP solvers.
+    Time every stage of a step while the effector follows a circle, or the actuators move over their
+    limits, beside one SuperLU factorization. Without a scene it times the Diamond.
+    tools/bench_robots.py times all robots.
 
     Examples:
         softrobot_twin bench
@@ -542,10 +515,9 @@ def bench(
         scenes (SCENE): Scene file (YAML).
         output (FOLDER): Write bench.csv there.
         steps (N): Steps to time for each size (default $default).
-        commands (FILE.csv): Time the longest hold of this commands file in place of a circle.
-        compare (FILE.csv): bench.csv of an earlier run: steps that are slower by a tenth, in units
-            of SuperLU, or make more calls of Python are marked.
-        threads (N): Threads of large systems, at most, in place of `solver.threads` of the scenes.
+        commands (FILE.csv): Time the longest hold of this commands file instead.
+        compare (FILE.csv): bench.csv of an earlier run; slower steps are marked.
+        threads (N): Most threads of large systems, in place of `solver.threads`.
     """
     from softrobot_twin.study.bench import bench as measure
 
@@ -562,11 +534,8 @@ def accuracy(
     """Measure accuracy against computing time.
 
     Measure the effector's error and the time of a step over meshes, elements and laws, against an
-    extrapolation from quadratic meshes. Meshes of one family are in the folder of the scene's mesh,
-    and their names differ only in the number at the end; a mesh without a family is refined
-    uniformly. Meshes of hexahedra have _hexa before that number and are compared too. Reduced models
-    are measured beside their full ones: that of the scene, and those of --reduced and --train. This
-    takes minutes.
+    extrapolation. Meshes of one family lie beside the mesh of the scene, with other numbers at the end
+    of their names. It takes minutes.
 
     Examples:
         softrobot_twin accuracy config/scenes/diamond.yaml
@@ -578,9 +547,8 @@ def accuracy(
         timed_dof (N): Most dof of a setting that is timed (default $default).
         reference_dof (N): Most dof of a mesh of the reference (default $default).
         reduced (FILE.npz): Reduced models of these meshes, written by 'reduce'.
-        train (MESH:ELEMENT): First train reduced models of these meshes, such as
-            robot_4500:quadratic; without a name, of the most accurate one. They are kept in
-            FOLDER/reduced. A training takes minutes.
+        train (MESH:ELEMENT): First train reduced models of these meshes, such as robot_4500:quadratic;
+            without a name, of the most accurate one. A training takes minutes.
     """
     from softrobot_twin.study.accuracy import accuracy as measure
     from softrobot_twin.study.accuracy_study import Limits
@@ -598,11 +566,8 @@ def choose(
 ) -> int:  # fmt: skip
     """Find the most accurate setting that keeps a rate.
 
-    Time meshes, elements, laws, reduced models and numbers of linearizations on this machine, print
-    the most accurate setting that keeps the rate with a margin, and write its scene. Reduced models
-    are that of the scene, files *_reduced.npz beside its mesh and beside the scene that is written,
-    and those of --reduced. Where one that is not there would be better, a trial on the coarsest mesh
-    tells its error and the time of its training.
+    Time meshes, elements, laws, reduced models and linearizations on this machine, print the most
+    accurate setting that keeps the rate with a margin, and write its scene.
 
     Examples:
         softrobot_twin choose config/scenes/diamond.yaml --rate 200
@@ -615,15 +580,13 @@ def choose(
             not exist.
         write (FILE.yaml): Scene file to write (default <name>_<rate>hz.yaml here).
         reduced (FILE.npz): Further reduced models of these meshes, written by 'reduce'.
-        given: Choose by the error at given lengths, or volumes (default), or at given forces, or
+        given: Choose by the error at given lengths and volumes (default), or at given forces and
             pressures.
-        train: First train the reduced model that is expected to be the best, where one is expected to
-            be better than what there is; the file is beside the scene that is written. After Ctrl-C
-            the same command goes on.
+        train: First train the reduced model that is expected to be best.
 
     What a training samples, see 'reduce':
         range_ (COLUMN=LOW:HIGH): Bounds of the actuators (default: cables up to 0.4 of their limits,
-            as the poses in which errors are measured; others their own bounds).
+            others their own).
         targets (BOX): Targets in place of the box of the actuators:
             NAME=XLOW:XHIGH,YLOW:YHIGH,ZLOW:ZHIGH [m].
         loads (N): Forces up to this [N] at the effectors (default none).
@@ -658,12 +621,10 @@ def reduce(
 ) -> int:  # fmt: skip
     """Make the reduced model of a deformable body.
 
-    Bring the full model to states of the actuators' box, or near targets, take modes from its
-    displacements (proper orthogonal decomposition) and few weighted quadrature points that do the
-    work of all along them (energy-conserving sampling), and write a file that the scene names by
-    'reduced: {file: ...}'. The result is judged at fresh states. What the robot will meet must be
-    sampled: loads, tilts, and the whole range of the actuators. After Ctrl-C the states so far are in
-    a folder beside the file, and the same command goes on from there.
+    Bring the full model to many states, take modes from its displacements and few weighted quadrature
+    points, and write a file that the scene names by 'reduced: {file: ...}'. The result is judged at
+    fresh states. Sample what the robot will meet: loads, tilts and the whole range. After Ctrl-C the
+    same command goes on.
 
     Examples:
         softrobot_twin reduce config/scenes/diamond.yaml --error 1% \\
@@ -681,33 +642,27 @@ def reduce(
     What is sampled:
         snapshots (N): States of the full model (default $SNAPSHOTS; with --error $FIRST_SNAPSHOTS to
             begin with).
-        range_ (COLUMN=LOW:HIGH): Bounds in place of the scene's, with columns of a commands file,
-            such as north_shortening_m=0:0.01.
-        targets (BOX): Sample where the inverse brings the effectors, in place of the box of the
-            actuators: NAME=XLOW:XHIGH,YLOW:YHIGH,ZLOW:ZHIGH [m]; it takes fewer modes, and knows
-            nothing beyond.
-        along (TARGETS.csv): Sample along a path of targets instead, in the contact of the scene: what
-            presses on the body is trained as it will be met.
-        around (M): Each pass of that path is shifted as a whole, by up to this along each axis [m]
-            (default $AROUND).
-        loads (N): Forces up to this [N] in any direction at points, one at a time, in half of the
-            states (default none).
+        range_ (COLUMN=LOW:HIGH): Bounds in place of the scene's, such as north_shortening_m=0:0.01.
+        targets (BOX): Sample where the inverse brings the effectors:
+            NAME=XLOW:XHIGH,YLOW:YHIGH,ZLOW:ZHIGH [m]; fewer modes, valid only there.
+        along (TARGETS.csv): Sample along a path of targets, in the contact of the scene.
+        around (M): Each pass of that path is shifted by up to this along each axis [m] (default
+            $AROUND).
+        loads (N): Forces up to this [N] in any direction, in half of the states (default none).
         load_points (X,Y,Z): Points that --loads act on, at rest [m] (default the effectors);
             --load-points=-0.01,0,0.1 where the first number is negative.
-        surface_loads (COUNT): So many further points, spread over the surface, where something may
-            touch it.
+        surface_loads (COUNT): So many further points, spread over the surface.
         tilts (DEGREES): Directions of gravity up to this angle from the scene's.
         seed (S): Seed of all samples (default $default).
 
     How accurate it is:
-        error (PERCENT): Wanted largest error of the effectors at fresh states, such as 1%, by their
-            displacement: states, modes and points are added where the estimated error is worst until
-            it is met.
+        error (PERCENT): Wanted largest error of the effectors at fresh states, such as 1% of their
+            displacement; samples are added until it is met.
         energy (SHARE): Share of the energy that the modes leave out (default $ENERGY).
-        modes (N): Number of modes in place of that, rounded up to a multiple of three.
+        modes (N): Number of modes instead, rounded up to a multiple of three.
         spare_modes (N): Modes beyond, for the estimate of the error (default $default).
-        vibration_modes (N): So many of the modes are the slowest vibrations at rest (default
-            $VIBRATIONS where the scene has inertia, else none).
+        vibration_modes (N): Modes that are the slowest vibrations at rest (default $VIBRATIONS where
+            the scene has inertia, else none).
         tolerance (SHARE): Virtual work that the sampled points leave out (default $default).
         states (N): Fresh states for the error (default $default; 0 for none).
     """
@@ -740,9 +695,8 @@ def reduce_vertebrae(
 ) -> int:  # fmt: skip
     """Make the superelements of bodies with vertebrae.
 
-    Make the superelements of a scene's bodies with vertebrae where there are none, or where mesh,
-    material, vertebrae or walls of cavities have changed, and state the error of the reduced model
-    against the full one at fresh states of the whole range of the actuators.
+    Make the superelements of a scene's bodies with vertebrae where they are missing or out of date, and
+    state their error against the full model at fresh states.
 
     Examples:
         softrobot_twin reduce-vertebrae config/scenes/fetch_reduced.yaml
@@ -772,10 +726,9 @@ def replay(
 ) -> int:  # fmt: skip
     """Run a recorded run of a twin again.
 
-    Run a run again that a twin recorded with its parameter record: each message, service call and
-    tick in its order, at its time. Prints whether all results are equal to the bit, or the first
-    difference and the largest of each quantity. With another scene it prints how the run would have
-    differed, and the exit code is 0. ROS is not needed.
+    Repeat a run that a twin recorded with its parameter record, each message and tick in its order. It
+    prints whether all results are equal to the bit, or the first and the largest differences. ROS is
+    not needed.
 
     Examples:
         softrobot_twin replay run.mcap
@@ -785,8 +738,7 @@ def replay(
     Args:
         recorded (FILE.mcap): File of the run.
         scene (FILE.yaml): Another scene, with the same actuators and effectors.
-        set_ (KEY=VALUE): Other values of entries of the recorded scene, such as
-            body.material.young_modulus=1.5e5 or cables[0].tension=[0,5].
+        set_ (KEY=VALUE): Other values of the recorded scene.
         output (FILE.csv): File to write, one row per tick of the replay.
         record_view (FILE.rrd): File of pictures of the replay, for rerun.
     """
@@ -812,9 +764,8 @@ def demo(
 ) -> int:  # fmt: skip
     """Drive a simulated robot live over ROS 2.
 
-    Start twin, device and target as three processes, follow a path open loop and again closed loop,
-    and report the tracking errors; a robot that is driven directly plays its commands, and the device
-    is compared with the twin.
+    Start twin, device and target, follow a path open loop and then closed loop, and report the tracking
+    errors. A robot that is driven directly plays its commands instead.
 
     Examples:
         softrobot_twin demo
@@ -825,8 +776,7 @@ def demo(
         robot (NAME): Name of a file config/NAME.yaml (default $default).
         output (FOLDER): Folder for report.json, run.rrd and tracking.png (default $default).
         seconds (S): Length of each run [s] (default 30).
-        set_ (KEY=VALUE): Other values of entries of the twin's scene, such as
-            body.material.young_modulus=1.5e5; the device keeps its own scene.
+        set_ (KEY=VALUE): Other values of the twin's scene; the device keeps its own.
         view: Neither serve nor open a live view; run.rrd is still recorded.
     """
     enable_interrupts()
@@ -842,8 +792,7 @@ def demo(
 def completion(shell: Annotated[str, Read(choices=("bash", "zsh", "tcsh"))]) -> int:
     """Print what lets a shell complete these commands.
 
-    Print a script that lets the Tab key complete commands, options and file names of
-    'softrobot_twin'. A shell reads it when it starts.
+    Print a script that lets the Tab key complete commands, options and file names.
 
     Examples:
         softrobot_twin completion bash > ~/.local/share/bash-completion/completions/softrobot_twin

@@ -187,75 +187,70 @@ COMMON = (
     _setting("future_tolerance", "Messages with a stamp further in the future are refused.", "s", 0.0,
              60.0),
     *_fixed(Entry(
-        "ambient_pressure", STANDARD_ATMOSPHERE, "Absolute pressure around the robot: FluidPressure "
-        "messages are absolute, everything else is gauge, which is the absolute pressure less this "
-        "one.", "Pa", 1.0, 2e8)),
+        "ambient_pressure", STANDARD_ATMOSPHERE, "Absolute pressure around the robot; "
+        "only FluidPressure messages are absolute.", "Pa", 1.0, 2e8)),
 )
 
 RUNTIME = (
     _setting("rate", "Ticks per second.", "Hz", 0.1, 2000.0),
-    _setting("deadline", "Time that a step may take: remaining time is used for more linearizations, "
-             "and a stale factor is kept if a new one would be late and the stale one still "
-             "converges; 0 for the scene's number of linearizations. At most the period, 1/rate.", "s",
+    _setting("deadline", "Time that a step may take: remaining time is used for more "
+             "linearizations; 0 for the scene's number. At most 1/rate.", "s",
              0.0, 10.0),
     _setting("target_timeout",
-             "The twin holds after this time without a target or command; with 0 it never holds.", "s",
+             "The twin holds after this time without a target or command; 0 for never.", "s",
              0.0, 3600.0),
     _setting("velocity_timeout", "A received velocity is used for this time.", "s", 0.01, 10.0),
     _setting("speed_limit", "Greatest speed of a target moved by a velocity.", "m/s", 1e-6, 10.0),
-    _setting("approach_speed", "A far target is approached on a straight line at this speed; 0 moves "
-             "as fast as the cables' rates allow, possibly on a curved path.", "m/s", 0.0, 10.0),
+    _setting("approach_speed", "A far target is approached on a straight line at this "
+             "speed; 0 moves as fast as the actuators may.", "m/s", 0.0, 10.0),
     _setting("workspace_min", "Lower corner of the box to which targets and poses are limited.", "m"),
     _setting("workspace_max", "Upper corner of that box.", "m"),
     _setting("closed_loop", "Correct the targets by the measured markers."),
-    _setting("prediction", "In a scene with control law dynamic: command by prediction; else as if the robot "
-             "stood."),
-    _setting("misfit_rate", "Rate at which that correction follows the misfit of the markers.", "1/s",
+    _setting("prediction", "With control law dynamic: command by prediction."),
+    _setting("misfit_rate", "Rate of that correction.", "1/s",
              0.0, 1000.0),
-    _setting("correction_gain", "Gain of the integrator that stands in where setpoints are not "
-             "measured; with 0 a correction stays when the loop is opened.", "1/s", 0.0, 1000.0),
-    _setting("correction_limit", "Greatest length of the correction, and of what an observer adds to it.", "m", 0.0, 1.0),
-    _setting("lead_limit", "In closed loop a target that moves steadily is aimed at where it will be "
-             "when the robot executes the command, at most this time ahead; 0 aims at where it is.",
+    _setting("correction_gain", "Gain of the integrator that corrects where setpoints "
+             "are not measured.", "1/s", 0.0, 1000.0),
+    _setting("correction_limit", "Greatest length of the correction.", "m", 0.0, 1.0),
+    _setting("lead_limit", "In closed loop a moving target is aimed at most this time ahead; 0 "
+             "aims at where it is.",
              "s", 0.0, 1.0),
     _setting("marker_timeout", "Markers count as lost after this time without a message.", "s", 0.001,
              60.0),
     _setting("on_lost_markers",
              "When markers are lost in closed loop: keep the last correction, or hold."),
     _setting("device_timeout",
-             "The device counts as lost after this time without measured setpoints of each actuator.",
+             "The device counts as lost after this time without measured setpoints.",
              "s", 0.001, 60.0),
     _setting("on_lost_device", "When the device is lost: continue with the model alone, or hold."),
-    _setting("touch_timeout", "A touch ends after this time without a message of its force or place.",
+    _setting("touch_timeout", "A touch ends after this time without a message.",
              "s", 0.001, 60.0),
 )
 
 _SCENE = (
-    Entry("scene_file", "scenes/diamond.yaml", "Path of the scene: absolute, or relative to the working "
-          "directory, the folder of the parameter file or the package's config folder."),
-    Entry("scene_changes", [""], "Other values of its entries, each as KEY=VALUE, such as "
-          "body.material.young_modulus=1.5e5; [''] for none."),
+    Entry("scene_file", "scenes/diamond.yaml", "Path of the scene: absolute, or relative to the "
+          "working directory, the parameter file or the package's config folder."),
+    Entry("scene_changes", [""], "Other values, each as KEY=VALUE, such as "
+          "body.material.young_modulus=1.5e5."),
 )
 
 TWIN = COMMON + RUNTIME + _fixed(
     *_SCENE,
-    Entry("mode", Mode.INVERSE.value, "What drives the robot: targets, or setpoints and efforts of "
-          "its actuators: lengths and tensions of cables, pressures and volumes of cavities.",
+    Entry("mode", Mode.INVERSE.value, "What drives the robot: targets, or setpoints and efforts "
+          "of its actuators.",
           choices=tuple(mode.value for mode in Mode)),
-    Entry("use_device", False, "Drive a device: the twin starts disabled, and when enabled it starts "
-          "from the measured setpoints."),
-    Entry("mesh_error", True, "Estimate the error of the mesh, in a process of the lowest priority."),
-    Entry("reduction_error", True, "Compare reduced bodies with the full model, in a process of the "
-          "lowest priority; nothing in scenes without them."),
-    Entry("calibrate_fit", [""], "Keys of the numbers that ~/calibrate fits, as of the command calibrate; "
-          "[''] for its choice."),
-    Entry("observer", False, "Find forces that nobody modelled from the markers, also of a scene "
-          "without observer: then one at each touch, without touches one at each effector, and without "
-          "these one at a place that is found."),
+    Entry("use_device", False, "Drive a device: the twin starts disabled, and is enabled at the "
+          "measured setpoints."),
+    Entry("mesh_error", True, "Estimate the error of the mesh, in another process."),
+    Entry("reduction_error", True, "Compare reduced bodies with the full model, in another "
+          "process."),
+    Entry("calibrate_fit", [""], "Keys that ~/calibrate fits; [''] for its choice."),
+    Entry("observer", False, "Find unknown forces from the markers, also of a scene without "
+          "observer."),
     Entry("velocity_effector", "",
-          "Effector whose target target_velocity moves; empty for the first."),
-    Entry("priority", Priority.REAL_TIME.value, "Priority requested for the ticks: real-time "
-          "priority, a negative nice value, or none. A refusal is reported.",
+          "Effector that target_velocity moves; empty for the first."),
+    Entry("priority", Priority.REAL_TIME.value, "Priority of the ticks: real-time, a negative "
+          "nice value, or none. A refusal is reported.",
           choices=tuple(priority.value for priority in Priority)),
     Entry("view", False, "Show the twin in rerun."),
     Entry("view_port", 9876, "Port for viewers on this machine; 0 selects a free one.", "", 0, 65535),
@@ -263,63 +258,63 @@ TWIN = COMMON + RUNTIME + _fixed(
     Entry("view_spawn", False, "Open a viewer."),
     Entry("view_force_scale", 0.1, "Length of the arrow of a contact force.", "m/N", 1e-6, 1000.0),
     Entry("visualization_rate", 10.0,
-          "Most messages on ~/visualization per second, while somebody receives them; 0 for none.",
+          "Most messages on ~/visualization per second; 0 for none.",
           "Hz", 0.0, 1000.0),
     Entry("tf", "auto",
-          "Publish /tf while somebody receives it: on tells when tf2_msgs is missing, auto does not.",
+          "Publish /tf while somebody receives it; on tells when tf2_msgs is missing.",
           choices=("auto", "on", "off")),
     Entry("tf_prefix", "",
-          "Put before the names of the frames of bodies and effectors, such as left/."),
-    Entry("tf_base_frame", "", "Frame in which frame_id is fixed, such as world; empty for none."),
+          "Before the names of frames, such as left/."),
+    Entry("tf_base_frame", "", "Frame in which frame_id is fixed, such as world."),
     Entry("tf_base_pose", [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0],
-          "Where frame_id is in tf_base_frame: position, and quaternion x, y, z, w.", "m"),
-    Entry("record_file", "", "File to record the view into, .rrd; empty for none. It grows without "
-          "bound: see record_every."),
+          "Where frame_id is in it: position, and quaternion x, y, z, w.", "m"),
+    Entry("record_file", "", "File to record the view into, .rrd. It grows without bound: see "
+          "record_every."),
     Entry("record_every", 5, "The first of every so many shown ticks is recorded.", "frames", 1,
           100000),
-    Entry("record", "", "File to record the whole run into, .mcap: all inputs, outputs and "
-          "parameters, for `replay`; empty for none. An existing file is refused."),
+    Entry("record", "", "File to record the whole run into, .mcap, for `replay`. An existing "
+          "file is refused."),
 )
 
-_TWIN_NAME = Entry("twin", "twin", "Name of the twin that this node works with, below this node's "
-                   "namespace, or with a first slash.")
+_TWIN_NAME = Entry("twin", "twin", "Name of the twin that this node works with.")
 
 DEVICE = COMMON + _fixed(
     _TWIN_NAME,
     Entry("device_scene_file", "scenes/diamond_device.yaml",
-          "Path of the simulated robot's scene, searched like scene_file."),
+          "Path of the simulated robot's scene."),
     Entry("device_scene_changes", [""], "Other values of its entries, as scene_changes."),
     Entry("device_rate", 50.0, "Measurements per second.", "Hz", 0.1, 2000.0),
-    Entry("device_follows", "setpoints", "What of a command it follows: setpoints, such as lengths of "
-          "cables, or efforts, such as their tensions.", choices=("setpoints", "efforts")),
+    Entry("device_follows", "setpoints", "What it follows: setpoints, such as lengths, "
+          "or efforts, such as tensions.", choices=("setpoints", "efforts")),
     Entry("device_delay", 0.02, "Time from a command's arrival to its effect.", "s", 0.0, 10.0),
     Entry("device_servo_rate", 0.1, "Greatest speed of the servos of cables and slides.", "m/s", 1e-6,
           10.0),
     Entry("device_angle_rate", 6.0, "Greatest speed of the motors of hinges.", "rad/s", 1e-6, 1000.0),
     Entry("device_angle_noise", 0.0, "Standard deviation of each of their measured angles.", "rad", 0.0,
           1.0),
-    Entry("device_backlash", 0.0, "Angle by which such a motor turns back before what it drives follows.",
+    Entry("device_backlash", 0.0, "Angle by which such a motor turns back before the beam "
+          "follows.",
           "rad", 0.0, 1.0),
     Entry("device_valve_lag", 0.05,
-          "Time constant of the pressure regulators of cavities, a first-order lag; 0 for none.", "s",
+          "Time constant of pressure regulators; 0 for none.", "s",
           0.0, 60.0),
-    Entry("device_flow_limit", 2e-4, "Greatest flow of gas into or out of a cavity, as its volume at "
-          "ambient pressure; of a cavity with control: volume, the speed of its syringe.", "m³/s",
+    Entry("device_flow_limit", 2e-4, "Greatest flow of gas for a cavity, at ambient "
+          "pressure; under control: volume, the speed of its syringe.", "m³/s",
           1e-12, 10.0),
-    Entry("device_leak", 0.0, "Flow out of a cavity with a regulator, as its volume at ambient pressure, "
-          "by its gauge pressure.", "m³/(s Pa)", 0.0, 1.0),
+    Entry("device_leak", 0.0, "Flow out of a cavity at ambient pressure, by its gauge "
+          "pressure.", "m³/(s Pa)", 0.0, 1.0),
     Entry("device_pressure_noise", 20.0, "Standard deviation of each measured pressure.", "Pa", 0.0,
           1e6),
     Entry("device_marker_noise", 0.0002, "Standard deviation of each measured coordinate.", "m", 0.0,
           1.0),
     Entry("device_touch", "",
-          "Touch of the device's scene where a simulated fingertip presses; empty for none."),
+          "Touch of its scene where a simulated fingertip presses."),
     Entry("device_touch_depth", 0.001, "Depth of a press.", "m", 1e-9, 1.0),
-    Entry("device_touch_period", 2.0, "Time from press to press, of which a press takes half.", "s",
+    Entry("device_touch_period", 2.0, "Time from press to press; a press takes half.", "s",
           0.01, 3600.0),
     Entry("device_touch_direction", [0.0, 0.0, -1.0], "Direction of a press."),
     Entry("device_touch_sends", "position",
-          "What the fingertip measures for the twin: the place of the touched point, or the force.",
+          "What the fingertip measures: the place of the touched point, or the force.",
           choices=("position", "force")),
     Entry("device_seed", 1, "Seed of the noise.", "", 0, 2**31 - 1),
 )
@@ -327,12 +322,11 @@ DEVICE = COMMON + _fixed(
 TARGET = _fixed(
     COMMON[0], _TWIN_NAME, *_SCENE,
     Entry("target_effector", "tip",
-          "Effector that receives targets; with target_commands, the one that the demo compares."),
-    Entry("target_path", "circle", "circle, lemniscate, or a CSV file, searched like scene_file, with "
-          "the columns time_s,<effector>_x_m,_y_m,_z_m, for an orientation also _qx,_qy,_qz,_qw, or "
-          "what a run wrote."),
+          "Effector that receives targets, or that the demo compares."),
+    Entry("target_path", "circle", "circle, lemniscate, or a CSV file with the columns of a "
+          "targets file."),
     Entry("target_sequence", [""],
-          "Paths that replace target_path, one after the other; [''] for none."),
+          "Paths that replace target_path, one after the other."),
     Entry("target_sequence_time", 15.0, "Time for each of these paths.", "s", 0.001, 86400.0),
     Entry("target_center", [0.0, 0.0, 0.0], "Centre of circle and lemniscate.", "m"),
     Entry("target_radius", 0.01, "Radius of the circle, half the width of the lemniscate.", "m", 1e-6,
@@ -340,24 +334,22 @@ TARGET = _fixed(
     Entry("target_period", 10.0, "Time for the whole circle or lemniscate.", "s", 0.001, 86400.0),
     Entry("target_plane", "xy", "Plane of circle and lemniscate.", choices=("xy", "xz", "yz")),
     Entry("target_ramp_time", 2.0, "Duration of the smooth transition onto a path.", "s", 0.0, 3600.0),
-    Entry("target_ahead", 0.0, "Time for which the path is told ahead, on `target_path/<effector>`, to a "
-          "twin whose scene has `control`; 0 sends its present point.", "s", 0.0, 10.0),
+    Entry("target_ahead", 0.0, "Time for which the path is sent ahead, to a scene with "
+          "`control`; 0 sends a point.", "s", 0.0, 10.0),
     Entry("target_rate", 50.0, "Targets per second.", "Hz", 0.1, 2000.0),
-    Entry("target_actuator", "", "Actuator or motor that is commanded meanwhile, to and fro, such as "
-          "that of a hand; empty for none."),
-    Entry("target_setpoints", [0.0, 0.0], "Its first setpoint, and that after half a period.",
+    Entry("target_actuator", "", "Actuator or motor that is commanded meanwhile, to and fro, "
+          "such as of a hand."),
+    Entry("target_setpoints", [0.0, 0.0], "Its first setpoint, and the one after half a period.",
           "m, Pa or m³"),
     Entry("target_setpoint_period", 10.0, "Time of a movement to and fro.", "s", 0.001, 86400.0),
-    Entry("target_stiffness", [0.0, 0.0], "Stiffness along target_stiffness_axis that is wanted of "
-          "the effector meanwhile: the first, and that after half a period; zeros for none.", "N/m"),
+    Entry("target_stiffness", [0.0, 0.0], "Stiffness that is wanted meanwhile: the "
+          "first, and the one after half a period; zeros for none.", "N/m"),
     Entry("target_stiffness_axis", "z", "Axis of that stiffness.", choices=("x", "y", "z")),
     Entry("target_stiffness_period", 20.0, "Time of that stiffness to and fro.", "s", 0.001, 86400.0),
-    Entry("target_commands", "", "CSV file of commands that are played over and over in place of "
-          "targets, searched like scene_file, with the columns of simulate --commands; for a twin in "
-          "direct mode; empty for none."),
-    Entry("target_beginning", "", "CSV file of commands of the same kind that are played once before the "
-          "path, such as those that close a hand and lift what it holds, for a twin in inverse mode; "
-          "targets begin where the effector is then; empty for none."),
+    Entry("target_commands", "", "CSV file of commands that are played over and over in place "
+          "of targets, for a twin in direct mode."),
+    Entry("target_beginning", "", "CSV file of commands that are played once before the path, "
+          "such as to close a hand."),
 )
 
 ALL_TABLES = (TWIN, DEVICE, TARGET)

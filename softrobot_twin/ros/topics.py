@@ -182,153 +182,116 @@ def _by_name(*topics: Topic) -> dict[str, Topic]:
 
 TWIN_TOPICS = _by_name(
     Topic("~/target/<effector>", IN, PointStamped, NEWEST, "m",
-          "the newest is used, limited to the workspace; messages that are not finite, stale, out "
-          "of order or in another frame are refused and counted", "targets.accept_point"),
+          "the newest is used, limited to the workspace; a message that is not finite, "
+          "stale, out of order or in another frame is refused and counted", "targets.accept_point"),
     Topic("~/target_pose/<effector>", IN, PoseStamped, NEWEST, "m",
-          "of effectors with `orientation`: position, and turn from the rest shape; as "
-          "`~/target/<effector>`, and quaternions that are not of unit length within 1 % are "
-          "refused. A point or a velocity that follows moves the position, and the orientation "
-          "stays wanted; with `directions: []` the position is checked, and not used",
+          "of effectors with `orientation`: position, and turn from the rest shape; refused as a "
+          "target, and where the quaternion is not of unit length within 1 %",
           "targets.accept_pose"),
     Topic("~/target_path/<effector>", IN, Path, NEWEST, "m",
-          "of scenes with `control`: where the target will be at the stamp of each pose, straight in "
-          "between; turns are not used. It replaces what is left of an earlier path, and a point, pose "
-          "or velocity replaces it. Refused as `~/target/<effector>`, and where stamps do not increase",
+          "in scenes with `control`: where the target will be at the stamp of each pose; the "
+          "newest path, point, pose or velocity counts",
           "targets.accept_path"),
     Topic("~/target_stiffness/<effector>", IN, Vector3Stamped, NEWEST, "N/m",
-          "along x, y and z of the world, NaN where it is free; of effectors with `stiffness`, in "
-          "place of its `target` until `~/reset` or `~/enable`; stale, out of order, infinite, in "
-          "another frame, or not above 0 is refused and counted. One alone, without a target "
-          "position, is followed too", "stiffness.accept"),
+          "along x, y, z, NaN where free; replaces `stiffness.target` until `~/reset` "
+          "or `~/enable`; refused as a target, and where not above 0", "stiffness.accept"),
     Topic("~/target_velocity", IN, Twist, NEWEST, "m/s, rad/s",
-          "integrated, limited in speed, stopped after `velocity_timeout`, limited to the "
-          "workspace; its angular part turns an effector with `orientation`, whose length for a "
-          "radian says how fast", "targets.accept_velocity"),
+          "integrated, limited in speed and workspace, stopped after "
+          "`velocity_timeout`; the angular part turns an effector with `orientation`", "targets.accept_velocity"),
     Topic("~/touch_force/<touch>", IN, WrenchStamped, STREAM, "N",
-          "force on the robot; torques are not used. Zero or NaN ends the touch. Refused: "
-          "infinite, above `force_limit`, stale, out of order, in another frame",
+          "force on the robot; zero or NaN ends the touch; refused as a target, and above "
+          "`force_limit`",
           "touches.accept_force"),
     Topic("~/touch_position/<touch>", IN, PointStamped, STREAM, "m",
-          "place of the touched point: it is held there. NaN ends the touch. Refused: infinite, "
-          "far from the robot, stale, out of order, in another frame", "touches.accept_place"),
+          "the touched point is held there; NaN ends the touch; refused as a target, "
+          "and far from the robot", "touches.accept_place"),
     Topic("~/markers", IN, PointCloud2, STREAM, "m",
           "x y z float32, id uint32; NaN = hidden; implausible markers are left out and reported",
           "markers.accept"),
     Topic("~/measured_cables", IN, JointState, STREAM, "m, N",
-          "what the hardware measures, cavities as in `~/cables`; setpoints that no actuator of "
-          "the scene can have are refused; cavities with `control: pressure` and cables with "
-          "pulleys may be omitted", "device.accept"),
+          "measured setpoints and efforts, as in `~/cables`; cavities under pressure "
+          "and cables with pulleys may be omitted", "device.accept"),
     Topic("~/measured_angles", IN, JointState, STREAM, "rad, N m",
-          "angle in `position`, torque in `effort` (optional); of pulleys, by the names of their "
-          "cables or motors, any of them; in place of lengths in `~/measured_cables` or in "
-          "addition, the newest counts. Checked like these", "measured_angles.accept"),
+          "of pulleys and motors of hinges: angle in `position`, torque in `effort` "
+          "(optional); beside or in place of lengths", "measured_angles.accept"),
     Topic("~/measured_pressures/<cavity>", IN, FluidPressure, STREAM, "Pa, absolute",
-          "measured pressure, of a cavity with `control: pressure` in place of a value in "
-          "`~/measured_cables` or in addition; `frame_id` names the sensor and is not checked, "
-          "`variance` is not used", "measured_pressures.accept"),
+          "of a cavity under pressure, beside or in place of `~/measured_cables`; "
+          "`frame_id` and `variance` are not used", "measured_pressures.accept"),
     Topic("~/command/cables", IN, JointState, NEWEST, "m, N",
-          "m in `position`, or N in `effort`, of motors of hinges rad or N m; `mode: direct`. "
-          "Names are cables, slides or motors, and each cable is named once; a motor's position is "
-          "the length of its first cable [m], and its other cables are shortened by the same "
-          "length; its effort is the tension of each cable. Of a cavity `position` is the gauge "
-          "pressure [Pa] or, with `control: volume`, the volume [m³], and `effort` the gauge "
-          "pressure [Pa]; a cavity with `control: pressure` may be omitted and stays as it is. In "
-          "`mode: inverse` the message commands some actuators by length, pressure or volume, and "
-          "the others are optimised; an empty message commands none", "commands.accept"),
+          "setpoints in `position` or efforts in `effort`, by names of actuators or "
+          "motors, as in `~/cables`. In `mode: direct` all but cavities under pressure are "
+          "named. In `mode: inverse` the named actuators are commanded and the others optimised; "
+          "an empty message commands none", "commands.accept"),
     Topic("~/command/angles", IN, JointState, NEWEST, "rad",
-          "in `position`; of any pulleys, by the names of their cables or motors. The other "
-          "actuators stay as they are: in `mode: direct` at their setpoints, in `mode: inverse` "
-          "optimised or commanded as before; there the cables stay commanded until a message on "
-          "`~/command/cables` names them or is empty. Torques are refused. Only in scenes with "
-          "pulleys", "angles.accept"),
+          "in `position`, by names of cables or motors with pulleys; the other "
+          "actuators stay as they are", "angles.accept"),
     Topic("~/command/pressures/<cavity>", IN, FluidPressure, NEWEST, "Pa, absolute",
-          "above 0; commands this cavity, and the other actuators stay as they are: in `mode: "
-          "direct` at their setpoints, in `mode: inverse` optimised or commanded as before. There "
-          "the cavity stays commanded until a message on `~/command/cables` names it or is empty. "
-          "Checked like targets, but the frame may be empty. Refused for `control: volume`, whose "
-          "volume is commanded on `~/command/cables`", "pressures.accept"),
+          "above 0; commands this cavity, the other actuators stay as they are. In "
+          "`mode: inverse` an empty message on `~/command/cables` ends it", "pressures.accept"),
     Topic("~/command/pose/<guided body>", IN, PoseStamped, NEWEST, "m",
-          "frame, finiteness, rotation and age are checked, the scene limits speed and turn rate, "
-          "the newest is used, limited to the workspace", "poses.accept"),
+          "the newest is used, limited to the workspace and in speed and turn rate; "
+          "refused as a target", "poses.accept"),
     Topic("~/cables", OUT, JointState, NEWEST, "m, N",
-          "`position` = length [m], `effort` = tension [N]; of a slide its position and the force "
-          "that holds it; of a motor of a hinge its angle [rad] and torque [N m]; of a cavity its "
-          "gauge pressure [Pa] in both, or with `control: volume` its volume [m³] and gauge "
-          "pressure [Pa]"),
+          "`position` and `effort` of each actuator: length [m] and tension [N] of a cable, "
+          "position and force of a slide, angle [rad] and torque [N m] of a hinge motor, gauge "
+          "pressure [Pa] twice of a cavity, or its volume [m³] and gauge pressure under "
+          "`control: volume`"),
     Topic("~/cable_paths", OUT, JointState, NEWEST, "m",
-          "`position` = length of each cable's path through the body [m], which is shorter than its "
-          "length in `~/cables`, that of its winch, where the cable is slack; only in scenes with "
-          "cables, and while somebody receives it"),
+          "length of each cable's path; shorter than in `~/cables` where the cable is slack; "
+          "only while somebody receives it"),
     Topic("~/cables/claim", OUT, String, CLAIM, "",
-          "five times a second: that this twin lives, and whether it is enabled; below the name to "
-          "which `~/cables` is remapped. Twins on the same topic hear each other by it: the later "
-          "one is silent and says whose topics these are, and one that crashed blocks nothing"),
+          "five times a second: this twin lives, and whether it is enabled. A later twin on the "
+          "same topics stays silent and says whose they are"),
     Topic("~/angles", OUT, JointState, NEWEST, "rad, N m",
-          "`position` = angle [rad], `effort` = torque that holds the cables [N m], about the axis "
-          "in the positive sense; of each pulley, by the name of its cable or motor, with the same "
-          "stamp as `~/cables`; only in scenes with pulleys"),
+          "angle and torque of each pulley, with the stamp of `~/cables`"),
     Topic("~/pressures/<cavity>", OUT, FluidPressure, NEWEST, "Pa, absolute",
-          "gauge plus `ambient_pressure`; commanded or, with `control: volume`, predicted "
-          "pressure, with the same stamp as `~/cables`; of a sealed cavity its predicted pressure; "
-          "`variance` 0 (unknown)"),
+          "gauge plus `ambient_pressure`, with the stamp of `~/cables`; `variance` 0 (unknown)"),
     Topic("~/effectors/<effector>", OUT, PointStamped, NEWEST, "m", "predicted position"),
     Topic("~/effector_poses/<effector>", OUT, PoseStamped, NEWEST, "m",
           "of effectors with `orientation`: predicted position, and turn from the rest shape"),
     Topic("~/stiffness/<effector>", OUT, Vector3Stamped, NEWEST, "N/m",
-          "of effectors with `stiffness`, in ticks that follow one: the stiffness shown, NaN along "
-          "axes where none is wanted; of the new shape, to first order"),
+          "of effectors with `stiffness`: the stiffness shown, NaN where none is wanted"),
     Topic("~/touch/<touch>", OUT, JointState, NEWEST, "m, N",
-          "names x, y, z: `position` = displacement of the point since the touch began [m], "
-          "`effort` = force on the robot [N]; zero without a touch"),
+          "names x, y, z: `position` = displacement since the touch began [m], `effort` = force "
+          "on the robot [N]"),
     Topic("~/figures", OUT, JointState, NEWEST, "as the names say",
-          "what optional effects report, `position` = their values; only in scenes with effects "
-          "that report something"),
+          "what optional effects report, in `position`"),
     Topic("~/compliance/<effector>", OUT, Float64MultiArray, NEWEST, "m/N",
-          "3×3: motion of the effector by a force on it (columns x, y, z) while the actuators hold "
-          "what they hold; computed only while somebody receives it"),
+          "3×3: motion of the effector by a force on it while the actuators hold; only while "
+          "somebody receives it"),
     Topic("~/jacobian/<effector>", OUT, Float64MultiArray, NEWEST, "m per unit of the actuator",
-          "3 × actuators, in the order of `~/cables`: motion [m] of the effector by each actuator, "
-          "the others held. The label of the second dimension names each column with its unit, "
-          "such as `north_shortening_m` (m/m), `air_pressure_Pa` (m/Pa); by a shortening, not by "
-          "the length, which has the other sign. Computed only while somebody receives it"),
+          "3 × actuators, in the order of `~/cables`: motion of the effector by each actuator; "
+          "labels name columns and units, such as `north_shortening_m` (m/m); only while "
+          "somebody receives it"),
     Topic("~/external_forces/<force>", OUT, WrenchStamped, NEWEST, "N, N m",
-          "force on the robot that the scene's `observer` found, zero without one; a torque only on "
-          "a rigid body. Deviations are on the topic below and in `/diagnostics`"),
+          "force on the robot that the `observer` found; a torque only on a rigid body"),
     Topic("~/force_deviations/<force>", OUT, JointState, NEWEST, "N, m",
-          "names x, y, z: `position` = place of that force [m], `effort` = its standard deviation "
-          "[N]"),
+          "names x, y, z: `position` = place of that force [m], `effort` = its standard "
+          "deviation [N]"),
     Topic("~/external_contacts", OUT, JointState, NEWEST, "1",
-          "names of the scene's observed forces: `position` = 1 where the force is larger than noise "
+          "names of the observed forces: `position` = 1 where the force is larger than noise "
           "makes it, else 0"),
     Topic("~/predicted_markers", OUT, PointCloud2, NEWEST, "m",
-          "markers of the model, as in `~/markers`; only while somebody receives it"),
+          "markers of the model; only while somebody receives it"),
     Topic("~/bodies/<rigid body>", OUT, PoseStamped, NEWEST, "m",
           "predicted pose; only while somebody receives it"),
     Topic("~/poses/<guided body>", OUT, PoseStamped, NEWEST, "m",
           "commanded pose of a guided body, for the device"),
     Topic("~/contacts", OUT, PointCloud2, STREAM, "m, N",
-          "x y z fx fy fz float32: each contact, and its force on the first body of its pair; a "
-          "pair's resultant and sum of magnitudes are in `/diagnostics`"),
+          "x y z fx fy fz float32: each contact, and its force on the first body of its pair"),
     Topic("~/visualization", OUT, MarkerArray, NEWEST, "m",
-          "for RViz and Foxglove, `visualization_rate` times a second and only while somebody "
-          "receives it: the deformed surfaces, cables coloured by tension, motor axes, springs, "
-          "tubes and fibres, cavities coloured by pressure, rigid bodies, obstacles, effectors, "
-          "targets and touches, each kind in a namespace of its own; they vanish when the twin "
-          "ends"),
+          "markers of all that the scene shows, for RViz and Foxglove, `visualization_rate` "
+          "times a second and only while somebody receives it"),
     Topic("~/status", OUT, DiagnosticStatus, LATCHED, "",
-          "when it changes: what the loop does (`disabled`, `resynchronising`, `returning`, "
-          "`holding`, `following`, `commanded`) and why, the status of the step, the active "
-          "limits; `level` as in `/diagnostics`"),
+          "when it changes: what the loop does and why, the status of the step, the active "
+          "limits"),
     Topic("/tf", OUT, "tf2_msgs/TFMessage", TRANSFORMS, "m",
-          "from `frame_id` to each rigid body and effector (`tf_prefix` and its name; turned from "
-          "rest where it has `orientation`), and from `tf_base_frame` to `frame_id` where that is "
-          "given; with the stamp of `~/cables`; only while somebody receives it, and where "
-          "tf2_msgs is installed"),
+          "from `frame_id` to rigid bodies and effectors, and from `tf_base_frame` to "
+          "`frame_id`; only while somebody receives it, and with tf2_msgs"),
     Topic("/diagnostics", OUT, DiagnosticArray, DIAGNOSTICS, "",
-          "1 Hz, and at once when the clock was set or another node or publisher of the same name "
-          "appears: `<node>: loop`, `solver`, `limits`, `markers`, `device`, `target`, `view`, "
-          "`graph`, `record` with that parameter, and `contact`, `touch` and `observer` where a scene has "
-          "them; `<node>` is the full name without its first slash"),
+          "1 Hz, and at once when something serious changes: `<node>: loop`, `solver`, "
+          "`limits`, `markers`, `device`, `target`, `view`, `graph`, and `record`, `contact`, "
+          "`touch`, `observer` where there are any"),
 )  # fmt: skip
 """Topics of the twin, by name."""
 
@@ -363,16 +326,15 @@ def measured_topic(channel: Channel) -> Topic:
 
 TWIN_SERVICES = (
     Service("~/enable", SetBool,
-            "starts disabled with `use_device`; starts from the measured setpoints, or answers why "
-            "it cannot; refused while two nodes have the same name or publish on the same topic"),
+            "starts from the measured setpoints, or answers why it cannot; needed with "
+            "`use_device`"),
     Service("~/reset", Trigger,
-            "back to the rest shape, within the rate limits; with a device only the model returns, "
-            "and the twin is disabled"),
+            "back to the rest shape, within the rate limits; with a device only the model "
+            "returns, and the twin is disabled"),
     Service("~/calibrate", Trigger,
-            "fits numbers of the scene, `calibrate_fit`, to the poses at which the robot rested since the "
-            "start, in a process of its own. The answer comes at once: how many poses there are and which "
-            "file gets the proposal, or why there is no fit. The result is told in `calibration` of "
-            "`/diagnostics` and in the log. The twin stays as it is until it is started with the proposal"),
+            "fits `calibrate_fit` to the poses at which the robot rested, in another process. "
+            "It answers at once; the result is in `calibration` of `/diagnostics`. The twin "
+            "stays as it is until it is started with the proposal"),
 )  # fmt: skip
 """Services of the twin."""
 
@@ -392,11 +354,12 @@ DEVICE_TOPICS = _by_name(
     _of_twin("touch_force/<touch>", OUT, NEWEST, "with `device_touch` and `device_touch_sends: "
              "force`: the force on the robot, zero without a touch"),
     Topic("~/touch/<touch>", OUT, JointState, NEWEST, "m, N",
-          "what the fingertip measures, as the twin's `~/touch/<touch>`; with `device_touch`"),
+          "names x, y, z: `position` = displacement since the touch began [m], `effort` = force "
+          "on the robot [N]"),
     Topic("~/effectors/<effector>", OUT, PointStamped, NEWEST, "m",
-          "true position, for evaluation only"),
+          "predicted position"),
     Topic("~/bodies/<rigid body>", OUT, PoseStamped, NEWEST, "m",
-          "true pose, for evaluation only"),
+          "predicted pose; only while somebody receives it"),
 )  # fmt: skip
 """Topics of the device, by name."""
 

@@ -80,11 +80,11 @@ class Pulley(Entry):
     radius: Annotated[float, unit("m", gt=0.0)]
     """From the axis to the middle of the cable."""
     winds: Literal["positive", "negative"] = "positive"
-    """Sense of rotation that winds the cable up, and shortens it."""
+    """Sense of rotation that shortens the cable."""
     angle: Annotated[OpenRange, unit("rad"), allows_zero("the angle at rest")] = NO_LIMITS
-    """Limits of the angle, which is 0 at rest; infinite for no limit."""
+    """Limits of the angle, which is 0 at rest."""
     rate: Annotated[OpenNumber | None, unit("rad/s", gt=0.0)] = None
-    """Greatest speed; by default no limit."""
+    """Greatest speed."""
 
     @property
     def wound(self) -> float:
@@ -99,43 +99,37 @@ class Cable(ActuatorEntry):
     placed: ClassVar[dict[str, str]] = {"pull_point": "point", "points": "point"}
 
     body: Name | None = None
-    """The body it runs through; optional when there is only one."""
+    """Its body; optional where there is only one."""
     also_on: tuple[str, ...] = ()
-    """Other bodies that it runs through, by names or patterns such as ``rib_*``: each of its points
-    is carried by the nearest of all these bodies."""
+    """Other bodies that it runs through, by names or patterns such as ``rib_*``; the nearest body
+    carries each point."""
     frame: Literal["world", "mesh"] = "world"
-    """Its points are coordinates of the world, or of its body's mesh before its placement."""
+    """Frame of its points; `mesh` is before the placement."""
     pull_point: Vector
-    """Where the cable is pulled: its winch or motor, at rest."""
+    """Its winch or motor, at rest."""
     pull_point_on: Name = "world"
-    """``world``, ``body`` for its own bodies, or the name of a rigid body."""
+    """``world``, ``body`` for its own bodies, or a rigid body."""
     points: Annotated[tuple[Vector, ...], Field(min_length=1)]
-    """Points of the body that the cable runs through, starting at the pull point."""
+    """Points of the body that the cable runs through, from the pull point on."""
     hold_radius: Annotated[float, unit("m", ge=0.0)] = 0.0
-    """At each point the force acts on the material around it, as with a washer of this radius; it
-    ends smoothly at 1.37 times that, so that results have derivatives by radius and points. With 0
-    it acts on one point, whose displacement grows without bound as the mesh is refined."""
+    """Radius over which each point holds the material, as a washer. With 0 a point yields the
+    more, the finer the mesh is."""
     shortening: Annotated[OpenRange, unit("m"), allows_zero("the shortening at rest")] = NO_LIMITS
-    """Limits of the shortening against the length at rest; infinite for no limit. The length of a
-    cable cannot become negative."""
+    """Limits of the shortening from rest."""
     rate: Annotated[OpenNumber | None, unit("m/s", gt=0.0)] = None
-    """Greatest change of length per second; by default no limit."""
+    """Greatest change of length per second."""
     tension: Annotated[OpenPull, unit("N"), not_below_zero(_CANNOT_PUSH)] = POSITIVE
-    """Limits of the tension; a cable cannot push, so the lower limit is not negative."""
+    """Limits of the tension; the lower one is not negative."""
     pulley: Pulley | None = None
-    """Pulley that winds it: commands and measurements by angle beside those by length."""
+    """Pulley that winds it: commands and measurements by angle."""
     axial_stiffness: Annotated[OpenNumber | None, unit("N", gt=0.0)] = None
-    """EA: tension by strain. Lengths are then those of the unstretched cable. By default it does not
-    stretch."""
+    """EA: tension by strain; by default it does not stretch."""
     friction: Annotated[float, unit("", ge=0.0)] = 0.0
-    """µ at the points of its path: where the cable slips over a point at which its path turns by the
-    angle β, its tension falls by the factor exp(-µβ)."""
+    """µ at its points: where the path turns by β, the tension falls by exp(-µβ)."""
     offset: Annotated[float, unit("m")] = 0.0
-    """Zero error of its winch: the length that is commanded and measured, less the true one. Angles of
-    a pulley count from the same zero."""
+    """Zero error of its winch: measured less true length."""
     presliding: Annotated[float | None, unit("m", gt=0.0)] = None
-    """How far it moves over a point until friction that was absent acts wholly; by default a
-    thousandth of its length at rest."""
+    """Motion over a point until friction acts wholly; by default a thousandth of its length."""
 
     def check(self) -> None:
         """Refuse presliding without friction."""
@@ -156,19 +150,18 @@ class Cable(ActuatorEntry):
 
 
 class CavityWall(Entry):
-    """A closed surface in or on a body that encloses gas or liquid: a file, or a part of a mesh."""
+    """A closed surface that encloses gas or liquid: a file, or a part of a mesh."""
 
     placed: ClassVar[dict[str, str]] = {}
 
     body: Name | None = None
-    """The body that carries it; optional when there is only one."""
+    """Its body; optional where there is only one."""
     also_on: tuple[Name, ...] = ()
-    """Other bodies that form the wall: each vertex of its file is carried by the nearest body."""
+    """Other bodies that form the wall; the nearest body carries each vertex."""
     part: str | None = None
-    """Name of triangles in the file of the body's mesh: a physical group or a set of elements."""
+    """Name of triangles in the file of the body's mesh."""
     file: Path | None = None
-    """Surface mesh, relative to the scene file; placed like the body's own mesh. Its vertices need
-    not be nodes of the body, and triangles larger than its elements are split."""
+    """Surface mesh, placed like the body's own mesh."""
     scale: Annotated[float, unit("m per file unit", gt=0.0)] = 1.0
     """Scale of the file."""
 
@@ -189,8 +182,7 @@ class WalledEntry(Entry):
     name: Name
     """Its name, in topics and columns."""
     walls: Annotated[tuple[CavityWall, ...], Field(min_length=1)]
-    """Its closed surfaces. They have one pressure, as if one valve connected them, and their volumes
-    sum up."""
+    """Its closed surfaces. They have one pressure, and their volumes sum up."""
 
     def check_references(self, scene, key: str) -> None:
         """Refuse walls on bodies that the scene does not have.
@@ -217,27 +209,24 @@ class Cavity(WalledEntry, ActuatorEntry):
     placed: ClassVar[dict[str, str]] = {}
 
     control: Literal["pressure", "volume"] = "pressure"
-    """What is commanded: a pressure by a regulator, or a volume by a syringe."""
+    """A pressure by a regulator, or a volume by a syringe."""
     pressure: Annotated[OpenRange, unit("Pa"), allows_zero("the gauge pressure at rest")] = POSITIVE
-    """Limits of the gauge pressure; a negative lower limit allows a vacuum."""
+    """Limits of the gauge pressure; a negative one allows a vacuum."""
     pressure_offset: Annotated[float, unit("Pa")] = 0.0
-    """Zero error of its regulator: what is commanded and measured where the gauge pressure is 0."""
+    """Zero error of its regulator: what is measured at gauge pressure 0."""
     pressure_gain: Annotated[float, unit("", gt=0.0)] = 1.0
-    """Gauge pressure by what is commanded or measured, less `pressure_offset`."""
+    """Gauge pressure by measured pressure less `pressure_offset`."""
     volume: Annotated[OpenRange, unit("m³"), not_below_zero("a volume is not negative")] = POSITIVE
     """Limits of the volume."""
     growth: Annotated[OpenRange, unit("m³"), allows_zero("the growth at rest")] = NO_LIMITS
-    """Limits of the volume less that at rest. Without an upper limit it is the volume of a sphere with
-    nine times the area of the walls, so that a body that bursts is stopped."""
+    """Limits of the change of volume from rest. By default a bursting body is stopped."""
     rate: Annotated[OpenNumber | None, unit("Pa/s or m³/s", gt=0.0)] = None
-    """Greatest change per second of what is commanded; by default no limit."""
+    """Greatest change of the command per second."""
     flow: Annotated[OpenNumber | None, unit("m³/s", gt=0.0)] = None
-    """Greatest change of volume per second where the pressure is commanded, such as that of a valve;
-    by default no limit."""
+    """Greatest change of volume per second under pressure, as of a valve."""
     liquid_density: Annotated[float | None, unit("kg/m³", gt=0.0)] = None
-    """Density of the liquid that fills it, whose weight presses on its walls; by default it is
-    filled with gas, which weighs nothing. The pressure is then that at its highest point at rest.
-    """
+    """Density of the liquid that fills it; by default gas. The pressure is then that at its
+    highest point at rest."""
 
     def check(self) -> None:
         """Refuse a flow where the volume is commanded."""
@@ -247,7 +236,7 @@ class Cavity(WalledEntry, ActuatorEntry):
 
 
 class SealedCavity(WalledEntry):
-    """A cavity without a valve: the gas in it is compressed and expands, at constant temperature."""
+    """A cavity without a valve: its gas is compressed at constant temperature."""
 
     pressure: Annotated[float, unit("Pa")] = 0.0
     """Gauge pressure at rest."""
@@ -271,11 +260,11 @@ class Motor(Entry):
     cables: Annotated[tuple[Name, ...], Field(min_length=1)]
     """Names of its cables."""
     pulley: Pulley | None = None
-    """Pulley that winds them all; none of them then has a pulley of its own."""
+    """Pulley that winds them all."""
 
 
 class Slide(ActuatorEntry):
-    """An actuator that moves a guided rigid body, and all nodes attached to it, along an axis."""
+    """An actuator that moves a guided rigid body, and nodes attached to it, along an axis."""
 
     noun: ClassVar[str] = "slide"
     placed: ClassVar[dict[str, str]] = {"axis": "direction"}
@@ -285,9 +274,9 @@ class Slide(ActuatorEntry):
     axis: Annotated[Direction, not_zero("the axis of a slide must not be zero")]
     """Direction of positive positions, in the world."""
     travel: Annotated[ClosedRange, unit("m"), allows_zero("the position at rest", "its travel")]
-    """Limits of its position; at rest it is at 0."""
+    """Limits of its position, which is 0 at rest."""
     rate: Annotated[float | None, unit("m/s", gt=0.0)] = None
-    """Greatest speed; by default no limit."""
+    """Greatest speed."""
 
     def check_references(self, scene, key: str) -> None:
         """See `ActuatorEntry`."""
@@ -304,16 +293,16 @@ class HingeMotor(ActuatorEntry):
     beam: Name
     """The beam that it turns."""
     at: Literal["start", "end"] | Annotated[int, Field(ge=0)]
-    """The point of the beam that is joined by the hinge."""
+    """The point of the beam with the hinge."""
     angle: Annotated[ClosedRange, unit("rad"), allows_zero("the angle at rest")]
-    """Limits of its angle, less than a turn apart; at rest it is 0. It grows as the beam turns about
-    the axis of the hinge by the right-hand rule, against what the hinge is joined to."""
+    """Limits of its angle, less than a turn apart; 0 at rest, right-handed about the hinge's
+    axis."""
     offset: Annotated[float, unit("rad")] = 0.0
-    """Zero error of the motor: the angle that is commanded and measured, less the true one."""
+    """Zero error of the motor: measured less true angle."""
     rate: Annotated[float | None, unit("rad/s", gt=0.0)] = None
-    """Greatest speed; by default no limit."""
+    """Greatest speed."""
     torque: Annotated[OpenRange, unit("N m"), allows_zero("no torque")] = NO_LIMITS
-    """Limits of the torque that it exerts on the beam; by default none."""
+    """Limits of its torque on the beam."""
 
     def check(self) -> None:
         """Refuse limits that are a turn or more apart."""

@@ -56,8 +56,7 @@ class BoxMesh(Entry):
     cell_size: Annotated[float | None, unit("m", gt=0.0)] = None
     """Greatest edge of its cells."""
     cells: tuple[_CellCount, _CellCount, _CellCount] | None = None
-    """Numbers of cells along x, y, z, in place of cell_size. A cell is a hexahedron or six
-    tetrahedra, as the element of the body asks."""
+    """Numbers of cells along x, y, z, in place of `cell_size`."""
 
     def check(self) -> None:
         """Refuse more cells than `MOST_BOX_CELLS`."""
@@ -77,7 +76,7 @@ class BoxMesh(Entry):
 
 
 class Mesh(Entry):
-    """The mesh of a body and its placement: a mesh file, a CAD file that is meshed, or a box."""
+    """The mesh and its placement: a mesh file, a CAD file that is meshed, or a box."""
 
     told: ClassVar[tuple[str, ...]] = (
         "{file}", "{box}", "tetrahedra of {size:mm} mm", "scale {scale}",
@@ -86,23 +85,20 @@ class Mesh(Entry):
     placed: ClassVar[dict[str, str]] = {"rotation": "angles", "translation": "point"}
 
     file: Path | None = None
-    """Mesh file, relative to the scene file; or a CAD file (.stl, .obj, .ply, .off, .step, .stp) that
-    gmsh meshes with tetrahedra of the given `size`, once: the mesh is kept in the user's cache
-    folder."""
+    """Mesh file, or CAD file (.stl, .obj, .ply, .off, .step, .stp), relative to the scene file."""
     box: BoxMesh | None = None
     """A box in place of a file."""
     size: Annotated[float | None, unit("m", gt=0.0)] = None
     """Wanted edge of the tetrahedra of a CAD file."""
     scale: Annotated[float, unit("m per file unit", gt=0.0)] = 1.0
-    """Metres in a unit of the file: 0.001 for millimetres. A STEP file states its unit and takes no
-    scale."""
+    """Metres in a unit of the file: 0.001 for millimetres. Not for STEP files."""
     rotation: Angles = (0.0, 0.0, 0.0)
-    """Angles about the x, y and z axes of the world, in this order; after the scale."""
+    """Angles about the world's x, y and z axes, in this order; after the scale."""
     translation: Vector = (0.0, 0.0, 0.0)
     """Displacement; after the rotation."""
     merge_distance: Annotated[float | None, unit("m", ge=0.0)] = None
-    """Nodes nearer than this are merged; by default only coincident nodes that would separate the
-    mesh into several parts; 0 merges none."""
+    """Nodes nearer than this are merged; by default coincident nodes that would separate the
+    mesh."""
 
     def check(self) -> None:
         """Refuse what is not exactly one source, and keys that have no effect on it."""
@@ -144,8 +140,7 @@ class ViscosityTerm(Entry):
     told: ClassVar[tuple[str, ...]] = ("{share} in {time} s",)
 
     share: Annotated[float, unit("", gt=0.0, lt=1.0)]
-    """g: share of the modulus at once; it is not part of young_modulus, the modulus after a long
-    time."""
+    """g: share of the modulus at once. `young_modulus` is the modulus after a long time."""
     time: Annotated[float, unit("s", gt=0.0)]
     """τ: in this time its stress falls to 1/e."""
 
@@ -233,21 +228,19 @@ class ElasticEntry(Entry):
     )  # fmt: skip
 
     law: Annotated[str | None, registered("law", law_names)] = None
-    """Name of a law: one of these, or one that was registered from outside the package."""
+    """The law; more can be registered."""
     young_modulus: Annotated[float | None, unit("Pa", gt=0.0)] = None
-    """E at rest, for laws without constants of their own."""
+    """E at rest, for laws without `constants`."""
     poisson_ratio: Annotated[float | None, unit("", gt=-1.0, le=0.5)] = None
-    """ν at rest. 0.5, nearly incompressible, is for hyperelastic laws: it stands for a bulk modulus of
-    10⁴ shear moduli."""
+    """ν at rest; 0.5 is for hyperelastic laws."""
     bulk_modulus: Annotated[float | None, unit("Pa", gt=0.0)] = None
     """κ at rest, in place of Poisson's ratio."""
     constants: Annotated[Any, BeforeValidator(_numbers_by_name)] = None
-    """Constants of laws that have their own, in place of Young's modulus."""
+    """Constants of laws that have their own."""
     preset: str | None = None
-    """Name of a material that is sold, such as ``dragon_skin_30``: it gives law, constants, Poisson's
-    ratio, density and strain range, of which the last three may be given beside it."""
+    """Name of a material that is sold, such as ``dragon_skin_30``."""
     strain_range: Annotated[tuple[float, float] | None, unit("")] = None
-    """Least and greatest principal strain that the law is trusted in; others are reported."""
+    """Least and greatest principal strain that the law is trusted in."""
 
     @model_validator(mode="before")
     @classmethod
@@ -383,7 +376,7 @@ class Material(ElasticEntry):
     density: Annotated[float | None, unit("kg/m³", gt=0.0)] = None
     """Mass by volume."""
     total_mass: Annotated[float | None, unit("kg", gt=0.0)] = None
-    """The mass of the whole body, in place of a density."""
+    """Mass of the whole body, in place of a density."""
     viscosity: tuple[ViscosityTerm, ...] = ()
     """Prony series of a hyperelastic law: creep, relaxation, hysteresis."""
     softening: Softening | None = None
@@ -419,22 +412,21 @@ class BoxRegion(Entry):
 
 
 class RegionMaterial(ElasticEntry):
-    """The material of some cells of a body: of a named region of its mesh file, or of a box."""
+    """The material of some cells: of a named region, or of a box."""
 
     placed: ClassVar[dict[str, str]] = {"box": "box"}
     one_of: ClassVar[tuple[str, ...]] = ("region", "box")
 
     region: str | None = None
-    """Name of a volume in the mesh file: a physical group of Gmsh, an element set of Abaqus."""
+    """Name of a volume in the mesh file."""
     box: BoxRegion | None = None
     """The cells whose centre is in it."""
     frame: Literal["world", "mesh"] = "world"
-    """Coordinates of the box: of the world, or of the mesh before its placement."""
+    """Frame of the box; `mesh` is before the placement."""
     density: Annotated[float | None, unit("kg/m³", gt=0.0)] = None
-    """Law, Poisson's ratio (or bulk modulus) and density are by default those of the body's
-    material."""
+    """Law, Poisson's ratio and density are by default those of `material`."""
     viscosity: tuple[ViscosityTerm, ...] | None = None
-    """By default, as the softening, that of the body's material; [] for none."""
+    """By default, as the softening, that of `material`; [] for none."""
     softening: Softening | None = None
 
     @property
@@ -455,14 +447,14 @@ class SphereRegion(Entry):
 
 
 class Region(Entry):
-    """Exactly one of: a box, a sphere, nodes by their index in the mesh file."""
+    """Nodes in a box or in a sphere, or nodes by their index."""
 
     placed: ClassVar[dict[str, str]] = {"box": "box", "sphere": "inside"}
     one_of: ClassVar[tuple[str, ...]] = ("box", "sphere", "nodes")
     one_of_words: ClassVar[str] = "a region has exactly one of {}"
 
     frame: Literal["world", "mesh"] = "world"
-    """Coordinates of the world, or of the mesh before its placement."""
+    """The world, or the mesh before its placement."""
     box: BoxRegion | None = None
     sphere: SphereRegion | None = None
     nodes: tuple[Annotated[int, Field(ge=0)], ...] | None = None
@@ -470,14 +462,14 @@ class Region(Entry):
 
 
 class Attachment(Region):
-    """Nodes that move with a rigid body. A free rigid body takes their mass."""
+    """Nodes that move with a rigid body, which takes their mass if it is free."""
 
     to: Name
     """The rigid body."""
 
 
 class Vertebra(Entry):
-    """A part of a body that is taken as rigid: the nodes of a region of its mesh, or in a box."""
+    """A rigid part of a body: the nodes of a region of its mesh, or in a box."""
 
     placed: ClassVar[dict[str, str]] = {"box": "box"}
     one_of: ClassVar[tuple[str, ...]] = ("region", "box")
@@ -485,15 +477,15 @@ class Vertebra(Entry):
     name: Name
     """Its name."""
     region: str | None = None
-    """Name of a volume in the mesh file: a physical group of Gmsh, an element set of Abaqus."""
+    """Name of a volume in the mesh file."""
     box: BoxRegion | None = None
     """The nodes in it."""
     frame: Literal["world", "mesh"] = "mesh"
-    """Coordinates of the box: of the mesh before its placement, or of the world."""
+    """Frame of the box; `mesh` is before the placement."""
 
 
 class Vertebrae(Entry):
-    """Reduces a body to rigid vertebrae; what lies between two of them becomes a superelement.
+    """Reduces a body to rigid vertebrae with superelements between them, by ``reduce-vertebrae``.
 
     The superelements are made once, by ``python -m softrobot_twin reduce-vertebrae SCENE``.
     """
@@ -501,15 +493,15 @@ class Vertebrae(Entry):
     placed: ClassVar[dict[str, str]] = {"rigid": "regions"}
 
     rigid: Annotated[tuple[Vertebra, ...], Field(min_length=2)]
-    """The vertebrae. One that holds fixed nodes of the body is fixed."""
+    """The vertebrae; one that holds fixed nodes is fixed."""
     superelements: Path | None = None
-    """File that they are saved in, relative to the scene file; by default beside the mesh."""
+    """Their file; by default beside the mesh."""
     degree: Annotated[int, Field(ge=2, le=6)] = 4
-    """Total degree of their enthalpy as a polynomial of deformations and pressures."""
+    """Total degree of their polynomials."""
 
 
 class Reduced(Entry):
-    """Reduces a body to the coordinates of a basis, made by ``python -m softrobot_twin reduce``."""
+    """Reduces a body to the coordinates of a basis, made by ``reduce``."""
 
     gone: ClassVar[dict[str, str]] = {
         "fallback": "is gone since version 0.1.0: a twin warns where the reduced model is wrong, and keeps it. "
@@ -517,32 +509,32 @@ class Reduced(Entry):
         "true, or remove reduced to simulate all nodes"}
 
     file: Path
-    """File of the reduced model, relative to the scene file."""
+    """File of the reduced model."""
     spare_modes: bool = False
-    """Whether the spare modes of the file are in use, too: more exact and slower, and without a live
-    estimate of the error, which is made by them."""
+    """Whether the spare modes are in use: more exact, slower, without a live estimate of the
+    error."""
 
 
 class Damping(Entry):
-    """Rayleigh damping, C = α M + β K. The damping ratio at angular frequency ω is α/2ω + βω/2."""
+    """Rayleigh damping, C = α M + β K; the damping ratio is α/2ω + βω/2."""
 
     mass: Annotated[float, unit("1/s", ge=0.0)] = 0.0
     """α: in first-order motion it is the drag."""
     stiffness: Annotated[float, unit("s", ge=0.0)] = 0.0
-    """β: ratio of viscosity to elasticity; K is the stiffness of the present shape."""
+    """β; K is the stiffness of the present shape."""
 
 
 class Visual(Entry):
     """A finer surface that moves with the body, only for display."""
 
     file: Path
-    """Surface mesh, relative to the scene file; placed like the body's own mesh."""
+    """Surface mesh, placed like the body's own mesh."""
     scale: Annotated[float, unit("m per file unit", gt=0.0)] = 1.0
     """Metres in a unit of the file."""
 
 
 class ContactSurface(Visual):
-    """A closed surface that moves with the body, for contact in place of the mesh's surface."""
+    """A closed surface for contact in place of the mesh's surface."""
 
 
 class Body(Entry):
@@ -555,33 +547,26 @@ class Body(Entry):
     """Its name, by which other entries refer to it."""
     mesh: Mesh
     element: Annotated[str, registered("element", element_names)] = "quadratic"
-    """Name of a registered kind: linear, smoothed or quadratic, hexahedral, or one from outside the
-    package. A mesh file with hexahedra gets hexahedral where a scene names none. Quadratic
-    elements add a node at the middle of every edge. Linear ones are faster but lock: they are too
-    stiff in bending, increasingly as Poisson's ratio approaches 0.5. Smoothed ones are linear ones
-    whose strain is a mean around each edge: no more unknowns, about as exact as quadratic ones."""
+    """Quadratic has a node at the middle of every edge; linear is faster and too stiff in bending;
+    smoothed is linear with a mean strain around each edge."""
     material: Material
     materials: tuple[RegionMaterial, ...] = ()
-    """Materials of parts of it; no two of them claim the same cell, and cells that none claims
-    have `material`."""
+    """Materials of parts of the body; other cells have `material`."""
     fixed: tuple[Region, ...] = ()
     """Nodes that do not move."""
     attached: tuple[Attachment, ...] = ()
     """Nodes that move with a rigid body."""
     volume: Literal["per_element", "patches"] | None = None
-    """Where changes of volume are resisted: in every element, or in patches of elements, which do not
-    lock as Poisson's ratio approaches 0.5. Patches are for hyperelastic laws with a bulk modulus and
-    the corotational law. Default: patches for smoothed elements whose laws allow it, else
-    per_element."""
+    """Where changes of volume are resisted: patches do not lock near ν = 0.5. Default: patches for
+    smoothed elements whose laws allow it."""
     mass: Literal["lumped", "consistent", "uniform"] | None = None
-    """How mass and weight are distributed to the nodes: ``lumped`` by the volume around each node,
-    ``consistent`` by the shape functions, ``uniform`` equally. Default: lumped for linear
-    and hexahedral elements, consistent for quadratic ones."""
+    """How mass is shared among nodes: by volume, by shape functions, or equally. Default:
+    consistent for quadratic elements, else lumped."""
     damping: Damping = Damping()
     vertebrae: Vertebrae | None = None
-    """Rigid parts that the body is reduced to; without them all its nodes are unknowns."""
+    """Rigid parts that the body is reduced to, by `reduce-vertebrae`."""
     reduced: Reduced | None = None
-    """Basis that the body is reduced to; its coordinates are the unknowns in place of its nodes."""
+    """Basis that the body is reduced to, by `reduce`."""
     visual: Visual | None = None
     contact_surface: ContactSurface | None = None
 
@@ -671,9 +656,9 @@ class RectangleSection(Entry):
     width: Annotated[float, unit("m", gt=0.0)]
     """Its extent at right angles to that."""
     torsion: Annotated[float | None, unit("m⁴", gt=0.0)] = None
-    """Torsion constant, as measured; by default that of a rectangle by Saint-Venant."""
+    """Measured torsion constant; by default by Saint-Venant."""
     shear_factor: Annotated[float | None, unit("", gt=0.0, le=1.0)] = None
-    """Area of shear by area, as measured; by default that of a rectangle by Cowper."""
+    """Measured shear area by area; by default by Cowper."""
 
 
 class CircleSection(Entry):
@@ -719,11 +704,11 @@ class GivenSection(Entry):
     shear_area_z: Annotated[float | None, unit("m²", gt=0.0)] = None
     """By default 5/6 of the area."""
     radius: Annotated[float | None, unit("m", gt=0.0)] = None
-    """Of the beam where it touches and in pictures; by default that of a circle of the same area."""
+    """For touching and pictures; by default of a circle of the same area."""
 
 
 class CrossSection(Entry):
-    """Exactly one of: a rectangle, a circle, a tube, given constants."""
+    """A rectangle, a circle, a tube, or given constants."""
 
     told: ClassVar[tuple[str, ...]] = ("{rectangle}", "{circle}", "{tube}", "{constants}")
     one_of: ClassVar[tuple[str, ...]] = ("rectangle", "circle", "tube", "constants")
@@ -756,25 +741,23 @@ class BeamMaterial(Entry):
 
 
 class BeamJoint(Entry):
-    """Joins one of the points of a beam to something else."""
+    """Joins a point of a beam to something else."""
 
     placed: ClassVar[dict[str, str]] = {"axis": "direction", "through": "point"}
 
     at: Literal["start", "end"] | Annotated[int, Field(ge=0)]
-    """First or last point of the beam, or a point by its index."""
+    """First or last point, or a point by its index."""
     to: str
-    """A rigid body, or another beam, at its node in the same place; ``world`` for a hinge or a ball
-    joint. A pattern such as ``hub_*``: of what matches that whose position, or node, is nearest."""
+    """A rigid body, another beam or `world`; a pattern such as ``hub_*`` means the nearest
+    match."""
     by: Literal["rigid", "hinge", "ball"] = "rigid"
-    """Rigidly, by a hinge that turns about `axis`, or by a ball joint."""
+    """Rigidly, by a hinge about `axis`, or by a ball joint."""
     to_at: Literal["start", "end"] | Annotated[int, Field(ge=0)] | None = None
-    """Point of the other beam that it is joined to; what is between both is rigid. By default that in
-    the same place."""
+    """Point of the other beam; by default the one in the same place."""
     axis: Direction | None = None
     """Axis of a hinge, in the world at rest."""
     through: Vector | None = None
-    """Where the hinge or the ball joint is, at rest; by default at the point that is joined. It is rigid
-    between both, and without mass."""
+    """Place of the hinge or ball joint; by default the joined point."""
 
     def check(self) -> None:
         """Refuse a hinge without an axis, and an axis or a place without a hinge."""
@@ -803,15 +786,14 @@ class Beam(Entry):
     name: Name
     """Its name, by which other entries refer to it."""
     points: Annotated[tuple[Vector, ...], Field(min_length=2)]
-    """Its axis at rest; a node of the beam lies at each point."""
+    """Its axis at rest; a node lies at each point."""
     curve: Literal["straight", "smooth"] = "straight"
-    """Straight lines between the points, with rigid corners, or a smooth curve through them."""
+    """Straight lines with rigid corners, or a smooth curve."""
     elements: Annotated[int, Field(ge=1, le=100_000)]
-    """Number of elements of the whole beam, at least one between two points."""
+    """Number of elements, at least one between two points."""
     section: CrossSection
     thickness_direction: Annotated[Direction | None, not_zero("must not be zero")] = None
-    """Direction y of the cross-section; only the part at right angles to the axis counts. A round
-    section needs none."""
+    """Direction y of the cross-section; a round section needs none."""
     material: BeamMaterial
     fixed: tuple[Literal["start", "end"], ...] = ()
     """Ends that are clamped in the world."""
@@ -921,7 +903,7 @@ class SurfaceShape(Entry):
     translation: Vector = (0.0, 0.0, 0.0)
     """Displacement; after the rotation."""
     hull: bool = False
-    """Whether the convex hull of the file is taken, which closes every hole and joins all solids."""
+    """Whether the convex hull of the file is taken."""
 
 
 SHAPES = ("plane", "sphere", "capsule", "cylinder", "box", "surface")
@@ -971,14 +953,13 @@ class RigidJoint(Entry):
     to: Name
     """The other rigid body, or ``world``."""
     by: Literal["hinge", "ball"]
-    """By a hinge that turns about `axis`, or by a ball joint."""
+    """By a hinge about `axis`, or by a ball joint."""
     through: Vector
-    """Where the hinge or the ball joint is, as drawn. It may lie beside the bodies."""
+    """Place of the hinge or ball joint, as drawn."""
     axis: Annotated[Direction | None, not_zero("must not be zero")] = None
     """Axis of a hinge, in the world as drawn."""
     stiffness: Annotated[float, unit("N/m", gt=0.0)] = 1.0e6
-    """Of the bearing: the force that moves one body against the other by a length. That of a hinge is
-    shared by two places of the axis, one radius of the body to each side."""
+    """Stiffness of the bearing: force by displacement."""
 
     def check(self) -> None:
         """Refuse a hinge without an axis, and a ball joint with one."""
@@ -1001,22 +982,21 @@ class RigidBody(Shaped):
     name: Name
     """Its name, in topics, columns and pairs of contact."""
     motion: Literal["free", "guided", "fixed"] = "free"
-    """Free: it moves by forces. Guided: it follows commanded poses, or stays. Fixed: it stays where it
-    is mounted."""
+    """Moves by forces, follows commanded poses, or stays."""
     mass: Annotated[float | None, unit("kg", gt=0.0)] = None
     """Mass of a free body."""
     density: Annotated[float | None, unit("kg/m³", gt=0.0)] = None
-    """A free body has a mass or a density, uniform over its shape."""
+    """Of a free body, in place of a mass."""
     velocity: Annotated[tuple[float, float, float], unit("m/s")] = (0.0, 0.0, 0.0)
     """Initial velocity in a dynamic scene."""
     angular_velocity: Annotated[tuple[float, float, float], unit("rad/s")] = (0.0, 0.0, 0.0)
-    """Initial velocities in a dynamic scene."""
+    """Initial angular velocity in a dynamic scene."""
     damping: Annotated[float, unit("1/s", ge=0.0)] = 0.0
-    """α: the drag of a free body is α times its mass and inertia."""
+    """α: the drag is α times mass and inertia."""
     speed: Annotated[float | None, unit("m/s", gt=0.0)] = None
     """Greatest speed of a guided body; by default the robot's size per second."""
     turn_rate: Annotated[float | None, unit("rad/s", gt=0.0)] = None
-    """Greatest angular speed of a guided body; by default one radian per second."""
+    """Its greatest angular speed; by default 1 rad/s."""
     joined: tuple[RigidJoint, ...] = ()
     """Hinges and ball joints of a free body."""
 
@@ -1040,7 +1020,7 @@ class RigidBody(Shaped):
 
 
 class SpringEnd(Entry):
-    """An end of a spring: a point at rest, on a body or in the world."""
+    """A point at rest, on a body or in the world."""
 
     told: ClassVar[tuple[str, ...]] = ("{on:=}",)
     placed: ClassVar[dict[str, str]] = {"point": "point"}
@@ -1069,7 +1049,7 @@ class Spring(Entry):
 
 
 class Tube(Entry):
-    """A chain of springs along a path through a body, such as a tube around a cable."""
+    """Springs along a path through a body, such as a tube around a cable."""
 
     told: ClassVar[tuple[str, ...]] = ("{points:#point}", "EA {axial_stiffness} N")
     placed: ClassVar[dict[str, str]] = {"points": "point"}
@@ -1077,7 +1057,7 @@ class Tube(Entry):
     name: Name
     """Its name."""
     on: Name | None = None
-    """The deformable body; optional when there is only one."""
+    """The body; optional where there is only one."""
     points: Annotated[tuple[Vector, ...], Field(min_length=2)]
     """Its path at rest."""
     axial_stiffness: Annotated[float, unit("N", gt=0.0)]
@@ -1098,17 +1078,15 @@ class Helix(Entry):
     radius: Annotated[float, unit("m", gt=0.0)]
     """Distance of the threads from the axis."""
     pitch: Annotated[float, unit("m", gt=0.0)]
-    """Advance along the axis in one turn. The angle between thread and axis has the tangent
-    2π radius / pitch."""
+    """Advance along the axis in one turn."""
     reach: Annotated[tuple[float, float], unit("m")]
-    """First and last place along the axis, measured from `point`."""
+    """First and last place along the axis, from `point`."""
     count: Annotated[int, Field(ge=1, le=1000)] = 1
     """Number of threads of each handedness, at equal angles."""
     handedness: Literal["right", "left", "both"] = "both"
-    """Sense in which the threads wind about the direction of the axis."""
+    """Sense of winding about the direction of the axis."""
     phase: Annotated[float, unit("rad")] = 0.0
-    """Angle at which the first thread begins, about the axis, from x; for an axis within 45° of x,
-    from y."""
+    """Angle at which the first thread begins, from x; for an axis near x, from y."""
     segments_per_turn: Annotated[int, Field(ge=3, le=1000)] = 24
     """Straight pieces of a thread in one turn."""
 
@@ -1132,7 +1110,8 @@ class Helix(Entry):
 
 
 class Fibre(Entry):
-    """Threads in a body that are stiff in tension: a helix, a path of points, or edges of the mesh.
+    """Threads in a body that are stiff in tension: a helix, a path of points, or edges of the
+    mesh.
 
     Exactly one of `helix`, `points` and `edges` is given.
     """
@@ -1146,17 +1125,16 @@ class Fibre(Entry):
     name: Name
     """Its name."""
     on: Name | None = None
-    """The deformable body; optional when there is only one."""
+    """The body; optional where there is only one."""
     helix: Helix | None = None
     points: Annotated[tuple[Vector, ...], Field(min_length=2)] | None = None
     """Path of one thread at rest."""
     edges: str | None = None
-    """Name of line elements in the mesh file: a physical group of Gmsh, an element set of
-    Abaqus."""
+    """Name of line elements in the mesh file."""
     stiffness: Annotated[float, unit("N", gt=0.0)]
     """EA of one thread: the force that would double its length."""
     tension_only: bool = True
-    """Whether the threads are slack when they are shortened, or resist that too."""
+    """Whether the threads are slack when they are shortened."""
 
     @property
     def sense(self) -> str:
@@ -1177,13 +1155,13 @@ class MassSpringBody(Entry):
     masses: tuple[Annotated[float, unit("kg", gt=0.0)], ...]
     """One for each point, or one for all."""
     springs: tuple[tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]], ...] = ()
-    """Pairs of points, by their index in the list."""
+    """Pairs of points, by index."""
     stiffness: Annotated[float, unit("N/m", gt=0.0)] = 1.0
     """Of each spring: force by change of length."""
     damping: Annotated[float, unit("N s/m", ge=0.0)] = 0.0
     """Of each spring: force by rate of change of length."""
     fixed: tuple[Annotated[int, Field(ge=0)], ...] = ()
-    """Points that do not move, by their index in the list."""
+    """Points that do not move, by index."""
 
     def check(self) -> None:
         """Refuse masses, springs and fixed points that do not fit the points."""

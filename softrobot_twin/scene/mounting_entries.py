@@ -24,11 +24,11 @@ class MountedBody(Entry):
     translation: Vector = (0.0, 0.0, 0.0)
     """Displacement of its origin, on a straight line."""
     turn: Angles = (0.0, 0.0, 0.0)
-    """Rotation vector in the world, by which it is turned about its origin at the same time."""
+    """Rotation vector in the world, about its origin."""
 
 
 class MountedActuator(Entry):
-    """Brings an actuator to the displacement or the tension at which it is mounted."""
+    """Brings an actuator to where it is mounted."""
 
     told: ClassVar[tuple[str, ...]] = ("{actuator}", "to {displacement}", "to {tension} N")
     placed: ClassVar[dict[str, str]] = {}
@@ -36,9 +36,9 @@ class MountedActuator(Entry):
     actuator: Name
     """The cable or hinge motor."""
     displacement: Annotated[float | None, unit("m or rad")] = None
-    """Its displacement from the drawn shape: the angle of a motor [rad], the shortening of a cable [m]."""
+    """Angle of a motor [rad] or shortening of a cable [m], from the drawn shape."""
     tension: Annotated[float | None, unit("N", gt=0.0)] = None
-    """Tension to which a cable is wound, in place of a displacement: it bears it from this stage on."""
+    """Tension to which a cable is wound, in place of a displacement."""
 
     def check(self) -> None:
         """Refuse what is not exactly one of both."""

@@ -55,15 +55,15 @@ def _axis(value: Any) -> Any:
 
 
 class Pattern(Entry):
-    """How an entry is repeated. Copy number i, counted from 0, is turned by i times the angle and
-    then moved by i times the step."""
+    """Repeats an entry. Copy i, counted from 0, is turned by i angles and then moved by i
+    steps."""
 
     count: Annotated[int | None, Field(ge=1, le=MOST_COPIES)] = None
-    """Number of copies, with the entry itself; by default that of `names`."""
+    """Number of copies, with the entry itself; by default the number of `names`."""
     about: Annotated[
         Direction | None, BeforeValidator(_axis), not_zero("an axis must not be zero")
     ] = None
-    """Axis of rotation: x, y, z, or a vector. The rotation is right-handed."""
+    """Axis of rotation, right-handed: x, y, z, or a vector."""
     point: Vector = (0.0, 0.0, 0.0)
     """A point of the axis."""
     angle: Annotated[float | None, unit("rad")] = None

@@ -51,30 +51,29 @@ from softrobot_twin.solvers import FACTORIZATIONS
 
 
 class Touching(Entry):
-    """Two bodies or obstacles that may touch; the same name twice for self-contact."""
+    """Two bodies that may touch."""
 
     placed: ClassVar[dict[str, str]] = {}
 
     pair: tuple[Name, Name]
-    """Names of the two; of a body with itself the same name twice."""
+    """Names of the two bodies or obstacles; the same name twice for self-contact."""
     friction: Annotated[float | None, unit("", ge=0.0)] = None
-    """Coefficient µ of Coulomb's law; by default that of the contact section."""
+    """µ of the pair; by default `contact.friction`."""
     least_force: Annotated[float | None, unit("N", gt=0.0)] = None
-    """What the normal forces of the pair shall at least sum up to, where effectors follow targets and
-    the pair has friction: missed only where limits of the hardware do not allow it."""
+    """Least sum of the pair's normal forces while targets are followed; the pair needs
+    friction."""
     least_grip_margin: Annotated[float | None, unit("", gt=0.0, lt=1.0)] = None
-    """Share of the pair's friction that shall be left, 1 - Σ |λ_t| / Σ µ λ_n: it is told of every step,
-    and a step with less names `<first>.<second>.grip_margin`. A target is missed before it falls
-    below; where it is below already, actuators follow targets only to raise it."""
+    """Least share of the pair's friction that is left, 1 - Σ |λ_t| / Σ µ λ_n. Targets are missed
+    before the margin falls below."""
 
 
 class TouchingPoint(Entry):
-    """A point of a body that may touch one given triangle of the same body."""
+    """A point that may touch one triangle of the same body."""
 
     placed: ClassVar[dict[str, str]] = {"point": "point", "against": "point"}
 
     on: Name | None = None
-    """The deformable body; optional when there is only one."""
+    """The body; optional where there is only one."""
     point: Vector
     """The nearest node of the surface is used."""
     against: Vector
@@ -92,7 +91,7 @@ class Contact(Entry):
     between: tuple[Touching, ...] = ()
     """Pairs that may touch; all others pass through each other."""
     points: tuple[TouchingPoint, ...] = ()
-    """Points of a body that may touch given triangles of the same body."""
+    """Points that may touch given triangles of the same body."""
     friction: Annotated[float, unit("", ge=0.0)] = 0.0
     """µ of pairs without their own value."""
     alarm_distance: Annotated[float, unit("m", gt=0.0)] = 0.003
@@ -100,14 +99,13 @@ class Contact(Entry):
     contact_distance: Annotated[float, unit("m", ge=0.0)] = 0.0
     """Features at this distance are in contact."""
     force_limit: Annotated[float | None, unit("N", gt=0.0)] = None
-    """Greatest force of one contact in the inverse problem; exceeded only where it must be."""
+    """Greatest force of one contact in the inverse problem."""
     push_out_speed: Annotated[float, unit("m/s", gt=0.0)] = 0.05
     """Greatest speed at which overlapping bodies are separated."""
     tolerance: Annotated[float, unit("m", gt=0.0)] = 1.0e-8
     """Greatest residual of gaps and sticking."""
     most_sweeps: Annotated[int, Field(ge=1, le=100_000)] = 1000
-    """Greatest number of sweeps over all contacts; with friction Newton's method follows after 60.
-    """
+    """Greatest number of sweeps over all contacts."""
 
     def check(self) -> None:
         """Refuse a section without pairs, and distances that are not in order."""
@@ -133,13 +131,13 @@ class Marker(Entry):
     id: Annotated[int, Field(ge=0, lt=2**32)]
     """Its number in messages of markers."""
     body: Name | None = None
-    """The body it is on; optional when there is only one."""
+    """Its body; optional where there is only one."""
     point: Vector
     """Where it is at rest."""
 
 
 class MarkerFrame(Entry):
-    """Where the frame of the cameras is that measure the markers."""
+    """Frame of the cameras that measure the markers."""
 
     position: Vector = (0.0, 0.0, 0.0)
     """Its origin, in the frame of the robot."""
@@ -176,18 +174,17 @@ WantedStiffness = Annotated[float | None, unit("N/m", gt=0.0)]
 
 
 class EffectorOrientation(Entry):
-    """What an effector asks for beside its position: how its body is turned from rest."""
+    """How the body shall be turned from rest."""
 
     pointing: Annotated[Vector | None, not_zero("must not be zero: it is a direction")] = None
-    """Axis of the body, in the world at rest, that points where the target turns it: its turn about
-    the axis itself is left free. Without it the whole rotation is asked for."""
+    """Axis of the body at rest whose direction counts; without it the whole rotation counts."""
     points: tuple[Vector, ...] = ()
-    """Points of a deformable body whose best-fit rotation it is, three or more; by default those of
-    the effector. On a rigid body or a vertebra it is the body's rotation, and needs none."""
+    """Three or more points whose best-fit rotation counts; by default those of the effector. A
+    rigid body needs none."""
     weight: Annotated[float, unit("", gt=0.0)] = 1.0
     """Weight of the error of the orientation."""
     length_per_radian: Annotated[float | None, unit("m/rad", gt=0.0)] = None
-    """Displacement that counts as much as one radian; by default the size of the robot."""
+    """Displacement that counts as one radian; by default the robot's size."""
 
     def describe(self) -> str:
         """What is asked for, and how it is weighed."""
@@ -198,16 +195,15 @@ class EffectorOrientation(Entry):
 
 
 class EffectorStiffness(Entry):
-    """What an effector asks for beside its position: how stiff a touch finds it."""
+    """How stiff a touch shall find the effector."""
 
     target: tuple[WantedStiffness, WantedStiffness, WantedStiffness] = (None, None, None)
-    """Stiffness along x, y and z, felt by a force along that axis while the actuators hold what they
-    hold; null where it is free. Messages on ``~/target_stiffness/<effector>`` replace it."""
+    """Stiffness along x, y and z while the actuators hold; null where it is free."""
     weight: Annotated[float, unit("", ge=0.0)] = 1.0
-    """Weight of its error; zero as if the entry were not there."""
+    """Weight of its error."""
     length: Annotated[float | None, unit("m", gt=0.0)] = None
-    """Distance from the target that counts as much as a stiffness that is wrong by all of its
-    target; by default a tenth of the size of the robot."""
+    """Distance from the target that counts as a stiffness error of 100 %; by default a tenth of
+    the robot's size."""
 
     def describe(self) -> str:
         """What is asked for, and how it is weighed."""
@@ -226,13 +222,11 @@ class PointsOnBody(Entry):
     name: Name
     """Its name, in topics, commands and columns."""
     body: Name | None = None
-    """The body it is on; optional when there is only one."""
+    """Its body; optional where there is only one."""
     points: Annotated[tuple[Vector, ...], Field(min_length=1)]
-    """Places at rest: the effector, or the touch, is at their mean. A touch at a single point yields
-    the more, the finer the mesh is."""
+    """Places at rest; the effector or touch is at their mean."""
     directions: tuple[Literal["x", "y", "z"], ...] = ("x", "y", "z")
-    """Axes of the world along which a target counts, or a touch acts; along the others a touching
-    finger slides."""
+    """Axes of the world along which a target counts, or a touch acts."""
 
     def check(self) -> None:
         """Refuse no directions, and the same one twice."""
@@ -256,35 +250,32 @@ class Effector(PointsOnBody):
     """Directions may be empty with it."""
     stiffness: EffectorStiffness | None = None
     measured_by: tuple[int, ...] = ()
-    """Ids of the markers that move with it; in closed loop they measure the effector."""
+    """Ids of the markers that measure it in closed loop."""
 
 
 class Touch(PointsOnBody):
-    """Where a body may be touched, by a measured force or at a measured place: at the mean of some
-    points, over which the force is shared."""
+    """Where a body may be touched, by a measured force or at a measured place."""
 
     while_touched: Literal["hold_actuators", "follow_targets"] = "hold_actuators"
-    """What a robot that follows targets does: wait, so that its stiffness is felt, or go on, and
-    counteract the touch."""
+    """Wait, so that the stiffness is felt, or go on, and counteract the touch."""
     force_limit: Annotated[OpenNumber, unit("N", gt=0.0)] = math.inf
-    """A greater measured force is refused; by default none is."""
+    """A greater measured force is refused."""
 
 
 class ObservedForce(Entry):
-    """A force that nobody modelled and that is found from markers: at known points of a body or at a
-    touch, at an unknown place of a soft body's surface, or with its torque on a rigid body."""
+    """A force that is found from markers."""
 
     placed: ClassVar[dict[str, str]] = {"points": "point"}
 
     name: Name
     """Its name, in topics and columns."""
     body: Name | None = None
-    """The body it acts on; optional when there is only one."""
+    """Its body; optional where there is only one."""
     points: tuple[Vector, ...] = ()
-    """Places at rest: it acts at their mean. Without any, its place on the surface of a soft body is
-    found too; on a rigid body it is a force at the centre of mass and a torque."""
+    """The force acts at their mean. Without points its place is found; on a rigid body a torque is
+    found."""
     touch: Name | None = None
-    """A touch of the scene, at whose points it acts, in place of body and points."""
+    """Touch at whose points it acts, in place of body and points."""
 
     def check(self) -> None:
         """Refuse two ways to say where it acts."""
@@ -293,22 +284,21 @@ class ObservedForce(Entry):
 
 
 class Observer(Entry):
-    """Finds forces from where the markers are beside the model: a random walk, a Kalman filter, and
-    Huber's weights for outliers. The model bears what is found."""
+    """Finds unknown forces from the markers, by a Kalman filter."""
 
     told: ClassVar[tuple[str, ...]] = ("changes of {walk:=} N in a second",)
 
     forces: tuple[ObservedForce, ...] = ()
-    """The forces that are looked for; three markers or more tell one. By default one at each touch,
-    without touches at each effector, and without these at a place that is found."""
+    """The forces; each needs three markers. By default one at each touch, else at each effector,
+    else at a place that is found."""
     walk: Annotated[float, unit("N", gt=0.0)] = 0.3
-    """Change of a force within a second, as standard deviation; a sudden one is noticed by itself."""
+    """Standard deviation of a force's change in a second."""
     greatest_force: Annotated[float, unit("N", gt=0.0)] = 5.0
-    """What is expected before anything is seen, as standard deviation."""
+    """Standard deviation that is expected before anything is seen."""
     marker_noise: Annotated[float | None, unit("m", gt=0.0)] = None
-    """Standard deviation of each measured coordinate; by default it is estimated."""
+    """Standard deviation of each coordinate; by default it is estimated."""
     systematic_error: Annotated[float, unit("m", ge=0.0)] = 0.0
-    """What the model itself is off at the markers, as standard deviation: forces are the less sure."""
+    """Standard deviation of the model's own error at the markers."""
 
     def check(self) -> None:
         """Refuse a name that is given twice."""
@@ -329,23 +319,21 @@ class Control(Entry):
     by_word: ClassVar[str] = "law"
 
     law: Literal["dynamic", "quasi_static"] = "dynamic"
-    """By prediction of its motion, where a linear model follows it; or as if it stood in each tick."""
+    """By prediction of its motion, or as if it stood still in each tick."""
     inputs: Literal["setpoints", "efforts"] = "setpoints"
-    """What is commanded: lengths of cables, pressures and volumes; or tensions of cables, and
-    pressures."""
+    """Lengths, pressures and volumes, or tensions and pressures."""
     around: tuple[Annotated[float, unit("m, N, Pa or m³")], ...] = ()
-    """Inputs around which the robot moves, of each actuator in their order, in its unit: shortenings
-    or tensions, pressures, growths. By default zeros, of tensions a tenth of the greatest ones."""
+    """Inputs around which the robot moves, one for each actuator. By default zeros; of tensions a
+    tenth of the greatest."""
     modes: Annotated[int, Field(ge=1, le=50)] = 5
-    """Modes of the linear model: those through which the actuators move the effectors most."""
+    """Modes of the linear model."""
     horizon: Annotated[float, unit("s", gt=0.0, le=5.0)] = 0.25
     """Time for which motion is predicted."""
     delay: Annotated[float, unit("s", ge=0.0, le=1.0)] = 0.0
-    """Time from a command to its effect on the real robot, counted in whole ticks, the nearest number.
-    The age of markers is known by stamps."""
+    """Time from a command to its effect on the real robot."""
     shaping: Literal["none", "zv", "zvd"] = "none"
-    """Of `law: quasi_static`: targets are spread over time so that slow modes do not vibrate, without
-    feedback; zvd takes longer and bears a model that is less exact."""
+    """With `law: quasi_static`: spreads targets over time so that slow modes do not vibrate; zvd
+    bears a less exact model."""
 
     def check(self) -> None:
         """Refuse a shaping that has no effect."""
@@ -357,24 +345,21 @@ class Solver(Entry):
     """How a step is solved, and its tolerances."""
 
     factorization: Literal[*FACTORIZATIONS] = "multifrontal"  # type: ignore[valid-type]
-    """How the stiffness is factorized: multifrontal Cholesky, or SuperLU as a reference."""
+    """Multifrontal Cholesky, or SuperLU as a reference."""
     threads: Annotated[int | None, Field(ge=1, le=64)] = None
-    """Threads on which a large stiffness is factorized, at most; by default as many as the process has
-    cores, at most four. A small one takes one thread. Results are the same to the bit."""
+    """Most threads for a large stiffness; by default the cores, at most four."""
     qp_solver: Literal["osqp", "daqp"] = "osqp"
     """Solver of the inverse problem."""
     energy_weight: Annotated[float, unit("", ge=0.0, le=1.0)] = 1.0e-6
-    """ε of eq. (17): makes redundant actuation unique, with a small tracking error. Values below
-    1.5e-8, the limit of the arithmetic, count as 1.5e-8."""
+    """ε of eq. (17): makes redundant actuation unique, with a small tracking error."""
     newton_iterations: Annotated[int, Field(ge=1, le=100)] = 1
     """Greatest number of linearizations in one step."""
     residual_tolerance: Annotated[float, unit("N", gt=0.0)] = 1.0e-4
-    """Newton's method stops when the residual force of every node is at most this."""
+    """Greatest residual force of a node at which Newton's method stops."""
     reach_tolerance: Annotated[float, unit("m", gt=0.0)] = 1.0e-4
-    """A target is reached when the effector is within this distance."""
+    """Distance within which a target counts as reached."""
     exploration: bool = False
-    """Whether a robot that rests away from its targets looks for a nearer pose by simulation, and
-    goes there."""
+    """Whether a robot at rest away from its targets looks for a nearer pose by simulation."""
 
     def check(self) -> None:
         """Refuse threads for a factorization that has none."""
@@ -390,13 +375,12 @@ class Scene(Entry):
     gravity: Acceleration = (0.0, 0.0, -9.81)
     """Acceleration of gravity; zeros for none."""
     integration: Literal["quasi_static", "first_order", "dynamic"] = "quasi_static"
-    """Equilibrium in every step; viscous motion without inertia; motion with inertia."""
+    """Equilibrium in every step, viscous motion without inertia, or motion with inertia."""
     time_scheme: Literal["backward_euler", "generalized_alpha"] = "backward_euler"
-    """How dynamic motion is integrated: first order, which damps much and never gains energy, or
-    second order, which damps by its spectral radius."""
+    """First order, which damps much, or second order, which damps by `spectral_radius`."""
     spectral_radius: Annotated[float | None, unit("", ge=0.0, le=1.0)] = None
-    """ρ∞ of generalized_alpha, by default 0.8: factor by which a step multiplies vibrations that are
-    much faster than it. 1 damps nothing, 0 damps them at once."""
+    """ρ∞ of generalized_alpha, by default 0.8: 1 damps nothing, 0 damps fast vibrations at
+    once."""
     body: Body | None = None
     bodies: tuple[Body, ...] = ()
     """A single deformable body is given as `body`, several as `bodies`."""
@@ -421,7 +405,7 @@ class Scene(Entry):
     observer: Observer | None = None
     control: Control | None = None
     mounting: tuple[MountingStage, ...] = ()
-    """How the robot is assembled, in this order. Without it, it rests as it is drawn."""
+    """How the robot is assembled, in this order."""
     solver: Solver = Solver()
     path: Path | None = Field(default=None, exclude=True)
     """The scene file; set by the loader."""
