@@ -1,5 +1,5 @@
 """Writes the generated parts of the pages in docs/: keys of a scene, commands, topics,
-parameters.
+parameters, times of a step.
 
 ``python tools/write_reference.py`` writes them, with ``--check`` it only names the pages whose
 generated part is another one, and ends with 1. What a key, an option or a parameter means is said
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import csv
 import inspect
 import math
 import re
@@ -29,6 +30,7 @@ from softrobot_twin.ros.topics import NODES, TWIN_SERVICES, Direction, Topic
 from softrobot_twin.scene.entry import check_name, is_entry, item_of_list
 from softrobot_twin.scene.patterns import Pattern
 from softrobot_twin.scene.schema import Scene
+from softrobot_twin.study.bench_measurement import WHOLE_STEP
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 COMMAND = "python tools/write_reference.py"
@@ -483,11 +485,29 @@ def _topic(topic: Topic) -> str:
     return f"| `{topic.name}` | {topic.type_name}{unit}{quality} | {_escaped(topic.meaning)} |"
 
 
+# --- times of a step ------------------------------------------------------------------------------
+
+
+def step_times() -> str:
+    """Table of the whole step of each scene, from bench.csv."""
+    with (DOCS / "bench.csv").open(newline="", encoding="utf-8") as file:
+        steps = [row for row in csv.DictReader(file) if row["stage"] == WHOLE_STEP]
+    rows = ["| scene | unknowns | step, median | 99th percentile | SuperLU factorizations |",
+            "|---|---|---|---|---|"]  # fmt: skip
+    rows += [f"| `{row['scene']}` | {row['dof']} | {float(row['median_ms']):.2g} ms "
+             f"| {float(row['p99_ms']):.2g} ms | {_ratio(row)} |" for row in steps]  # fmt: skip
+    return "\n".join(rows)
+
+
+def _ratio(row: dict[str, str]) -> str:
+    return f"{float(row['ratio_to_superlu']):.2g}" if row["ratio_to_superlu"] else ""
+
+
 # --- pages ----------------------------------------------------------------------------------------
 
 PAGES = {
     "scene_reference.md": scene_reference, "commands.md": commands,
-    "parameters.md": parameters, "topics.md": topics,
+    "parameters.md": parameters, "topics.md": topics, "robots.md": step_times,
 }  # fmt: skip
 """Page of docs/, and what makes its generated part."""
 
