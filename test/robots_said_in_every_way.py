@@ -2,7 +2,7 @@
 
 A robot is drawn: its kind, shape, size, stiffness, and how far it is strained. A `Way` is one scene of
 this robot. All ways of a robot agree within the errors of their meshes, or a status or a warning says
-why one does not. The errors are those of docs/elements.md and docs/accuracy.md for meshes as coarse as
+why one does not. The errors are those of docs/measurements.md for meshes as coarse as
 the ones here; linear tetrahedra lock, and are only held to be not too soft.
 """
 

@@ -1,7 +1,7 @@
 """Time of a step over the number of contacts, on a block that rubs on 10 to 200 points.
 
 `python tools/contact_growth.py [STEPS] [FOLDER]` prints the table, and writes contacts.csv and
-contacts.png into a folder; docs/computing_time.md tells of it.
+contacts.png into a folder; docs/computing_time.md has figures.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Error against time of elements for nearly incompressible rubber: Cook's membrane and robots.
 
-`python tools/locking_study.py` prints the tables of docs/elements.md ("Rubber").
+`python tools/locking_study.py` prints the tables of docs/measurements.md ("Elements").
 """
 
 from __future__ import annotations
