@@ -19,15 +19,14 @@ and rates of the inputs, by DAQP. Only the input of the first tick is sent.
 from __future__ import annotations
 
 from collections import deque
-from ctypes import c_int
 from dataclasses import replace
 from typing import NamedTuple
 
-import daqp
 import numpy as np
 from scipy.linalg import block_diag
 
 from softrobot_twin.simulation.linear_model import LinearModel, StateSpace
+from softrobot_twin.solvers.daqp_program import solve_program
 
 IDLE_SHARE = 1.0e-2
 """What moves no output costs as much as this share of the motion of the other inputs."""
@@ -365,7 +364,6 @@ class Program:
         self._limited = np.tile(limited, count)
         self._steps = np.ascontiguousarray(steps[self._limited])
         self._reach = np.kron(spans * period, np.where(limited, allowed.rates, 0.0))[self._limited]
-        self._sense = np.zeros(len(self._low) + len(self._reach), dtype=c_int)
         self._k, self._is_first = k, np.arange(count * k) < k
 
     def solve(
@@ -386,10 +384,8 @@ class Program:
         held = np.where(self._is_first, np.tile(last, len(self._knots)), 0.0)[self._limited]
         upper = np.concatenate([self._high, held + self._reach])
         lower = np.concatenate([self._low, held - self._reach])
-        found, _, flag, info = daqp.solve(
-            self._hessian, gradient, self._steps, upper, lower, self._sense)  # fmt: skip
-        is_solved = flag >= 1 and bool(np.isfinite(found).all())
-        return (np.array(found[: self._k]) if is_solved else None), info["iterations"]
+        found = solve_program(self._hessian, gradient, self._steps, lower, upper)
+        return (found.x[: self._k] if found.is_found else None), found.iterations
 
     def feedback(self) -> tuple[np.ndarray, np.ndarray]:
         """Inputs of the first tick by the states, and by the last inputs, without limits.

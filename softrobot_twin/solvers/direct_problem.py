@@ -14,18 +14,15 @@ depend on earlier steps. Otherwise the dual active-set method of DAQP solves the
 
 from __future__ import annotations
 
-from ctypes import c_int
-
-import daqp
 import numpy as np
 
 from softrobot_twin.compilation import KERNEL, njit
+from softrobot_twin.solvers.daqp_program import solve_program
 from softrobot_twin.solvers.inverse_problem import MOVES_NOTHING, TINY, Bounds
 from softrobot_twin.solvers.warm_start import optimum_from_active_set
 
 # Two cables on one path make W singular; with this share of its diagonal they share the load.
 SHARING = 1.0e-10
-INFINITY = 1.0e30
 ROUND_OFF = 1.0e-12
 
 
@@ -164,13 +161,12 @@ def _solve(
     size = np.abs(gradient).max() or 1.0
     if not np.isfinite(size) or not np.all(np.isfinite(P)):
         return None
-    upper = np.minimum(np.concatenate([effort_max / scale, row_max]) / size, INFINITY)
-    lower = np.maximum(np.concatenate([effort_min / scale, row_min]) / size, -INFINITY)
-    z, _, exit_flag, _ = daqp.solve(
-        P, gradient / size, rows, upper, lower, np.zeros(len(upper), dtype=c_int)
-    )
-    if exit_flag < 1:
+    upper = np.concatenate([effort_max / scale, row_max]) / size
+    lower = np.concatenate([effort_min / scale, row_min]) / size
+    found = solve_program(P, gradient / size, rows, lower, upper)
+    if not found.is_found:
         return None
+    z = found.x
     # An effort at a bound is the bound, without the solver's round-off.
     efforts = np.clip(scale * size * z, effort_min, effort_max)
     efforts = np.where(z >= upper[:count] - ROUND_OFF, effort_max, efforts)

@@ -11,15 +11,13 @@ first.
 
 from __future__ import annotations
 
-from ctypes import c_int
 from typing import NamedTuple
 
-import daqp
 import numpy as np
 from scipy.linalg.lapack import dgeqp3
 
-INFINITY = 1.0e30
-EQUATION = 5
+from softrobot_twin.solvers.daqp_program import solve_program
+
 # Feasibility tolerances of DAQP, on rows of unit length, tried in this order.
 TOLERANCES = (1.0e-11, 1.0e-9)
 # Several times what the largest problems took; DAQP's own limit is far too long for a step.
@@ -108,8 +106,8 @@ class PolyhedronProjection:
         Returns:
             The solution, or None where there is none.
         """
-        bounds = self._unit(lower, upper, fixed)
-        return self._solve(self._identity, self.q, self.rows, *bounds, lower, upper)
+        unit = self._unit(lower, upper, fixed)
+        return self._solve(self._identity, self.q, self.rows, *unit, fixed, lower, upper)
 
     def solve_softly(self, lower, upper, fixed, soft: SoftBounds) -> Projection | None:
         """Solve with further bounds whose excess is least in the sense of least squares.
@@ -126,13 +124,11 @@ class PolyhedronProjection:
         slack = np.diag(-np.sqrt(SLACK_COST) * lengths.max() / lengths)
         hard = np.concatenate([self.rows, np.zeros((len(self.rows), count))], axis=1)
         added = np.concatenate([self.rows[soft.rows], slack], axis=1)
-        low, high, sense = self._unit(lower, upper, fixed)
-        low = np.concatenate([low, np.maximum(soft.lower / lengths, -INFINITY)])
-        high = np.concatenate([high, np.minimum(soft.upper / lengths, INFINITY)])
+        low, high = self._unit(lower, upper, fixed)
         return self._solve(
             np.eye(n + count), np.concatenate([self.q, np.zeros(count)]),
-            np.concatenate([hard, added]), low, high,
-            np.concatenate([sense, np.zeros(count, dtype=c_int)]), lower, upper,
+            np.concatenate([hard, added]), np.concatenate([low, soft.lower / lengths]),
+            np.concatenate([high, soft.upper / lengths]), fixed, lower, upper,
         )  # fmt: skip
 
     def refined(
@@ -158,27 +154,20 @@ class PolyhedronProjection:
             return projection.w
         return projection.w + np.linalg.lstsq(self.rows[active], missing, rcond=DEPENDENT)[0]
 
-    def _unit(self, lower, upper, fixed) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Bounds of the unit rows, and DAQP's kind of each."""
-        low = np.maximum(lower / self.lengths, -INFINITY)
-        high = np.minimum(upper / self.lengths, INFINITY)
+    def _unit(self, lower, upper, fixed) -> tuple[np.ndarray, np.ndarray]:
+        """Bounds of the unit rows; those that follow from others have none."""
         follows = lower == upper
         follows[fixed] = False
-        low[follows], high[follows] = -INFINITY, INFINITY
-        sense = np.zeros(len(low), dtype=c_int)
-        sense[fixed] = EQUATION
-        return low, high, sense
+        return (np.where(follows, -np.inf, lower / self.lengths),
+                np.where(follows, np.inf, upper / self.lengths))
 
-    def _solve(self, H, q, rows, low, high, sense, lower, upper) -> Projection | None:
-        n = len(self.q)
+    def _solve(self, H, q, rows, low, high, fixed, lower, upper) -> Projection | None:
         for tolerance in TOLERANCES:
-            w, _, exit_flag, info = daqp.solve(
-                H, q, rows, high, low, sense.copy(),
-                primal_tol=tolerance, iter_limit=MOST_ITERATIONS,
-            )  # fmt: skip
-            if exit_flag != 1 or not np.all(np.isfinite(w)):
+            optimum = solve_program(H, q, rows, low, high, fixed, primal_tol=tolerance,
+                                    iter_limit=MOST_ITERATIONS)
+            if not optimum.is_found:
                 continue
-            found = Projection(w[:n], info["lam"])
+            found = Projection(optimum.x[: len(self.q)], optimum.duals)
             if self._is_accepted(found.w, lower, upper):
                 return found
             # The factors that DAQP updates row by row lose digits where rows nearly depend.

@@ -8,13 +8,12 @@ to the solver is the projection of a point onto a polyhedron.
 
 from __future__ import annotations
 
-from ctypes import c_int
 from typing import NamedTuple
 
-import daqp
 import numpy as np
 import scipy.sparse as sp
 
+from softrobot_twin.solvers.daqp_program import solve_program
 from softrobot_twin.solvers.qpcc import QPCC
 
 OSQP_INFINITY = 1.0e20
@@ -29,7 +28,6 @@ OSQP_SETTINGS = {
     # Counted in iterations, never in seconds: the same input gives the same bits.
     "adaptive_rho_interval": 25,
 }
-DAQP_INFINITY = 1.0e30
 DAQP_TOLERANCE = 1.0e-9
 
 
@@ -194,12 +192,7 @@ class DAQPSolver:
         Returns:
             z, and whether it can be trusted.
         """
-        lower = np.maximum(problem.lower, -DAQP_INFINITY)
-        upper = np.minimum(problem.upper, DAQP_INFINITY)
-        w, _, exit_flag, info = daqp.solve(
-            np.eye(len(problem.q)), problem.q, problem.C, upper, lower,
-            np.zeros(len(upper), dtype=c_int), primal_tol=self._tolerance,
-        )  # fmt: skip
-        return problem.solution(
-            w, info["lam"], exit_flag >= 1, info["iterations"], f"exit flag {exit_flag}", self.name
-        )
+        found = solve_program(np.eye(len(problem.q)), problem.q, problem.C, problem.lower, problem.upper,
+                              primal_tol=self._tolerance)
+        return problem.solution(found.x, found.duals, found.is_found, found.iterations,
+                                f"exit flag {found.flag}", self.name)
