@@ -6,10 +6,11 @@ record. Neither of the two imports the other.
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -21,13 +22,14 @@ from softrobot_twin.ros.demo import (
     Demo,
     DemoOutcome,
     DemoPlan,
+    DemoStatus,
     ProcessDiedError,
     isolate,
     plan_demo,
 )
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.study.demo_table import write_demo_table
-from softrobot_twin.study.terminal import LiveLine, console, table
+from softrobot_twin.study.terminal import console, live_line, table
 from softrobot_twin.study.touch_report import draw_presses, touch_report, untouched
 from softrobot_twin.study.tracking import (
     TimedValues,
@@ -72,14 +74,32 @@ def demo(robot: str, folder: Path, run_time: float, view: bool,
         (folder / name).unlink(missing_ok=True)
     _print_start(plan, isolate(os.environ))
     try:
-        with LiveLine() as line:
-            outcome = Demo(plan, lambda status: line.show(*status)).run()
+        with live_line() as show:
+            outcome = Demo(plan, _StatusLine(show)).run()
     except ProcessDiedError as died:
         print(f"softrobot_twin: {died}; its last lines:", file=sys.stderr)
         for text in died.last_lines:
             print(f"    {text}", file=sys.stderr)
         return 1
     return _report(plan, outcome)
+
+
+class _StatusLine:
+    """Shows statuses of a demo; a new phase, and its first large error with a cause, at once."""
+
+    def __init__(self, show: Callable[[str, bool], None]):
+        self._show, self._seen = show, set()
+
+    def __call__(self, status: DemoStatus) -> None:
+        line = (f"{status.elapsed:6.1f} s  {status.phase:<11}  error {_thousandth(status.error, 'mm')}  "
+                f"step {_thousandth(status.compute_time, 'ms')}  missed {status.missed_ticks}")
+        now = status.phase, bool(status.cause)
+        self._show(line + f"  cause: {status.cause}" * now[1], now not in self._seen)
+        self._seen.add(now)
+
+
+def _thousandth(value: float, unit: str) -> str:
+    return f"   –   {unit}" if math.isnan(value) else f"{1e3 * value:6.2f} {unit}"
 
 
 def _print_start(plan: DemoPlan, domain: str) -> None:

@@ -27,7 +27,8 @@ ALLOWED_ROOMS = {
     # Names of what is registered there: laws and factorizations; where a helix begins.
     "scene": {"geometry", "mechanics", "solvers"},
     "simulation": CORE - {"simulation"},
-    "control": {"simulation"},
+    # The quadratic program of predictive control.
+    "control": {"simulation", "solvers"},
     "view": {"simulation"},
     "record": CORE | {"control"},
     "ros": CORE | {"control", "view", "record"},
@@ -47,7 +48,7 @@ ENTRANCE = {
 # Where a library may be imported; gmsh only in the process that meshes CAD files.
 HOMES = {
     "rerun": {"view"}, "matplotlib": {"study"}, "mpl_toolkits": {"study"}, "gmsh": {"geometry"},
-    "mcap": {"record"}, "trimesh": {"geometry"}, "manifold3d": {"geometry"}}
+    "daqp": {"solvers"}, "mcap": {"record"}, "trimesh": {"geometry"}, "manifold3d": {"geometry"}}
 ROS_LIBRARIES = {"rclpy", "rpyutils", "ament_index_python", "std_srvs", "builtin_interfaces"}
 ROS_SUFFIXES = ("_msgs", "_interfaces")
 DOTTED_NAME = re.compile(r"\w+(\.\w+)*")

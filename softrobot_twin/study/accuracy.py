@@ -29,7 +29,6 @@ from softrobot_twin.study.accuracy_study import (
     mesh_family,
     study_meshes,
     study_reduced,
-    study_seconds,
     with_hold_radius,
 )
 from softrobot_twin.study.figure import figure_file, load_pyplot
@@ -41,14 +40,8 @@ from softrobot_twin.study.reduced_models import (
     reduced_models,
     train_level,
 )
-from softrobot_twin.study.study_rows import each, write_rows
-from softrobot_twin.study.terminal import (
-    approximate_duration,
-    console,
-    print_apart,
-    print_to_stderr,
-    table,
-)
+from softrobot_twin.study.study_rows import write_rows
+from softrobot_twin.study.terminal import console, print_apart, table, tracked
 
 _CASE_LABELS = {"lengths": "displacements prescribed", "tensions": "forces prescribed",
                "weightless": "displacements, no gravity"}
@@ -214,15 +207,12 @@ def accuracy(
     every = every_level(levels, hexahedra)
     models = reduced_models([*([named] if named else []), *reduced], (), every)
     trained = [level_named(name, every) for name in train or ()]
-    print_to_stderr(f"{len(levels)} meshes: this takes "
-                    f"{approximate_duration(study_seconds(levels, limits))} on this machine"
-                    + (", and the training of reduced models" if train is not None else ""))
     study = study_meshes(levels, limits, hexahedra)
     if train is not None:
         trained = trained or [_most_accurate(study, every)]
         models += [train_level(scene_path, level, output / "reduced") for level in trained]
-    rows = [*study.rows, *(study_reduced(model, study, limits.timed_steps) for model in each(
-        models, lambda model: model.name, "fewer --reduced models shorten it"))]
+    rows = [*study.rows, *(study_reduced(model, study, limits.timed_steps)
+                           for model in tracked(models, "reduced models", len(models)))]
     conditions = describe_machine(NUMERICAL_LIBRARIES)
     shown = console()
     shown.print(conditions)

@@ -11,9 +11,7 @@ import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import count
 from pathlib import Path
-from statistics import median
 from time import perf_counter, thread_time
 from typing import NamedTuple
 
@@ -34,7 +32,6 @@ from softrobot_twin.scene.scene_parameters import with_values
 from softrobot_twin.simulation import (
     CommandEfforts,
     CommandSetpoints,
-    Hold,
     Simulation,
     State,
 )
@@ -49,7 +46,7 @@ from softrobot_twin.simulation.mesh_error import (
 )
 from softrobot_twin.study.output_file import writing
 from softrobot_twin.study.study_rows import read_rows
-from softrobot_twin.study.terminal import progress, warn
+from softrobot_twin.study.terminal import tracked, warn
 from softrobot_twin.study.timing import spread, without_garbage_collection
 
 
@@ -272,50 +269,11 @@ def _fit(sizes: np.ndarray, values: np.ndarray, order: float) -> tuple[np.ndarra
 
 ELEMENTS = ("linear", "smoothed", "quadratic")
 """Elements of tetrahedra that a study measures."""
-# Assumed exponent of the step's time over the number of unknowns.
-_GROWTH = 1.4
-# Linearizations for the equilibria of one mesh, and the time of building one, in steps.
-_LINEARIZATIONS, _BUILDING = 150, 40
-_MOST_TIMING = 3.0
-_PROBES = 5
-
-
-def study_seconds(levels: list[MeshLevel], limits: Limits) -> float:
-    """Estimated duration of a study on this machine, within a factor of about two [s].
-
-    Args:
-        levels: Meshes, the coarsest first.
-        limits: Size limits of the study.
-    """
-    probe = levels[0].with_element("quadratic")
-    simulation = Simulation(with_newton(probe.scene, 1, 1.0e-300))
-    simulation.step(Hold(1.0))
-    times = [simulation.step(Hold(1.0)).report.compute_time for _ in range(_PROBES)]
-    unit, size = median(times), dof_count(probe)
-
-    seconds = 0.0
-    for level in _with_elements(levels):
-        element, dof = level.scene.body.element, dof_count(level)
-        step = unit * (dof / size) ** _GROWTH
-        equilibria = step * (_LINEARIZATIONS + _BUILDING)
-        timing = min(_MOST_TIMING, limits.timed_steps * step) + step * _BUILDING
-        if element == "quadratic" and dof <= limits.reference_dof:
-            seconds += equilibria
-        if dof <= limits.timed_dof:
-            # Both laws are measured; the equilibria of the reference are already solved.
-            seconds += 2.0 * timing + (1 + (element != "quadratic")) * equilibria
-    return seconds
 
 
 def _with_elements(levels: Sequence[MeshLevel]) -> list[MeshLevel]:
     """Meshes of tetrahedra with each kind of `ELEMENTS`."""
     return [level.with_element(element) for element in ELEMENTS for level in levels]
-
-
-def _for_reference(every: Sequence[MeshLevel], limits: Limits) -> list[MeshLevel]:
-    """Those of meshes with elements that the reference is computed on."""
-    return [level for level in every if level.scene.body.element == "quadratic"
-            and dof_count(level) <= limits.reference_dof]
 
 
 MESH, REDUCED = "mesh", "reduced"
@@ -1050,19 +1008,12 @@ def study_meshes(
     own = levels[0].scene.body.material.law
     models = [(level, law) for law in dict.fromkeys((own, "corotational", "linear"))
               for level in (*every, *hexahedra) if dof_count(level) <= limits.timed_dof]
-    with progress() as bar:
-        task, begun = bar.add_task("meshes", total=len(models) + len(used), note=""), count()
-
-        def begin(text: str) -> None:
-            bar.update(task, completed=next(begun), note=text)
-
-        loads, solved = _solve_reference(used, moved, begin)
-        references = {case: _reference(name, case, used, solved, loads) for case in CASES}
-        rows = []
-        for level, law in models:
-            begin(f"{level.name}, {level.scene.body.element}, {law} law")
-            known = solved.get(level.name) if law == own and level in used else None
-            rows.append(_judge(level, law, loads, references, known, limits.timed_steps))
+    loads, solved = _solve_reference(used, moved)
+    references = {case: _reference(name, case, used, solved, loads) for case in CASES}
+    rows = []
+    for level, law in tracked(models, "meshes", len(models), lambda done: f"{done[0].name}, {done[1]} law"):
+        known = solved.get(level.name) if law == own and level in used else None
+        rows.append(_judge(level, law, loads, references, known, limits.timed_steps))
     return Study(rows, references, loads)
 
 
@@ -1076,13 +1027,12 @@ def dof_count(level: MeshLevel) -> int:
 
 
 def _solve_reference(
-    used: list[MeshLevel], moved: np.ndarray, begin: Callable[[str], None]
+    used: list[MeshLevel], moved: np.ndarray
 ) -> tuple[Loads, dict[str, dict[str, Poses]]]:
     """Equilibria on the quadratic meshes; the finest one determines the prescribed efforts."""
     solved: dict[str, dict[str, Poses]] = {}
     loads = None
-    for level in reversed(used):
-        begin(f"reference: {level.name}, quadratic")
+    for level in tracked(reversed(used), "reference", len(used), lambda done: done.name):
         lengths = equilibria(level.scene, "lengths", Loads(moved))
         if loads is None:
             loads = Loads(moved, prescribed_efforts(level.scene, lengths.efforts))

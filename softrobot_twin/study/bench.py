@@ -28,8 +28,8 @@ from softrobot_twin.study.bench_measurement import (
 )
 from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine
 from softrobot_twin.study.output_file import make_folder
-from softrobot_twin.study.study_rows import each, write_rows
-from softrobot_twin.study.terminal import by_key, console, print_apart, table
+from softrobot_twin.study.study_rows import write_rows
+from softrobot_twin.study.terminal import by_key, console, print_apart, report_activity, table
 from softrobot_twin.study.timing import Spread
 
 
@@ -277,8 +277,12 @@ def measure_all(cases: Sequence[BenchCase], steps: int) -> list[SizeMeasurement]
     Raises:
         SoftRobotTwinError: See `measure`.
     """
-    return [measure(case, steps) for case in each(
-        cases, lambda case: f"{case.name}: {steps} steps", "fewer --steps, or scenes that are named, shorten it")]
+    sizes = []
+    for number, case in enumerate(cases, start=1):
+        # A line in place of a progress bar, whose thread would disturb the timing.
+        report_activity(f"{case.name}, {number} of {len(cases)}: {steps} steps")
+        sizes.append(measure(case, steps))
+    return sizes
 
 
 def print_sizes(sizes: Sequence[SizeMeasurement]) -> None:

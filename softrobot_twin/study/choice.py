@@ -45,7 +45,6 @@ from softrobot_twin.study.accuracy_study import (
     read_study,
     rounds_of,
     study_meshes,
-    study_seconds,
     with_element,
     with_hold_radius,
     with_law,
@@ -719,9 +718,8 @@ def _rows(
                                 + ", ".join(sorted(known)))
         _check_mesh_sizes(file, rows, levels)
         return rows
-    print_to_stderr(f"the errors of these {len(levels)} meshes are not known. Their study takes "
-             f"{approximate_duration(study_seconds(levels, QUICK))} on this machine; then the "
-             "candidates are timed. --accuracy FILE stores the errors")
+    print_to_stderr(f"the errors of these {len(levels)} meshes are not known: a study takes minutes; then the "
+                    "candidates are timed. --accuracy FILE stores the errors")
     rows = study_meshes(levels, QUICK, hexahedra).rows
     if file is not None:
         write_rows(file, rows)

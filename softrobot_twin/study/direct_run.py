@@ -143,7 +143,6 @@ def _run_and_report(simulation: Simulation, commanded: CommandTable, output: Pat
 
     return run_and_report(
         simulation, rows, columns, len(step_times(commanded, rate)),
-        "a lower --rate or a shorter time shortens it",
         f"{'direct' if seen is None else 'no commands'}, {rate:g} Hz", output, summary, picture,
         shots, list if seen is None else seen.lines)
 

@@ -123,8 +123,8 @@ class Picture(NamedTuple):
 
 
 def run_and_report(
-    simulation: Simulation, rows: Iterable[RunRow], columns: RunColumns, count: int, shorter: str,
-    how: str, output: Path, summary: RunSummary, picture: Picture | None,
+    simulation: Simulation, rows: Iterable[RunRow], columns: RunColumns, count: int, how: str,
+    output: Path, summary: RunSummary, picture: Picture | None,
     shots: Callable[[RunRow], list[Snapshot]], more: Callable[[], list[tuple[str, str]]] = list,
 ) -> int:  # fmt: skip
     """Computes the rows of a run, writes the run file and the picture, and prints what it gave.
@@ -134,7 +134,6 @@ def run_and_report(
         rows: The rows, each computed when it is asked for.
         columns: Those of the file.
         count: Number of rows.
-        shorter: What makes the run shorter.
         how: How it is driven, for the title.
         output: The run file.
         summary: Sums the run up.
@@ -154,8 +153,7 @@ def run_and_report(
         simulation.warm_up()
     name, drawn = simulation.scene.name, []
     with run_file(output, columns) as write:
-        for row in tracked(rows, name, count, summary.unit, shorter,
-                           lambda row: row.result.status.value):
+        for row in tracked(rows, name, count, lambda row: row.result.status.value):
             write(row)
             summary.add(row)
             drawn += shots(row)
@@ -221,6 +219,5 @@ def simulate(scene: Path, targets: Path, output: Path, settle: int = 0,
 
     columns = columns_of(simulation, rows)
     return run_and_report(
-        simulation, run(simulation, rows, settle, columns), columns, len(effector_path),
-        "fewer rows of targets shorten it", "offline", output, summary,
+        simulation, run(simulation, rows, settle, columns), columns, len(effector_path), "offline", output, summary,
         picture and Picture(picture), shots)

@@ -759,8 +759,7 @@ def find_states(
         return ["ok" if found else "not_converged" for found in states.is_found]
 
     done = {index for index, states in enumerate(known) if states is not None}
-    run_samples(title, crew, job, asked, done, keep,
-                "fewer --snapshots or --states, or more --workers on more cores, shorten it")
+    run_samples(title, crew, job, asked, done, keep)
     return known, causes
 
 

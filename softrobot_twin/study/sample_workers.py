@@ -29,7 +29,7 @@ from softrobot_twin.scene import Scene
 from softrobot_twin.scene.entry import values_below
 from softrobot_twin.simulation.result import Status
 from softrobot_twin.study.figure import MissingExtraError
-from softrobot_twin.study.terminal import FirstSteps, progress
+from softrobot_twin.study.terminal import progress
 from softrobot_twin.worker_threads import use_one_thread
 
 LOST = "lost"
@@ -371,7 +371,7 @@ def workers_of(count: int | None, scheduler: str | None) -> SampleWorkers:
 
 def run_samples(
     title: str, crew: SampleWorkers, job: Job, samples: Sequence[np.ndarray], done: Container[int],
-    keep: Callable[[SampleOutcome], Sequence[str]], shorter: str,
+    keep: Callable[[SampleOutcome], Sequence[str]],
 ) -> None:  # fmt: skip
     """Computes the samples of a run that are not done, and shows the progress on standard error.
 
@@ -382,18 +382,15 @@ def run_samples(
         samples: All samples; one with several rows counts as several.
         done: Indices of those that an earlier call left.
         keep: Keeps the outcome of a sample; gives its status, or that of each of its rows.
-        shorter: What makes the run shorter, which is said where it takes long.
     """
     left = [(index, sample) for index, sample in enumerate(samples) if index not in done]
     total, open_count = (sum(len(np.atleast_2d(sample)) for sample in own)
                          for own in (samples, (sample for _, sample in left)))
-    first, not_at_rest = FirstSteps(open_count, "samples", shorter), 0
+    not_at_rest = 0
     # The workers end at once, whatever ends the loop.
-    with progress(tells_ends=True) as bar, closing(crew.run(job, left)) as outcomes:
-        task = bar.add_task(title, total=total, completed=total - open_count, note="")
+    with (progress(title, total, total - open_count, tells_ends=True) as count,
+          closing(crew.run(job, left)) as outcomes):  # fmt: skip
         for outcome in outcomes:
             statuses = keep(outcome)
-            first.add(len(statuses))
             not_at_rest += sum(status in NOT_AT_REST for status in statuses)
-            bar.update(task, advance=len(statuses),
-                       note=f"{not_at_rest} not at rest" if not_at_rest else "")
+            count(len(statuses), f"{not_at_rest} not at rest" if not_at_rest else "")

@@ -1,37 +1,16 @@
-"""What studies have in common: cases one after another, and a CSV file of what is measured of each."""
+"""CSV files of what studies measure, a row of a dataclass for each case."""
 
 from __future__ import annotations
 
 import csv
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, asdict, fields
 from pathlib import Path
 from typing import Any, TypeVar
 
 from softrobot_twin.study.output_file import cell, csv_output
-from softrobot_twin.study.terminal import announce, report_activity
 
-Case, Row = TypeVar("Case"), TypeVar("Row")
-
-
-def each(cases: Sequence[Case], words: Callable[[Case], str], shorter: str) -> Iterator[Case]:
-    """The cases of a study, each named on standard error when it begins.
-
-    The line stands in place of a progress bar, whose thread would disturb a timing.
-
-    Args:
-        cases: The cases.
-        words: What is done with a case.
-        shorter: What makes the study shorter; said after the first case where the others take long.
-    """
-    begin = time.monotonic()
-    for number, case in enumerate(cases, start=1):
-        report_activity(f"{words(case)}, {number} of {len(cases)}")
-        yield case
-        if number == 1:
-            announce((len(cases) - 1) * (time.monotonic() - begin),
-                     f"{len(cases) - 1} more, if none takes longer than the first", shorter)
+Row = TypeVar("Row")
 
 
 def write_rows(path: Path, rows: Sequence[Any]) -> None:

@@ -12,7 +12,6 @@ from typing import TextIO, TypeVar
 
 from rich import box
 from rich.console import Console
-from rich.live import Live
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
@@ -106,17 +105,36 @@ def listing(title: str, rows, piped: bool | None = None) -> Table:
     return made
 
 
-def progress(tells_ends: bool = False) -> Progress | PipedProgress:
+@contextmanager
+def progress(
+    title: str, total: float, done: float = 0, tells_ends: bool = False
+) -> Iterator[Callable[[float, str], None]]:
     """A progress bar on standard error, or a line now and then where that is no terminal.
 
     Args:
+        title: What is done.
+        total: Number of its parts.
+        done: Parts that were done before.
         tells_ends: Whether there are lines at the beginning and at the end too.
+
+    Yields:
+        A function that counts further parts, with a text behind the numbers.
     """
-    if not sys.stderr.isatty():
-        return PipedProgress(sys.stderr, tells_ends)
-    return Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
-                    TimeRemainingColumn(), TextColumn("{task.fields[note]}"),
-                    console=Console(stderr=True))
+    if sys.stderr.isatty():
+        with Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
+                      TimeRemainingColumn(), TextColumn("{task.fields[note]}"),
+                      console=Console(stderr=True)) as bar:
+            task = bar.add_task(title, total=total, completed=done, note="")
+            yield lambda count, note: bar.update(task, advance=count, note=note)
+        return
+    lines = PipedProgress(title, total, done, sys.stderr)
+    if tells_ends:
+        lines.show()
+    try:
+        yield lines.add
+    finally:
+        if tells_ends:
+            lines.show()
 
 
 FIRST_LINE, NEXT_LINE = 5.0, 30.0
@@ -130,62 +148,38 @@ _TENTH = 0.1
 class PipedProgress:
     """Progress as lines of text, for standard error that is no terminal.
 
-    It has what is used of `rich.progress.Progress`. Work of less than some seconds prints nothing,
-    or its beginning and its end.
+    Work of less than some seconds prints nothing.
     """
 
-    def __init__(self, stream: TextIO, tells_ends: bool = False):
+    def __init__(self, title: str, total: float, done: float, stream: TextIO):
         """Begins to count the time.
 
         Args:
-            stream: Where lines are printed.
-            tells_ends: Whether there are lines at the beginning and at the end too.
-        """
-        self._stream, self._tells_ends, self._begin = stream, tells_ends, time.monotonic()
-        self._printed_at, self._printed = self._begin, 0.0
-        self._title, self._total, self._first, self._done, self._note = "", 0.0, 0.0, 0.0, ""
-
-    def __enter__(self) -> PipedProgress:
-        return self
-
-    def __exit__(self, *_) -> None:
-        if self._tells_ends:
-            self._print()
-
-    def add_task(self, description: str, total: float, completed: float = 0, note: str = "") -> int:
-        """Begins the one task.
-
-        Args:
-            description: What is done.
+            title: What is done.
             total: Number of its parts.
-            completed: Parts that were done before.
-            note: Text behind the numbers.
+            done: Parts that were done before.
+            stream: Where lines are printed.
         """
-        self._title, self._total, self._note = description, total, note
-        self._first = self._done = self._printed = completed
-        if self._tells_ends:
-            self._print()
-        return 0
+        self._title, self._total, self._stream, self._note = title, total, stream, ""
+        self._first = self._done = self._shown = done
+        self._begin = self._shown_at = time.monotonic()
 
-    def update(self, task: int, *, advance: float = 0, completed: float | None = None,
-               note: str | None = None) -> None:
+    def add(self, count: float, note: str) -> None:
         """Counts parts that are done, and prints a line if it is time.
 
         Args:
-            task: What `add_task` returned.
-            advance: Further parts that are done.
-            completed: All parts that are done, in place of `advance`.
+            count: Further parts that are done.
             note: Text behind the numbers.
         """
-        self._done = self._done + advance if completed is None else completed
-        self._note = self._note if note is None else note
-        since = time.monotonic() - self._printed_at
-        is_more = self._done - self._printed >= _TENTH * self._total
-        is_first = self._printed == self._first
+        self._done, self._note = self._done + count, note
+        since = time.monotonic() - self._shown_at
+        is_more = self._done - self._shown >= _TENTH * self._total
+        is_first = self._shown == self._first
         if since >= NEXT_LINE or since >= FIRST_LINE and (is_more or is_first):
-            self._print()
+            self.show()
 
-    def _print(self) -> None:
+    def show(self) -> None:
+        """Prints a line, with the time left where parts were done since the beginning."""
         now = time.monotonic()
         line = f"{self._title}: {self._done:g} of {self._total:g}"
         computed = self._done - self._first
@@ -193,7 +187,7 @@ class PipedProgress:
             left = (now - self._begin) * (self._total - self._done) / computed
             line += f", {approximate_duration(left)} left"
         print(f"{line}, {self._note}" if self._note else line, file=self._stream, flush=True)
-        self._printed_at, self._printed = now, self._done
+        self._shown_at, self._shown = now, self._done
 
 
 def terminal_status(text: str) -> AbstractContextManager:
@@ -232,78 +226,21 @@ def approximate_duration(seconds: float) -> str:
     return f"about {seconds / 3600.0:.1f} hours"
 
 
-LONG_WORK = 30.0
-"""Work that takes longer than this is announced [s]."""
-
-
-def announce(seconds: float, what: str, shorter: str) -> None:
-    """Says on standard error how long work takes about; nothing where that is short.
-
-    Args:
-        seconds: The estimate [s].
-        what: The work, with the numbers that it depends on.
-        shorter: What makes it shorter.
-    """
-    if seconds > LONG_WORK:
-        print_to_stderr(f"{what}: {approximate_duration(seconds)} on this machine; {shorter}")
-
-
-class FirstSteps:
-    """Tells from the first steps of a run how long the whole takes."""
-
-    _LEAST_STEPS, _LEAST_TIME = 5, 1.0
-
-    def __init__(self, total: int, what: str, shorter: str,
-                 tell: Callable[[float, str, str], None] = announce):
-        """Begins to count the time.
-
-        Args:
-            total: Number of steps.
-            what: What the steps are called.
-            shorter: What makes the run shorter.
-            tell: Tells the estimate.
-        """
-        self._total, self._what, self._shorter, self._tell = total, what, shorter, tell
-        self._done, self._begin, self._is_told = 0, time.monotonic(), False
-
-    def add(self, count: int = 1) -> None:
-        """Counts steps that are done.
-
-        Args:
-            count: How many.
-        """
-        self._done += count
-        if self._is_told or self._done < self._LEAST_STEPS:
-            return
-        elapsed = time.monotonic() - self._begin
-        if elapsed >= self._LEAST_TIME:
-            self._is_told = True
-            each = elapsed / self._done
-            self._tell(each * (self._total - self._done),
-                       f"{self._total} {self._what} of {1e3 * each:.3g} ms", self._shorter)
-
-
 def tracked(
-    items: Iterable[Value], title: str, total: int, what: str, shorter: str,
-    note: Callable[[Value], str] = lambda _: "",
-) -> Iterator[Value]:  # fmt: skip
-    """Items of long work, with its progress, and from the first ones how long the whole takes.
+    items: Iterable[Value], title: str, total: int, note: Callable[[Value], str] = lambda _: ""
+) -> Iterator[Value]:
+    """Items of long work, with its progress.
 
     Args:
         items: What is computed one by one; each is counted when the next one is asked for.
         title: What is done.
         total: Number of items.
-        what: What they are called.
-        shorter: What makes the work shorter.
         note: Text behind the numbers.
     """
-    with progress() as bar:
-        task = bar.add_task(title, total=total, note="")
-        first = FirstSteps(total, what, shorter)
+    with progress(title, total) as count:
         for item in items:
             yield item
-            bar.update(task, advance=1, note=note(item))
-            first.add()
+            count(1, note(item))
 
 
 def print_to_stderr(text: str) -> None:
@@ -334,60 +271,27 @@ def warn(text: str) -> None:
 
 
 _PIPED_PERIOD = 5.0
-"""Time between two lines through a pipe [s]; a new phase and the first cause of a large error are
-printed at once.
-"""
+"""Time between two lines through a pipe [s]."""
 
 
-class LiveLine:
-    """Shows the progress of a demo as one line. Use as a context manager.
+@contextmanager
+def live_line() -> Iterator[Callable[[str, bool], None]]:
+    """One line on standard error that changes; through a pipe a line now and then.
 
-    Args:
-        stream: Output stream; standard error by default, so that tables can be piped.
+    Yields:
+        A function that shows a text, through a pipe at once if that is asked for.
     """
+    if sys.stderr.isatty():
+        with Console(stderr=True).status("") as line:
+            yield lambda text, at_once: line.update(Text(text, no_wrap=True, overflow="crop"))
+        return
+    shown_at = -math.inf
 
-    def __init__(self, stream=None):
-        self._stream = stream or sys.stderr
-        self._live: Live | None = None
-        self._printed_phase = self._printed_cause = ""
-        self._printed_at = -math.inf
-
-    def __enter__(self) -> LiveLine:
-        if self._stream.isatty():
-            self._live = Live(console=console(self._stream), auto_refresh=False)
-            self._live.start()
-        return self
-
-    def __exit__(self, *_) -> None:
-        if self._live is not None:
-            self._live.stop()
-
-    def show(self, elapsed: float, phase: str, error: float, compute_time: float,
-             missed_ticks: int, cause: str = "") -> None:
-        """Shows one status.
-
-        Args:
-            elapsed: Time since the beginning [s].
-            phase: Present phase.
-            error: Distance from the target [m]; NaN when not known.
-            compute_time: Time of a step [s]; NaN when not known.
-            missed_ticks: Ticks missed so far.
-            cause: Why the error is large; empty when it is not.
-        """
-        line = (f"{elapsed:6.1f} s  {phase:<11}  error {_thousandth(error, 'mm')}  "
-                f"step {_thousandth(compute_time, 'ms')}  missed {missed_ticks}")
-        if cause:
-            line += f"  cause: {cause}"
-        if self._live is not None:
-            self._live.update(Text(line, no_wrap=True, overflow="crop"), refresh=True)
-            return
+    def show(text: str, at_once: bool) -> None:
+        nonlocal shown_at
         now = time.monotonic()
-        is_new = phase != self._printed_phase or (cause and not self._printed_cause)
-        if is_new or now - self._printed_at >= _PIPED_PERIOD:
-            self._printed_phase, self._printed_at = phase, now
-            self._printed_cause = cause
-            print(line, file=self._stream, flush=True)
+        if at_once or now - shown_at >= _PIPED_PERIOD:
+            shown_at = now
+            print_to_stderr(text)
 
-
-def _thousandth(value: float, unit: str) -> str:
-    return f"   –   {unit}" if math.isnan(value) else f"{1e3 * value:6.2f} {unit}"
+    yield show

@@ -216,8 +216,7 @@ def accuracy_of(scene: Scene, count: int, seed: int) -> Accuracy:
     rest_full, rest_reduced = full.rest_setpoints, reduced.rest_setpoints
     brought_to(full, rest_full)
     start, rows, lost = _places(full, own), [], 0
-    for setpoints in tracked(setpoints_within(full, count, seed), "full and reduced model", count,
-                             "states", "fewer --states shorten it"):
+    for setpoints in tracked(setpoints_within(full, count, seed), "full and reduced model", count):
         if not brought_to(full, setpoints):
             warn("the full model found no equilibrium at a state; it is left out")
             continue
@@ -315,8 +314,7 @@ def _make(scene: Scene, found: list[Division], outdated: list[str], seed: int, o
     first_nodes = [body.first_node for body, entry in
                    zip(full.model.bodies, scene.deformables, strict=True) if entry.vertebrae]
     occurring, efforts = [[] for _ in found], []
-    for setpoints in tracked(setpoints_within(full, RANGE_STATES, seed), "full model", RANGE_STATES,
-                             "states", "a coarser mesh shortens it"):
+    for setpoints in tracked(setpoints_within(full, RANGE_STATES, seed), "full model", RANGE_STATES):
         if not brought_to(full, setpoints):
             warn(f"the full model found no equilibrium at setpoints {setpoints}; left out")
             continue

@@ -557,8 +557,7 @@ def _compute(
         unfinished.add(outcome.index, row)
         return row[-1:]
 
-    run_samples(title, crew, job, setpoints, unfinished.rows, keep,
-                "fewer --samples, or more --workers on more cores, shorten it")
+    run_samples(title, crew, job, setpoints, unfinished.rows, keep)
     return causes
 
 

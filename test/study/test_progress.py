@@ -1,4 +1,4 @@
-"""Progress through a pipe, durations that are told before long work, and tables."""
+"""Progress through a pipe, and tables."""
 
 import io
 import sys
@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from softrobot_twin.study import terminal
-from softrobot_twin.study.terminal import FirstSteps, PipedProgress, console, table
+from softrobot_twin.study.terminal import PipedProgress, console, table
 
 pytestmark = pytest.mark.libraries
 
@@ -30,26 +30,13 @@ def test_a_long_run_prints_a_line_for_each_tenth_or_half_minute_with_the_time_le
     clock, total, step_time, count, completed, line_count, told
 ):
     stream = io.StringIO()
-    with PipedProgress(stream) as bar:
-        task = bar.add_task("robot", total=total, completed=completed, note="")
-        for _ in range(count):
-            clock[0] += step_time
-            bar.update(task, advance=1, note="ok")
+    lines = PipedProgress("robot", total, completed, stream)
+    for _ in range(count):
+        clock[0] += step_time
+        lines.add(1, "ok")
     lines = stream.getvalue().splitlines()
     assert len(lines) == line_count
     assert {place: lines[place] for place in told} == told
-
-
-def test_the_duration_of_a_long_run_is_told_once_from_its_first_steps(clock):
-    said = []
-    first = FirstSteps(10_000, "steps", "a lower --rate shortens it",
-                       lambda *words: said.append(words))
-    for _ in range(200):
-        clock[0] += 0.03125
-        first.add()
-    ((seconds, what, shorter),) = said
-    assert seconds == pytest.approx(0.03125 * (10_000 - 32))
-    assert what == "10000 steps of 31.2 ms" and shorter == "a lower --rate shortens it"
 
 
 def test_an_activity_that_takes_long_is_named_through_a_pipe(monkeypatch):
