@@ -10,8 +10,6 @@ from scipy.spatial.transform import Rotation
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene.loading import scene_from_mapping
 from softrobot_twin.simulation import CommandSetpoints, Hold, Simulation
-from softrobot_twin.view.draw_list import DrawList
-from softrobot_twin.view.simulation_frames import SimulationFrames
 
 SCENE_FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "grasper.yaml"
 G, FRICTION, EDGE, LEAST = 9.81, 0.5, 0.04, 0.2
@@ -112,19 +110,3 @@ def test_the_margin_of_each_finger_is_told_before_its_tip_slips_by_a_tenth_of_a_
                 slipped[name] = k
                 assert name in told
     assert len(slipped) == 3 and max(slipped.values()) > 10
-
-
-def test_contacts_are_drawn_red_where_they_slip_and_green_where_nothing_pulls(scene_of):
-    colours = {}
-    for pull in (0.0, 1.2):
-        simulation = block(scene_of, pull)
-        result = [simulation.step(Hold(STEP)) for _ in range(5)][-1]
-        none = np.empty((0, 3))
-        drawing = SimulationFrames(simulation)
-        frame = drawing.frame(1, 0, result, targets=none, target_orientations=np.empty((0, 4)),
-                              errors=np.empty(0), predicted_markers=none, measured_markers=none,
-                              status="")  # fmt: skip
-        (entity,) = [one for one in DrawList(simulation).entities if one.path == "/contacts/points"]
-        values = frame.drawn[entity.path].values
-        (colours[pull],) = {tuple(colour) for colour in entity.colours_of(values).tolist()}
-    assert colours == {0.0: (40, 190, 90), 1.2: (230, 60, 60)}

@@ -144,26 +144,3 @@ def call(capsys, /, *arguments) -> Finished:
         code = int(end.code or 0)
     told = capsys.readouterr()
     return Finished(code, told.out, told.err)
-
-
-@builder
-def check_texts(figure) -> None:
-    """Checks that all visible texts of a figure lie within it and apart from each other."""
-    from matplotlib.text import Text
-    figure.draw_without_rendering()
-    hidden = set()  # numbers beyond the ends of their axis exist, but are not drawn
-    for axis in (one for axes in figure.axes for one in (axes.xaxis, axes.yaxis)):
-        low, high = sorted(axis.get_view_interval())
-        for tick in (*axis.get_major_ticks(), *axis.get_minor_ticks()):
-            if not low - 1e-9 <= tick.get_loc() <= high + 1e-9:
-                hidden |= {tick.label1, tick.label2}
-    extents = [(text.get_text(), text.get_window_extent()) for text in figure.findobj(Text)
-               if text.get_visible() and text.get_text().strip() and text not in hidden]
-    assert len(extents) > 4
-    page = figure.bbox
-    for text, box in extents:
-        assert page.x0 <= box.x0 and box.x1 <= page.x1, text
-        assert page.y0 <= box.y0 and box.y1 <= page.y1, text
-    for index, (text, box) in enumerate(extents):
-        for other, beside in extents[index + 1:]:
-            assert not box.padded(-1.0).overlaps(beside.padded(-1.0)), (text, other)

@@ -1,7 +1,7 @@
 """The pneumatic robots of the package over their range, against converged solids."""
 
 import pytest
-from pressure_ranges import ROBOTS, error_lines, errors_of
+from pressure_ranges import ROBOTS, errors_of
 
 
 @pytest.mark.exhaustive
@@ -12,9 +12,3 @@ def test_a_robot_moves_as_a_converged_solid_over_its_range(name, way):
     errors = errors_of(name, way)
     print(name, way, errors)
     assert (errors < 0.15).all()
-
-
-def test_the_springy_does_so_and_the_table_shows_it():
-    lines = list(error_lines(["springy"]))
-    assert len(lines) == 3 and {line.count("|") for line in lines} == {8}
-    assert (errors_of("springy", "the chamber") < 0.05).all()

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softrobot_twin.simulation.colours import tension_colours
 from softrobot_twin.view import Drawn, Entity
 
 pytestmark = pytest.mark.libraries
@@ -36,18 +35,6 @@ def test_triangles_are_logged_once_and_positions_at_each_step(draw, make_frame, 
     for frame in frames:
         assert np.array(positions[frame.step]) == pytest.approx(
             frame.drawn["/robot/surface/body"].points, abs=1e-8)
-
-
-def test_cables_are_lines_coloured_by_tension(draw, make_frame, stage):
-    cables = make_frame(5).drawn["/robot/cables"]._replace(values=np.array([3.0, 19.0]))
-    recorded = draw([make_frame(5, {"/robot/cables": cables})])
-    strips = recorded.at_steps("/robot/cables", "LineStrips3D:strips")[5]
-    for strip, path in zip(strips, cables.points, strict=True):
-        assert np.array(strip) == pytest.approx(path, abs=1e-8)
-    colours = np.array(recorded.at_steps("/robot/cables", "LineStrips3D:colors")[5], dtype=">u4")
-    expected = tension_colours(cables.values, (0.0, 20.0))
-    assert colours.view(np.uint8).reshape(-1, 4).tolist() == expected.tolist()
-    assert recorded.static("/robot/cables", "LineStrips3D:labels") == ["left", "right"]
 
 
 def test_points_are_at_the_positions_of_the_frame(draw, make_frame):
