@@ -58,6 +58,8 @@ DEFAULT = re.compile(r"\s*\(default:? ([^()]*)\)")
 
 EVERYWHERE = ("SCENE", "--set KEY=VALUE ...", "--scheduler ADDRESS", "--workers N")
 """Arguments of many commands that docs/commands.md explains once, above its generated part."""
+EXPLAINED = ("Its name.", "Its body.")
+"""Meanings of keys that docs/scene_reference.md explains once, above its generated part."""
 USUAL_QUALITY = "reliable, newest 1"
 """Quality of service of topics that docs/topics.md does not tell for each of them."""
 
@@ -70,7 +72,7 @@ class UndescribedError(Exception):
 
 
 def scene_reference() -> str:
-    """Tables of all keys of a scene, one for each section."""
+    """Lists of all keys of a scene, one for each section."""
     models = {Scene: "", Pattern: "repeat"}
     for name, field in Scene.model_fields.items():
         models |= {model: name for model in entries_in(field.annotation) if model not in models}
@@ -81,8 +83,7 @@ def scene_reference() -> str:
         rows, shared = _rows(model, "", place, anchors, owners)
         if place:
             parts += [_heading(place), _introduction(model, place, models, shared)]
-        table = ["| key | value | meaning |", "|---|---|---|", *rows]
-        parts.append("\n".join(table))
+        parts.append("\n".join(rows))
     names = [f"[`{name}`](#{_anchor(models[entries_in(field.annotation)[0]])})"
              for name, field in Scene.model_fields.items() if entries_in(field.annotation)]  # fmt: skip
     parts.insert(1, f"Sections, all optional: {', '.join(names)}.")
@@ -131,7 +132,7 @@ def _of_others(shared: dict[str, list[str]], models: dict) -> list[str]:
 def _rows(
     model: type[BaseModel], before: str, place: str, anchors: dict, owners: dict
 ) -> tuple[list[str], dict[str, list[str]]]:
-    """The keys of an entry, a row each, with those of entries in it.
+    """The keys of an entry, a line each, with those of entries in it.
 
     Args:
         model: The entry.
@@ -141,7 +142,7 @@ def _rows(
         owners: Place where the keys that a class declares have been shown; grows.
 
     Returns:
-        The rows, and the keys that have been shown for another place, by that place.
+        The lines, and the keys that have been shown for another place, by that place.
     """
     meanings, rows, shared = meanings_of(model), [], {}
     for name, field in model.model_fields.items():
@@ -163,16 +164,20 @@ def _rows(
                 owners[owner, name][1] == field.default):
             shared.setdefault(owners[owner, name][0], []).append(name)
             continue
-        new = [part for part in inner if part not in anchors]
-        value = _escaped(_value(field, anchors)) + (f" [{measured}]" if measured else "")
-        rows.append(f"| `{before}{name}` | {_with_default(field, value)} | {_escaped(_plain(meaning))} |")
+        new = [part for part in dict.fromkeys(inner) if part not in anchors]
+        value = _value(field, anchors) + (f" [{measured}]" if measured else "")
+        told = "" if meaning in EXPLAINED else f". {_plain(meaning)}"
+        item = item_of_list(field.annotation)
+        if place and is_entry(item) and item.placed is not None:
+            told += " [Repeatable](#repeat)."
+        rows.append(f"- `{before}{name}`: {_with_default(field, value)}{told}")
         for part in new:
             top = key.partition(".")[0]
             below, others = _rows(part, f"{before}{name}.", key, anchors, owners)
             anchors[part] = f"as [`{key}`](#{_anchor(top)})"
             as_there = [text.rstrip(".") for text in _of_others(others, {})]
             if as_there:
-                rows[-1] = f"{rows[-1][:-2]} {'; '.join(as_there)}. |"
+                rows[-1] += f" {'; '.join(as_there)}."
             rows += below
     return rows, shared
 
@@ -221,20 +226,25 @@ def _words(annotation: Any, metadata: list, anchors: dict) -> str:
     if origin is tuple:
         kinds = sorted({_words(part, [], anchors) for part in arguments})
         free = " or null" if any(type(None) in get_args(part) for part in arguments) else ""
-        return f"{len(arguments)} {_plural(' or '.join(kinds))}{free}"
+        words = _plural(" or ".join(kinds))
+        return f"{len(arguments)} {'× ' if words[0].isdigit() else ''}{words}{free}"
     if is_entry(annotation):
         return anchors.get(annotation, "section")
     if annotation is str:
         return _text(metadata)
-    names = {float: "number", int: "whole number", bool: "`true`, `false`", Path: "file"}
-    return names.get(annotation, "section") + _limits(metadata)
+    names = {float: "number", int: "integer", bool: "`true`, `false`", Path: "file"}
+    limits = _limits(metadata)
+    return limits if annotation is float and limits else names.get(annotation, "section") + (
+        f" {limits}" if limits else "")  # fmt: skip
 
 
 def _plural(words: str) -> str:
+    if words[0] in "><≥≤":
+        return f"numbers {words}"
     if words.startswith("as "):
         return f"entries {words}"
-    for word in ("number", "name", "text", "section", "file"):
-        if words.startswith((word, f"whole {word}", f"[{word}")):
+    for word in ("number", "integer", "name", "text", "section", "file"):
+        if words.startswith((word, f"[{word}")):
             return words.replace(word, f"{word}s", 1)
     return words
 
@@ -261,7 +271,7 @@ def _limits(metadata: list) -> str:
     signs = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}
     given = [f"{sign} {_number(getattr(part, name))}" for part in _flat(metadata)
              for name, sign in signs.items() if getattr(part, name, None) is not None]  # fmt: skip
-    return f" {', '.join(dict.fromkeys(given))}" if given else ""
+    return ", ".join(dict.fromkeys(given))
 
 
 def _length(metadata: list) -> str:
@@ -342,9 +352,7 @@ def commands() -> str:
     parser = program(name)
     (choices,) = (action for action in parser._actions
                   if isinstance(action, argparse._SubParsersAction))  # fmt: skip
-    purposes = {action.dest: action.help for action in choices._choices_actions}
-    overview = [f"- [`{command}`](#{command}): {purposes[command]}" for command in choices.choices]
-    parts = ["\n".join(overview)]
+    parts = [", ".join(f"[{command}](#{command})" for command in choices.choices) + "."]
     parts += [_command(name, command, inner) for command, inner in choices.choices.items()]
     return "\n\n".join(parts)
 
@@ -361,10 +369,9 @@ def _command(name: str, command: str, parser: argparse.ArgumentParser) -> str:
     rows = [_option(parser, action) for action in shown if _argument(action) not in EVERYWHERE]
     rest = [f"`{_argument(action).split()[0]}`" for action in shown
             if _argument(action) in EVERYWHERE]  # fmt: skip
-    if rows:
-        parts.append("\n".join(["| argument | meaning |", "|---|---|", *rows]))
     if rest:
-        parts.append(f"And {', '.join(rest)}.")
+        rows.append(f"- {', '.join(rest)}")
+    parts.append("\n".join(rows))
     for group in parser._mutually_exclusive_groups:
         names = ", ".join(f"`{_argument(action).split()[0]}`" for action in group._group_actions)
         parts.append(f"{'Exactly' if group.required else 'At most'} one of {names}.")
@@ -411,7 +418,7 @@ def _option(parser: argparse.ArgumentParser, action: argparse.Action) -> str:
         default = _yaml(action.default)
     text = DEFAULT.sub("", text, count=1) + (f" (default {default})" if default else "")
     needed = "; required" if action.required and action.option_strings else ""
-    return f"| `{_argument(action)}` | {_escaped(_without_angles(text))}{needed} |"
+    return f"- `{_argument(action)}`: {_without_angles(text)}{needed}"
 
 
 def _without_angles(text: str) -> str:
@@ -429,8 +436,7 @@ def parameters() -> str:
     parts = []
     for node, table in tables.items():
         own = [entry for entry in table if node == "twin" or entry.name not in shared]
-        rows = ["| parameter | value | meaning |", "|---|---|---|"]
-        parts += [f"## {node}", "\n".join(rows + [_parameter(entry) for entry in own])]
+        parts += [f"## {node}", "\n".join(_parameter(entry) for entry in own)]
         others = [f"`{entry.name}`" for entry in table if entry not in own]
         if others:
             parts.append(f"As for the twin: {', '.join(others)}.")
@@ -445,9 +451,9 @@ def _parameter(entry: Parameter) -> str:
         value = choices.replace(shown, f"**{shown}**")
     value += f" {entry.unit}" if entry.unit else ""
     if entry.low is not None:
-        value += f", {_number(float(entry.low))} to {_number(float(entry.high))}"
-    star = "" if entry.read_only else " *"
-    return f"| `{entry.name}`{star} | {value} | {_escaped(_without_angles(entry.description))} |"
+        value += f", {_number(float(entry.low))}…{_number(float(entry.high))}"
+    star = "" if entry.read_only else "\\*"
+    return f"- `{entry.name}`{star}: {value}. {_without_angles(entry.description)}"
 
 
 def _yaml_of_ros(value: Any) -> str:
@@ -463,26 +469,24 @@ def _yaml_of_ros(value: Any) -> str:
 
 
 def topics() -> str:
-    """Tables of what each node receives, publishes and serves."""
+    """Lists of what each node receives, publishes and serves."""
     parts = []
     for node, table in NODES.items():
-        parts.append(f"## {node}")
         for direction, title in ((Direction.IN, "receives"), (Direction.OUT, "publishes")):
-            rows = [f"| the {node} {title} | message | meaning |", "|---|---|---|"]
-            rows += [_topic(topic) for topic in table.values() if topic.direction is direction]
-            parts.append("\n".join(rows))
+            parts.append(f"## The {node} {title}")
+            parts.append("\n".join(_topic(topic) for topic in table.values()
+                                   if topic.direction is direction))
         if node == "twin":
-            rows = ["| service of the twin | type | meaning |", "|---|---|---|"]
-            rows += [f"| `{service.name}` | {service.type_name} | {_escaped(service.meaning)} |"
-                     for service in TWIN_SERVICES]  # fmt: skip
-            parts.append("\n".join(rows))
+            parts.append("## Services of the twin")
+            parts.append("\n".join(f"- `{service.name}` ({service.type_name}): {service.meaning}"
+                                   for service in TWIN_SERVICES))
     return "\n\n".join(parts)
 
 
 def _topic(topic: Topic) -> str:
     unit = f" [{topic.unit}]" if topic.unit else ""
     quality = "" if topic.quality_in_words == USUAL_QUALITY else f", {topic.quality_in_words}"
-    return f"| `{topic.name}` | {topic.type_name}{unit}{quality} | {_escaped(topic.meaning)} |"
+    return f"- `{topic.name}` ({topic.type_name}{unit}{quality}): {topic.meaning}"
 
 
 # --- times of a step ------------------------------------------------------------------------------

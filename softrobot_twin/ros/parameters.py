@@ -207,7 +207,7 @@ RUNTIME = (
     _setting("workspace_max", "Upper corner of that box.", "m"),
     _setting("closed_loop", "Correct the targets by the measured markers."),
     _setting("prediction", "With control law dynamic: command by prediction."),
-    _setting("misfit_rate", "Rate of that correction.", "1/s",
+    _setting("misfit_rate", "Rate at which the correction follows the misfit of the markers.", "1/s",
              0.0, 1000.0),
     _setting("correction_gain", "Gain of the integrator that corrects where setpoints "
              "are not measured.", "1/s", 0.0, 1000.0),

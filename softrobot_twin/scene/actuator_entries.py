@@ -46,7 +46,7 @@ class ActuatorEntry(Entry):
     noun: ClassVar[str]
 
     name: Name
-    """Its name, in topics, commands and columns."""
+    """Its name."""
 
     def check_references(self, scene, key: str) -> None:
         """Refuses names of objects that the scene does not have.
@@ -99,7 +99,7 @@ class Cable(ActuatorEntry):
     placed: ClassVar[dict[str, str]] = {"pull_point": "point", "points": "point"}
 
     body: Name | None = None
-    """Its body; optional where there is only one."""
+    """Its body."""
     also_on: tuple[str, ...] = ()
     """Other bodies that it runs through, by names or patterns such as ``rib_*``; the nearest body
     carries each point."""
@@ -155,7 +155,7 @@ class CavityWall(Entry):
     placed: ClassVar[dict[str, str]] = {}
 
     body: Name | None = None
-    """Its body; optional where there is only one."""
+    """Its body."""
     also_on: tuple[Name, ...] = ()
     """Other bodies that form the wall; the nearest body carries each vertex."""
     part: str | None = None
@@ -180,7 +180,7 @@ class WalledEntry(Entry):
     placed: ClassVar[dict[str, str]] = {}
 
     name: Name
-    """Its name, in topics and columns."""
+    """Its name."""
     walls: Annotated[tuple[CavityWall, ...], Field(min_length=1)]
     """Its closed surfaces. They have one pressure, and their volumes sum up."""
 
@@ -256,7 +256,7 @@ class Motor(Entry):
     placed: ClassVar[dict[str, str]] = {}
 
     name: Name
-    """Its name, in commands."""
+    """Its name."""
     cables: Annotated[tuple[Name, ...], Field(min_length=1)]
     """Names of its cables."""
     pulley: Pulley | None = None

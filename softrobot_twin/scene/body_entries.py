@@ -93,7 +93,7 @@ class Mesh(Entry):
     scale: Annotated[float, unit("m per file unit", gt=0.0)] = 1.0
     """Metres in a unit of the file: 0.001 for millimetres. Not for STEP files."""
     rotation: Angles = (0.0, 0.0, 0.0)
-    """Angles about the world's x, y and z axes, in this order; after the scale."""
+    """Angles about the world's axes; after the scale."""
     translation: Vector = (0.0, 0.0, 0.0)
     """Displacement; after the rotation."""
     merge_distance: Annotated[float | None, unit("m", ge=0.0)] = None
@@ -544,7 +544,7 @@ class Body(Entry):
                                          "attached": "regions", "vertebrae": "inside"}  # fmt: skip
 
     name: Name = "body"
-    """Its name, by which other entries refer to it."""
+    """Its name."""
     mesh: Mesh
     element: Annotated[str, registered("element", element_names)] = "quadratic"
     """Quadratic has a node at the middle of every edge; linear is faster and too stiff in bending;
@@ -784,7 +784,7 @@ class Beam(Entry):
                                         "joined": "regions"}  # fmt: skip
 
     name: Name
-    """Its name, by which other entries refer to it."""
+    """Its name."""
     points: Annotated[tuple[Vector, ...], Field(min_length=2)]
     """Its axis at rest; a node lies at each point."""
     curve: Literal["straight", "smooth"] = "straight"
@@ -886,7 +886,7 @@ class BoxShape(Entry):
     size: Annotated[tuple[_Edge, _Edge, _Edge], unit("m")]
     """Lengths of its edges."""
     rotation: Angles = (0.0, 0.0, 0.0)
-    """Angles about the x, y and z axes, in this order."""
+    """Angles about the axes."""
 
 
 class SurfaceShape(Entry):
@@ -899,7 +899,7 @@ class SurfaceShape(Entry):
     scale: Annotated[float, unit("m per file unit", gt=0.0)] = 1.0
     """Metres in a unit of the file."""
     rotation: Angles = (0.0, 0.0, 0.0)
-    """Angles about the x, y and z axes, in this order; after the scale."""
+    """Angles about the axes; after the scale."""
     translation: Vector = (0.0, 0.0, 0.0)
     """Displacement; after the rotation."""
     hull: bool = False
@@ -920,7 +920,7 @@ class Shaped(Entry):
     position: Vector = (0.0, 0.0, 0.0)
     """Where the origin of the shape is."""
     rotation: Angles = (0.0, 0.0, 0.0)
-    """Angles about the world's x, y and z axes, in this order."""
+    """Angles about the world's axes."""
     plane: PlaneShape | None = None
     sphere: SphereShape | None = None
     capsule: CapsuleShape | None = None
@@ -941,7 +941,7 @@ class Obstacle(Shaped):
     """A shape that does not move."""
 
     name: Name
-    """Its name, in pairs of contact."""
+    """Its name."""
 
 
 class RigidJoint(Entry):
@@ -980,7 +980,7 @@ class RigidBody(Shaped):
     }  # fmt: skip
 
     name: Name
-    """Its name, in topics, columns and pairs of contact."""
+    """Its name."""
     motion: Literal["free", "guided", "fixed"] = "free"
     """Moves by forces, follows commanded poses, or stays."""
     mass: Annotated[float | None, unit("kg", gt=0.0)] = None
@@ -1057,7 +1057,7 @@ class Tube(Entry):
     name: Name
     """Its name."""
     on: Name | None = None
-    """The body; optional where there is only one."""
+    """Its body."""
     points: Annotated[tuple[Vector, ...], Field(min_length=2)]
     """Its path at rest."""
     axial_stiffness: Annotated[float, unit("N", gt=0.0)]
@@ -1082,13 +1082,13 @@ class Helix(Entry):
     reach: Annotated[tuple[float, float], unit("m")]
     """First and last place along the axis, from `point`."""
     count: Annotated[int, Field(ge=1, le=1000)] = 1
-    """Number of threads of each handedness, at equal angles."""
+    """Threads of each handedness."""
     handedness: Literal["right", "left", "both"] = "both"
     """Sense of winding about the direction of the axis."""
     phase: Annotated[float, unit("rad")] = 0.0
     """Angle at which the first thread begins, from x; for an axis near x, from y."""
     segments_per_turn: Annotated[int, Field(ge=3, le=1000)] = 24
-    """Straight pieces of a thread in one turn."""
+    """Straight pieces in a turn."""
 
     def check(self) -> None:
         """Refuse a helix without length, and too fine ones."""
@@ -1125,7 +1125,7 @@ class Fibre(Entry):
     name: Name
     """Its name."""
     on: Name | None = None
-    """The body; optional where there is only one."""
+    """Its body."""
     helix: Helix | None = None
     points: Annotated[tuple[Vector, ...], Field(min_length=2)] | None = None
     """Path of one thread at rest."""

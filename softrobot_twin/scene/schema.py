@@ -73,7 +73,7 @@ class TouchingPoint(Entry):
     placed: ClassVar[dict[str, str]] = {"point": "point", "against": "point"}
 
     on: Name | None = None
-    """The body; optional where there is only one."""
+    """Its body."""
     point: Vector
     """The nearest node of the surface is used."""
     against: Vector
@@ -93,9 +93,9 @@ class Contact(Entry):
     points: tuple[TouchingPoint, ...] = ()
     """Points that may touch given triangles of the same body."""
     friction: Annotated[float, unit("", ge=0.0)] = 0.0
-    """µ of pairs without their own value."""
+    """µ of other pairs."""
     alarm_distance: Annotated[float, unit("m", gt=0.0)] = 0.003
-    """Features nearer than this become contact candidates."""
+    """Nearer features become contact candidates."""
     contact_distance: Annotated[float, unit("m", ge=0.0)] = 0.0
     """Features at this distance are in contact."""
     force_limit: Annotated[float | None, unit("N", gt=0.0)] = None
@@ -131,7 +131,7 @@ class Marker(Entry):
     id: Annotated[int, Field(ge=0, lt=2**32)]
     """Its number in messages of markers."""
     body: Name | None = None
-    """Its body; optional where there is only one."""
+    """Its body."""
     point: Vector
     """Where it is at rest."""
 
@@ -142,7 +142,7 @@ class MarkerFrame(Entry):
     position: Vector = (0.0, 0.0, 0.0)
     """Its origin, in the frame of the robot."""
     rotation: Angles = (0.0, 0.0, 0.0)
-    """Angles about the x, y and z axes of the robot's frame, in this order."""
+    """Angles about the robot's axes."""
 
     @property
     def is_usual(self) -> bool:
@@ -220,9 +220,9 @@ class PointsOnBody(Entry):
     placed: ClassVar[dict[str, str]] = {"points": "point", "directions": "letters"}
 
     name: Name
-    """Its name, in topics, commands and columns."""
+    """Its name."""
     body: Name | None = None
-    """Its body; optional where there is only one."""
+    """Its body."""
     points: Annotated[tuple[Vector, ...], Field(min_length=1)]
     """Places at rest; the effector or touch is at their mean."""
     directions: tuple[Literal["x", "y", "z"], ...] = ("x", "y", "z")
@@ -268,9 +268,9 @@ class ObservedForce(Entry):
     placed: ClassVar[dict[str, str]] = {"points": "point"}
 
     name: Name
-    """Its name, in topics and columns."""
+    """Its name."""
     body: Name | None = None
-    """Its body; optional where there is only one."""
+    """Its body."""
     points: tuple[Vector, ...] = ()
     """The force acts at their mean. Without points its place is found; on a rigid body a torque is
     found."""
@@ -371,7 +371,7 @@ class Scene(Entry):
     """Everything that is simulated."""
 
     name: Name
-    """Its name, in reports and pictures."""
+    """Its name."""
     gravity: Acceleration = (0.0, 0.0, -9.81)
     """Acceleration of gravity; zeros for none."""
     integration: Literal["quasi_static", "first_order", "dynamic"] = "quasi_static"
