@@ -119,7 +119,7 @@ def _introduction(
     if not pages:
         raise UndescribedError(f"{place} has no page that explains it: add one to GUIDES")
     links = [f"[{page.partition('.')[0].replace('_', ' ')}]({page})" for page in dict.fromkeys(pages)]
-    text += f" Explained in {', '.join(links)}."
+    text += f" See {', '.join(links)}."
     return "\n\n".join([text, *_of_others(shared, models)])
 
 
@@ -170,7 +170,8 @@ def _rows(
         item = item_of_list(field.annotation)
         if place and is_entry(item) and item.placed is not None:
             told += " [Repeatable](#repeat)."
-        rows.append(f"- `{before}{name}`: {_with_default(field, value)}{told}")
+        value = _with_default(field, value.replace("list of sections", "list")).removeprefix("section, ")
+        rows.append(f"- `{before}{name}`: {value}{told}".replace(": section. ", ": "))
         for part in new:
             top = key.partition(".")[0]
             below, others = _rows(part, f"{before}{name}.", key, anchors, owners)

@@ -310,7 +310,7 @@ def simulate(
     Args:
         scene (SCENE): Scene file (YAML).
         targets (FILE.csv): Targets to follow, row by row.
-        commands (FILE.csv): Commands of actuators, motors and guided bodies over time.
+        commands (FILE.csv): Commands over time.
         seconds (S): Run without commands for this time [s].
         steps (N): Run without commands for this number of steps.
         output (FILE.csv): File to write, one row per step.
@@ -405,7 +405,7 @@ def explain(
         stiffness: Print instead how effectors yield to forces, and how each actuator moves them.
         effects: Print instead what each effect costs in time, and what changes without it.
         at (COLUMN=VALUE): With --stiffness or --effects: the actuation, such as north_shortening_m=0.01
-            (default: at rest; of --effects: the first actuator by a third of its travel).
+            (default: at rest).
     """
     from softrobot_twin.study.effect_costs import print_effects
     from softrobot_twin.study.explain import explain as print_scene
@@ -576,19 +576,17 @@ def choose(
     Args:
         scene (SCENE): Scene file (YAML).
         rate (HZ): Rate to keep [Hz].
-        accuracy (FILE.csv): File of errors written by 'accuracy'; a quick study writes it if it does
-            not exist.
+        accuracy (FILE.csv): File of errors written by accuracy; made quickly if it does not exist.
         write (FILE.yaml): Scene file to write (default <name>_<rate>hz.yaml here).
         reduced (FILE.npz): Further reduced models of these meshes, written by 'reduce'.
-        given: Choose by the error at given lengths and volumes (default), or at given forces and
-            pressures.
+        given: Choose by the error at given lengths and volumes, or at given forces and pressures
+            (default lengths).
         train: First train the reduced model that is expected to be best.
 
     What a training samples, see 'reduce':
         range_ (COLUMN=LOW:HIGH): Bounds of the actuators (default: cables up to 0.4 of their limits,
             others their own).
-        targets (BOX): Targets in place of the box of the actuators:
-            NAME=XLOW:XHIGH,YLOW:YHIGH,ZLOW:ZHIGH [m].
+        targets (BOX): As of reduce: NAME=XLOW:XHIGH,YLOW:YHIGH,ZLOW:ZHIGH [m].
         loads (N): Forces up to this [N] at the effectors (default none).
         tilts (DEGREES): Directions of gravity up to this angle from the scene's.
     """
@@ -649,15 +647,14 @@ def reduce(
         around (M): Each pass of that path is shifted by up to this along each axis [m] (default
             $AROUND).
         loads (N): Forces up to this [N] in any direction, in half of the states (default none).
-        load_points (X,Y,Z): Points that --loads act on, at rest [m] (default the effectors);
-            --load-points=-0.01,0,0.1 where the first number is negative.
+        load_points (X,Y,Z): Points of --loads at rest [m] (default the effectors); with = before a
+            negative number.
         surface_loads (COUNT): So many further points, spread over the surface.
         tilts (DEGREES): Directions of gravity up to this angle from the scene's.
         seed (S): Seed of all samples (default $default).
 
     How accurate it is:
-        error (PERCENT): Wanted largest error of the effectors at fresh states, such as 1% of their
-            displacement; samples are added until it is met.
+        error (PERCENT): Wanted largest error at fresh states, such as 1% of the displacement.
         energy (SHARE): Share of the energy that the modes leave out (default $ENERGY).
         modes (N): Number of modes instead, rounded up to a multiple of three.
         spare_modes (N): Modes beyond, for the estimate of the error (default $default).

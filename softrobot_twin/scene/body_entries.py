@@ -52,11 +52,11 @@ class BoxMesh(Entry):
     one_of: ClassVar[tuple[str, ...]] = ("cell_size", "cells")
 
     size: Annotated[tuple[_Edge, _Edge, _Edge], unit("m")]
-    """Its edges along x, y, z."""
+    """Its edges."""
     cell_size: Annotated[float | None, unit("m", gt=0.0)] = None
     """Greatest edge of its cells."""
     cells: tuple[_CellCount, _CellCount, _CellCount] | None = None
-    """Numbers of cells along x, y, z, in place of `cell_size`."""
+    """Numbers of cells along x, y, z."""
 
     def check(self) -> None:
         """Refuse more cells than `MOST_BOX_CELLS`."""
@@ -76,7 +76,7 @@ class BoxMesh(Entry):
 
 
 class Mesh(Entry):
-    """The mesh and its placement: a mesh file, a CAD file that is meshed, or a box."""
+    """A mesh file, a CAD file that is meshed, or a box, and its placement."""
 
     told: ClassVar[tuple[str, ...]] = (
         "{file}", "{box}", "tetrahedra of {size:mm} mm", "scale {scale}",
@@ -87,9 +87,9 @@ class Mesh(Entry):
     file: Path | None = None
     """Mesh file, or CAD file (.stl, .obj, .ply, .off, .step, .stp), relative to the scene file."""
     box: BoxMesh | None = None
-    """A box in place of a file."""
+    """A box from the origin, in place of a file."""
     size: Annotated[float | None, unit("m", gt=0.0)] = None
-    """Wanted edge of the tetrahedra of a CAD file."""
+    """Edge of the tetrahedra of a CAD file."""
     scale: Annotated[float, unit("m per file unit", gt=0.0)] = 1.0
     """Metres in a unit of the file: 0.001 for millimetres. Not for STEP files."""
     rotation: Angles = (0.0, 0.0, 0.0)
@@ -97,8 +97,7 @@ class Mesh(Entry):
     translation: Vector = (0.0, 0.0, 0.0)
     """Displacement; after the rotation."""
     merge_distance: Annotated[float | None, unit("m", ge=0.0)] = None
-    """Nodes nearer than this are merged; by default coincident nodes that would separate the
-    mesh."""
+    """Nearer nodes are merged; by default coincident ones that would separate the mesh."""
 
     def check(self) -> None:
         """Refuse what is not exactly one source, and keys that have no effect on it."""
@@ -146,7 +145,7 @@ class ViscosityTerm(Entry):
 
 
 class Softening(Entry):
-    """Softening by the first stretch, the Mullins effect (Ogden and Roxburgh 1999)."""
+    """Softening by the first stretch (Ogden and Roxburgh 1999)."""
 
     told: ClassVar[tuple[str, ...]] = ("softening: r {r}", "m {m} J/m³", "β {beta:=}")
 
@@ -367,7 +366,7 @@ def _check_constants(given: dict, own: OwnConstants, takes: str) -> None:
 
 
 class Material(ElasticEntry):
-    """The material law of a body."""
+    """The material law."""
 
     told: ClassVar[tuple[str, ...]] = (
         "{density} kg/m³", "{total_mass} kg in total", *ElasticEntry.told)  # fmt: skip
@@ -426,7 +425,7 @@ class RegionMaterial(ElasticEntry):
     density: Annotated[float | None, unit("kg/m³", gt=0.0)] = None
     """Law, Poisson's ratio and density are by default those of `material`."""
     viscosity: tuple[ViscosityTerm, ...] | None = None
-    """By default, as the softening, that of `material`; [] for none."""
+    """By default, as the softening, from `material`; [] for none."""
     softening: Softening | None = None
 
     @property
@@ -511,8 +510,7 @@ class Reduced(Entry):
     file: Path
     """File of the reduced model."""
     spare_modes: bool = False
-    """Whether the spare modes are in use: more exact, slower, without a live estimate of the
-    error."""
+    """Use the spare modes: more exact, slower, without a live estimate of the error."""
 
 
 class Damping(Entry):
@@ -551,7 +549,7 @@ class Body(Entry):
     smoothed is linear with a mean strain around each edge."""
     material: Material
     materials: tuple[RegionMaterial, ...] = ()
-    """Materials of parts of the body; other cells have `material`."""
+    """Materials of parts; other cells have `material`."""
     fixed: tuple[Region, ...] = ()
     """Nodes that do not move."""
     attached: tuple[Attachment, ...] = ()
@@ -564,9 +562,9 @@ class Body(Entry):
     consistent for quadratic elements, else lumped."""
     damping: Damping = Damping()
     vertebrae: Vertebrae | None = None
-    """Rigid parts that the body is reduced to, by `reduce-vertebrae`."""
+    """Rigid parts of a reduced body, by `reduce-vertebrae`."""
     reduced: Reduced | None = None
-    """Basis that the body is reduced to, by `reduce`."""
+    """Basis of a reduced body, made by `reduce`."""
     visual: Visual | None = None
     contact_surface: ContactSurface | None = None
 
