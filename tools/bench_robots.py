@@ -8,6 +8,7 @@ bench.csv and bench.png into a folder. docs/bench.csv is made by it.
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -17,6 +18,7 @@ from time import thread_time
 from typing import NamedTuple
 
 import numpy as np
+from rich.table import Table
 from scipy.interpolate import interp1d
 
 from softrobot_twin.command_line.commands import positive_count
@@ -34,8 +36,9 @@ from softrobot_twin.solvers.factorization import Factorization
 from softrobot_twin.solvers.multifrontal import Multifrontal
 from softrobot_twin.solvers.multifrontal.condensation import ConstraintColumns
 from softrobot_twin.solvers.multifrontal.symbolic import NONE
-from softrobot_twin.study.bench import exponent, measure_all, print_sizes, write_bench
+from softrobot_twin.study.bench import measure_all, print_sizes, write_bench
 from softrobot_twin.study.bench_measurement import (
+    OUTSIDE,
     SUPERLU,
     WHOLE_STEP,
     BenchCase,
@@ -142,8 +145,8 @@ def robot_cases() -> list[BenchCase]:
     """The robots of the package that have figures of the paper, or are driven in their own way."""
     folder = default_scene_path().parent
 
-    def case(name: str, drive: Callable[[Simulation], Iterator[Command]] = circle_targets, family: str = "") -> BenchCase:
-        return BenchCase(name, load_scene(folder / f"{name}.yaml"), family or f"the {name.capitalize()}", drive)
+    def case(name: str, drive: Callable[[Simulation], Iterator[Command]] = circle_targets) -> BenchCase:
+        return BenchCase(name, load_scene(folder / f"{name}.yaml"), drive)
 
     def held(commands: str) -> Callable[[Simulation], Iterator[Command]]:
         return partial(held_commands, path=folder.parent / "commands" / commands)
@@ -152,12 +155,12 @@ def robot_cases() -> list[BenchCase]:
         return partial(interval_targets, interval=FileInterval(folder.parent / "targets" / targets, begin, end))
 
     # It touches a cylinder in this interval.
-    trunk = case("trunk_cylinders", along("trunk_path.csv", 5.6, 8.3), "the Trunk")
+    trunk = case("trunk_cylinders", along("trunk_path.csv", 5.6, 8.3))
     small = with_mesh_file(trunk.scene, trunk.scene.mesh_path.with_name("trunk_700.vtk"))
     # The paper's small mesh, with one obstacle.
     small = small.changed(
         obstacles=small.obstacles[:1], contact={"between": small.contact.between[:1]})
-    reduced = case("diamond_reduced", family="the Diamond, reduced")
+    reduced = case("diamond_reduced")
     return [
         case("grasper", held("grasper_lift.csv")),
         case("octoleg", held("octoleg_curl.csv")),
@@ -165,14 +168,13 @@ def robot_cases() -> list[BenchCase]:
         trunk._replace(name="trunk_900"),
         case("springy", swept_setpoints),
         # Its tips close and open in this interval.
-        case("pneunet_inverse", along("pneunet_tips.csv", 0.5, 11.5), "the PneuNet"),
+        case("pneunet_inverse", along("pneunet_tips.csv", 0.5, 11.5)),
         case("fetch"),
         case("fetch_reduced"),
         case("cantilever", swept_setpoints),
         case("flexo", along("flexo_circle.csv", 4.0, 12.0)),
         case("stifface"),
-        reduced._replace(name="diamond_quadratic", family="the Diamond, quadratic",
-                         scene=reduced.scene.changed(body={"reduced": None})),
+        reduced._replace(name="diamond_quadratic", scene=reduced.scene.changed(body={"reduced": None})),
         reduced,
     ]
 
@@ -184,7 +186,7 @@ def standard_cases() -> list[BenchCase]:
     meshes = diamond.mesh_path.parent
     diamonds = [
         BenchCase(f"diamond_{nodes}", with_mesh_file(diamond, meshes / f"diamond_{nodes}.vtk"),
-                  "the Diamond", circle_targets)
+                  circle_targets)
         for nodes in _REFINEMENTS
     ]
     small, large = (_column_case(diamond, cells) for cells in _COLUMN_CELLS)
@@ -212,7 +214,7 @@ def _column_case(diamond: Scene, cells: tuple[int, int, int]) -> BenchCase:
                      element="linear", material=diamond.body.material, fixed=(top,)),
         "effectors": (Effector(name="tip", points=((0.0, 0.0, -length),)),),
     })
-    return BenchCase("column_" + "x".join(map(str, cells)), scene, "the columns", circle_targets)
+    return BenchCase("column_" + "x".join(map(str, cells)), scene, circle_targets)
 
 
 class FlopCount(NamedTuple):
@@ -365,9 +367,53 @@ _STEP_COLOUR = "#1b6ca8"
 _SUPERLU_COLOUR = "#222222"
 
 
+def growth_exponent(sizes, times) -> float:
+    """Slope of a straight line through (log size, log time), by least squares.
+
+    Args:
+        sizes: Sizes, above zero, shape (count,).
+        times: Times, same shape; points without a positive time are left out.
+
+    Returns:
+        The exponent; NaN when fewer than two different sizes are left.
+    """
+    sizes, times = np.asarray(sizes, dtype=float), np.asarray(times, dtype=float)
+    known = np.isfinite(times) & (times > 0.0)
+    x, y = np.log(sizes[known]), np.log(times[known])
+    return float(np.polyfit(x, y, 1)[0]) if len(np.unique(x)) > 1 else float("nan")
+
+
 def _families_of(sizes: Sequence[SizeMeasurement]) -> dict[str, list[SizeMeasurement]]:
-    """Sizes by family, in their order."""
-    return by_key((size.case.family, size) for size in sizes)
+    """Sizes by family, whose scenes differ in the mesh only, in their order."""
+    return by_key((re.sub(r"_\d[\dx]*$", "", size.case.name), size) for size in sizes)
+
+
+def _stage_names(sizes: Sequence[SizeMeasurement]) -> list[str]:
+    """All stages in their order, then the time outside them, then the whole step."""
+    inner = dict.fromkeys(name for size in sizes for name in size.stages)
+    return [name for name in inner if name not in (OUTSIDE, WHOLE_STEP)] + [OUTSIDE, WHOLE_STEP]
+
+
+def _growth_table(sizes: Sequence[SizeMeasurement]) -> Table | None:
+    """Exponent of each stage over each family; None when no family has two sizes."""
+    families = {family: members for family, members in _families_of(sizes).items()
+                if len({size.dof_count for size in members}) > 1}
+    if not families:
+        return None
+    return table("Growth: time ~ dof^p, p fitted to medians", "stage", *(
+        f"{family} ({len(members)} sizes)" for family, members in families.items()),
+        rows=([stage, *(f"{exponent(members, stage):.2f}" for members in families.values())]
+              for stage in (*_stage_names(sizes), SUPERLU)))
+
+
+def exponent(sizes: Sequence[SizeMeasurement], stage: str) -> float:
+    """Growth exponent of one stage's median over sizes.
+
+    Args:
+        sizes: What was measured, of one family.
+        stage: Name of the stage.
+    """
+    return growth_exponent([size.dof_count for size in sizes], _medians(sizes, stage))
 
 
 def _medians(sizes: Sequence[SizeMeasurement], stage: str) -> list[float]:
@@ -477,6 +523,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         conditions = describe_machine(NUMERICAL_LIBRARIES)
         console().print(conditions + "\n")
         print_sizes(sizes)
+        if (growth := _growth_table(sizes)) is not None:
+            console().print(growth)
         print_requirements(sizes)
         print_operations(sizes)
         if given.output is not None:

@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import meshio
 import numpy as np
+from bench_robots import growth_exponent
 from rich.table import Table
 from specimens import column_mesh
 
@@ -26,7 +27,6 @@ from softrobot_twin.study.accuracy_study import write_mesh
 from softrobot_twin.study.bench_measurement import (
     INTERRUPTION,
     WHOLE_STEP,
-    growth_exponent,
     without_garbage_collection,
 )
 from softrobot_twin.study.figure import figure_file

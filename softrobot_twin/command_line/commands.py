@@ -501,7 +501,7 @@ def bench(
     commands: GivenFile | None = None, compare: Path | None = None,
     threads: PositiveCount | None = None,
 ) -> int:  # fmt: skip
-    """Time a step, stage by stage, over sizes.
+    """Time a step, stage by stage.
 
     Time every stage of a step while the effector follows a circle, or the actuators move over their
     limits, beside one SuperLU factorization. Without a scene it times the Diamond.

@@ -23,13 +23,12 @@ from softrobot_twin.study.bench_measurement import (
     default_scene_path,
     full_size,
     given_cases,
-    growth_exponent,
     measure,
 )
 from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine
 from softrobot_twin.study.output_file import make_folder
 from softrobot_twin.study.study_rows import write_rows
-from softrobot_twin.study.terminal import by_key, console, print_apart, report_activity, table
+from softrobot_twin.study.terminal import console, print_apart, report_activity, table
 from softrobot_twin.study.timing import Spread
 
 
@@ -43,26 +42,22 @@ def write_bench(path: Path, sizes: Sequence[SizeMeasurement]) -> None:
     Raises:
         OutputError: The file cannot be written.
     """
-    families = _families_of(sizes)
-    write_rows(path, [_row(size, stage, exponent(families[size.case.family], stage), full_size(size, sizes))
-                      for size in sizes for stage in size.stages])
+    write_rows(path, [_row(size, stage, full_size(size, sizes)) for size in sizes for stage in size.stages])
 
 
-def _row(
-    size: SizeMeasurement, stage: str, growth: float, full: SizeMeasurement | None
-) -> dict[str, object]:  # fmt: skip
+def _row(size: SizeMeasurement, stage: str, full: SizeMeasurement | None) -> dict[str, object]:
     """The cells of a stage by their columns."""
     times = size.stages[stage]
     whole = full and full.stages[WHOLE_STEP].median
     return {
-        "scene": size.case.name, "family": size.case.family, "nodes": size.node_count,
+        "scene": size.case.name, "nodes": size.node_count,
         "tets": size.tet_count, "dof": size.dof_count, "modes": size.mode_count or None,
         "points": size.point_count or None, "rows": size.row_count,
         "contacts": size.contact_count, "factorization": size.factorization,
         "threads": size.thread_count,
         "steps": size.step_count, "stage": stage, "median_ms": 1e3 * times.median,
         "p99_ms": 1e3 * times.p99, "max_ms": 1e3 * times.maximum,
-        "ratio_to_superlu": times.median / size.superlu.median, "growth_exponent": growth,
+        "ratio_to_superlu": times.median / size.superlu.median, 
         "superlu_ms": 1e3 * size.superlu.median, "superlu_samples": size.superlu_count,
         "interrupted_share": size.interrupted_share, "resident_bytes": size.resident,
         "full_ms": whole and 1e3 * whole, "ratio_to_full": whole and times.median / whole,
@@ -108,38 +103,6 @@ def _size_table(sizes: Sequence[SizeMeasurement]) -> Table:
     )
     return table("Each size", "what", *map(_title, sizes),
                  rows=([what, *map(words, sizes)] for what, words in cells))
-
-
-def _growth_table(sizes: Sequence[SizeMeasurement]) -> Table | None:
-    """Exponent of each stage over each family; None when no family has two sizes."""
-    families = {family: members for family, members in _families_of(sizes).items()
-                if len({size.dof_count for size in members}) > 1}
-    if not families:
-        return None
-    return table("Growth: time ~ dof^p, p fitted to medians", "stage", *(
-        f"{family} ({len(members)} sizes)" for family, members in families.items()),
-        rows=([stage, *(_number(exponent(members, stage), "{:.2f}") for members in families.values())]
-              for stage in (*_stage_names(sizes), SUPERLU)))
-
-
-def _families_of(sizes: Sequence[SizeMeasurement]) -> dict[str, list[SizeMeasurement]]:
-    """Sizes by family, in their order."""
-    return by_key((size.case.family, size) for size in sizes)
-
-
-def exponent(sizes: Sequence[SizeMeasurement], stage: str) -> float:
-    """Growth exponent of one stage's median over sizes.
-
-    Args:
-        sizes: What was measured, of one family.
-        stage: Name of the stage.
-    """
-    return growth_exponent([size.dof_count for size in sizes], _medians(sizes, stage))
-
-
-def _medians(sizes: Sequence[SizeMeasurement], stage: str) -> list[float]:
-    """Median of a stage of each size [s]; NaN where a size does not have this stage."""
-    return [size.times[stage].median if stage in size.times else np.nan for size in sizes]
 
 
 def _stage_names(sizes: Sequence[SizeMeasurement]) -> list[str]:
@@ -286,9 +249,9 @@ def measure_all(cases: Sequence[BenchCase], steps: int) -> list[SizeMeasurement]
 
 
 def print_sizes(sizes: Sequence[SizeMeasurement]) -> None:
-    """Prints the times of the stages, the other measurements, and the growth over sizes.
+    """Prints the times of the stages, and the other measurements.
 
     Args:
         sizes: What was measured.
     """
-    print_apart(_stage_table(sizes), _size_table(sizes), _growth_table(sizes))
+    print_apart(_stage_table(sizes), _size_table(sizes))

@@ -49,22 +49,6 @@ from softrobot_twin.study.timing import (
 )
 
 
-def growth_exponent(sizes, times) -> float:
-    """Slope of a straight line through (log size, log time), by least squares.
-
-    Args:
-        sizes: Sizes, above zero, shape (count,).
-        times: Times, same shape; points without a positive time are left out.
-
-    Returns:
-        The exponent; NaN when fewer than two different sizes are left.
-    """
-    sizes, times = np.asarray(sizes, dtype=float), np.asarray(times, dtype=float)
-    known = np.isfinite(times) & (times > 0.0)
-    x, y = np.log(sizes[known]), np.log(times[known])
-    return float(np.polyfit(x, y, 1)[0]) if len(np.unique(x)) > 1 else float("nan")
-
-
 CIRCLE_TIME_STEP = 0.01
 """Time from one target to the next [s]."""
 # Initial shortening of every cable and pressure of every cavity as a share of its limit, so that no
@@ -240,27 +224,23 @@ class BenchCase(NamedTuple):
     Attributes:
         name: Name in tables.
         scene: The scene.
-        family: Sizes of one family differ in the mesh only; growth is fitted over a family.
         drive: Brings the simulation to where it is timed, and gives the commands from there on.
     """
 
     name: str
     scene: Scene
-    family: str
     drive: Callable[[Simulation], Iterator[Command]]
 
 
 def given_cases(paths: Sequence[Path], commands: Path | None = None) -> list[BenchCase]:
-    """Cases of a user's scenes, which form one family.
+    """Cases of a user's scenes.
 
     Args:
         paths: Scene files.
         commands: Commands file whose longest hold is timed, or None.
     """
     drive = usual_commands if commands is None else partial(held_commands, path=commands)
-    scenes = [(path.stem, load_scene(path)) for path in paths]
-    return [BenchCase(name, scene, "the given scenes" + (", reduced" if is_reduced(scene) else ""), drive)
-            for name, scene in scenes]
+    return [BenchCase(path.stem, load_scene(path), drive) for path in paths]
 
 
 def usual_commands(simulation: Simulation) -> Iterator[Command]:

@@ -20,8 +20,8 @@ from softrobot_twin.study.bench_measurement import (
 from test.run_files import rows_of
 
 COLUMNS = """
-scene family nodes tets dof modes points rows contacts factorization threads steps stage median_ms p99_ms
-max_ms ratio_to_superlu growth_exponent superlu_ms superlu_samples interrupted_share
+scene nodes tets dof modes points rows contacts factorization threads steps stage median_ms p99_ms
+max_ms ratio_to_superlu superlu_ms superlu_samples interrupted_share
 resident_bytes full_ms ratio_to_full python_calls kernel_share beside_step_ms
 """
 
@@ -41,7 +41,6 @@ def test_bench_writes_a_row_for_each_stage(column, tmp_path, call):
     assert [row["stage"] for row in rows] == [*simulation.stages, OUTSIDE, WHOLE_STEP]
     for row in rows:
         assert 0.0 < float(row["median_ms"]) <= float(row["p99_ms"]) <= float(row["max_ms"])
-        assert row["growth_exponent"] == ""  # a single size has no growth
         assert (row["scene"], row["steps"]) == ("column", "5")
 
 
@@ -73,7 +72,6 @@ def test_a_reduced_model_is_compared_with_its_full_one(tmp_path, call):
     full.write_text(yaml.safe_dump(content))
     done = call("bench", full, reduced, "--steps", 3, "--output", tmp_path)
     assert done.code == 0, done.errors
-    assert "Growth" not in done.output  # two models of one mesh are no family
     theirs, ours = (row for row in rows_of(tmp_path / "bench.csv") if row["stage"] == WHOLE_STEP)
     # Sizes are those of the mesh.
     assert (ours["nodes"], ours["tets"]) == (theirs["nodes"], theirs["tets"])
