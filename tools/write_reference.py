@@ -60,7 +60,7 @@ EVERYWHERE = ("SCENE", "--set KEY=VALUE ...", "--scheduler ADDRESS", "--workers 
 """Arguments of many commands that docs/commands.md explains once, above its generated part."""
 EXPLAINED = ("Its name.", "Its body.")
 """Meanings of keys that docs/scene_reference.md explains once, above its generated part."""
-USUAL_QUALITY = "reliable, newest 1"
+USUAL_QUALITY = ("reliable", "newest 1")
 """Quality of service of topics that docs/topics.md does not tell for each of them."""
 
 
@@ -222,8 +222,8 @@ def _words(annotation: Any, metadata: list, anchors: dict) -> str:
         return ", ".join(f"`{word}`" for word in arguments)
     if origin is tuple and arguments[-1] is Ellipsis:
         item = _words(arguments[0], [], anchors)
-        each = " each" if item[0].isdigit() else ""
-        return f"list of {_plural(item)}{each}{_length(metadata)}"
+        items = "points" if item == "3 numbers" else _plural(item) + " each" * item[0].isdigit()
+        return f"list of {items}{_length(metadata)}"
     if origin is tuple:
         kinds = sorted({_words(part, [], anchors) for part in arguments})
         free = " or null" if any(type(None) in get_args(part) for part in arguments) else ""
@@ -486,7 +486,8 @@ def topics() -> str:
 
 def _topic(topic: Topic) -> str:
     unit = f" [{topic.unit}]" if topic.unit else ""
-    quality = "" if topic.quality_in_words == USUAL_QUALITY else f", {topic.quality_in_words}"
+    quality = "".join(f", {word}" for word in topic.quality_in_words.split(", ")
+                      if word not in USUAL_QUALITY)  # fmt: skip
     return f"- `{topic.name}` ({topic.type_name}{unit}{quality}): {topic.meaning}"
 
 

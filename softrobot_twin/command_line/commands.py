@@ -251,8 +251,8 @@ def mesh(
         unit: Unit of a file of triangles, which states none (default: mm).
         element: Elements whose step is measured (default: quadratic).
         repair: Close holes, and unite solids that overlap or touch.
-        turn (N): Elements in a full turn of curved faces; 0 refines none (default: about 16 on the
-            round walls of cavities).
+        turn (N): Elements in a full turn of curved faces; 0 refines none (default: about 16 on round
+            walls of cavities).
     """
     from softrobot_twin.study.choice import MARGIN
     from softrobot_twin.study.meshing import mesh_part
@@ -444,12 +444,11 @@ def calibrate(
     Args:
         scene (SCENE): Scene file (YAML).
         data (FILE): Recorded runs (.mcap), or tables (.csv) with setpoints, markers (marker_4_x_m) and
-            efforts; without time_s each row is a pose at rest.
-        fit (KEY): Numbers to fit, perhaps with *; keys joined by + change together (default: those of
-            the robot that the data tell).
-        known (KEY=DEVIATION): Standard deviation before the fit, in the number's unit, or as a share of
-            moduli, stiffnesses and densities (default: 30 % of moduli and densities, 2 % of the robot's
-            size for lengths).
+            efforts.
+        fit (KEY): Numbers to fit, perhaps with *; keys joined by + change together (default: what the
+            data tell).
+        known (KEY=DEVIATION): Standard deviation before the fit, in the unit of the number, or as a
+            share of moduli and densities (default: 30 % of moduli, 2 % of the size for lengths).
         check (FILE): Runs and tables that judge the result (default: every fourth pose).
         output (FILE.yaml): Scene to write (default: beside the scene, SCENE_calibrated.yaml).
         picture (FILE.png): Draw the errors before and after, and the intervals.
@@ -548,7 +547,7 @@ def accuracy(
         reference_dof (N): Most dof of a mesh of the reference (default $default).
         reduced (FILE.npz): Reduced models of these meshes, written by 'reduce'.
         train (MESH:ELEMENT): First train reduced models of these meshes, such as robot_4500:quadratic;
-            without a name, of the most accurate one. A training takes minutes.
+            without a name, of the most accurate one.
     """
     from softrobot_twin.study.accuracy import accuracy as measure
     from softrobot_twin.study.accuracy_study import Limits
@@ -587,7 +586,7 @@ def choose(
         range_ (COLUMN=LOW:HIGH): Bounds of the actuators (default: cables up to 0.4 of their limits,
             others their own).
         targets (BOX): As of reduce: NAME=XLOW:XHIGH,YLOW:YHIGH,ZLOW:ZHIGH [m].
-        loads (N): Forces up to this [N] at the effectors (default none).
+        loads (N): Forces up to this [N] at the effectors.
         tilts (DEGREES): Directions of gravity up to this angle from the scene's.
     """
     from softrobot_twin.study.choice import choose as choose_setting
@@ -644,8 +643,7 @@ def reduce(
         targets (BOX): Sample where the inverse brings the effectors:
             NAME=XLOW:XHIGH,YLOW:YHIGH,ZLOW:ZHIGH [m]; fewer modes, valid only there.
         along (TARGETS.csv): Sample along a path of targets, in the contact of the scene.
-        around (M): Each pass of that path is shifted by up to this along each axis [m] (default
-            $AROUND).
+        around (M): Shift of each pass of that path, at most [m] (default $AROUND).
         loads (N): Forces up to this [N] in any direction, in half of the states (default none).
         load_points (X,Y,Z): Points of --loads at rest [m] (default the effectors); with = before a
             negative number.
@@ -658,8 +656,8 @@ def reduce(
         energy (SHARE): Share of the energy that the modes leave out (default $ENERGY).
         modes (N): Number of modes instead, rounded up to a multiple of three.
         spare_modes (N): Modes beyond, for the estimate of the error (default $default).
-        vibration_modes (N): Modes that are the slowest vibrations at rest (default $VIBRATIONS where
-            the scene has inertia, else none).
+        vibration_modes (N): Slowest vibrations among the modes (default $VIBRATIONS where the scene has
+            inertia, else none).
         tolerance (SHARE): Virtual work that the sampled points leave out (default $default).
         states (N): Fresh states for the error (default $default; 0 for none).
     """

@@ -193,8 +193,8 @@ COMMON = (
 
 RUNTIME = (
     _setting("rate", "Ticks per second.", "Hz", 0.1, 2000.0),
-    _setting("deadline", "Time that a step may take: remaining time is used for more "
-             "linearizations; 0 for the scene's number. At most 1/rate.", "s",
+    _setting("deadline", "Time of a step in which more linearizations may be made; 0 for "
+             "the scene's number. At most 1/rate.", "s",
              0.0, 10.0),
     _setting("target_timeout",
              "The twin holds after this time without a target or command; 0 for never.", "s",
@@ -202,7 +202,7 @@ RUNTIME = (
     _setting("velocity_timeout", "A received velocity is used for this time.", "s", 0.01, 10.0),
     _setting("speed_limit", "Greatest speed of a target moved by a velocity.", "m/s", 1e-6, 10.0),
     _setting("approach_speed", "A far target is approached on a straight line at this "
-             "speed; 0 moves as fast as the actuators may.", "m/s", 0.0, 10.0),
+             "speed; 0 for as fast as possible.", "m/s", 0.0, 10.0),
     _setting("workspace_min", "Lower corner of the box to which targets and poses are limited.", "m"),
     _setting("workspace_max", "Upper corner of that box.", "m"),
     _setting("closed_loop", "Correct the targets by the measured markers."),
@@ -212,8 +212,7 @@ RUNTIME = (
     _setting("correction_gain", "Gain of the integrator that corrects where setpoints "
              "are not measured.", "1/s", 0.0, 1000.0),
     _setting("correction_limit", "Greatest length of the correction.", "m", 0.0, 1.0),
-    _setting("lead_limit", "In closed loop a moving target is aimed at most this time ahead; 0 "
-             "aims at where it is.",
+    _setting("lead_limit", "A moving target is aimed at most this time ahead in closed loop.",
              "s", 0.0, 1.0),
     _setting("marker_timeout", "Markers count as lost after this time without a message.", "s", 0.001,
              60.0),
@@ -250,7 +249,7 @@ TWIN = COMMON + RUNTIME + _fixed(
     Entry("velocity_effector", "",
           "Effector that target_velocity moves; empty for the first."),
     Entry("priority", Priority.REAL_TIME.value, "Priority of the ticks: real-time, a negative "
-          "nice value, or none. A refusal is reported.",
+          "nice value, or none.",
           choices=tuple(priority.value for priority in Priority)),
     Entry("view", False, "Show the twin in rerun."),
     Entry("view_port", 9876, "Port for viewers on this machine; 0 selects a free one.", "", 0, 65535),
@@ -298,8 +297,8 @@ DEVICE = COMMON + _fixed(
     Entry("device_valve_lag", 0.05,
           "Time constant of pressure regulators; 0 for none.", "s",
           0.0, 60.0),
-    Entry("device_flow_limit", 2e-4, "Greatest flow of gas for a cavity, at ambient "
-          "pressure; under control: volume, the speed of its syringe.", "m³/s",
+    Entry("device_flow_limit", 2e-4, "Greatest flow of gas for a cavity at ambient "
+          "pressure, or speed of a syringe.", "m³/s",
           1e-12, 10.0),
     Entry("device_leak", 0.0, "Flow out of a cavity at ambient pressure, by its gauge "
           "pressure.", "m³/(s Pa)", 0.0, 1.0),
@@ -343,11 +342,11 @@ TARGET = _fixed(
           "m, Pa or m³"),
     Entry("target_setpoint_period", 10.0, "Time of a movement to and fro.", "s", 0.001, 86400.0),
     Entry("target_stiffness", [0.0, 0.0], "Stiffness that is wanted meanwhile: the "
-          "first, and the one after half a period; zeros for none.", "N/m"),
+          "first, and the one after half a period.", "N/m"),
     Entry("target_stiffness_axis", "z", "Axis of that stiffness.", choices=("x", "y", "z")),
     Entry("target_stiffness_period", 20.0, "Time of that stiffness to and fro.", "s", 0.001, 86400.0),
-    Entry("target_commands", "", "CSV file of commands that are played over and over in place "
-          "of targets, for a twin in direct mode."),
+    Entry("target_commands", "", "CSV file of commands that are played over and over, for a "
+          "twin in direct mode."),
     Entry("target_beginning", "", "CSV file of commands that are played once before the path, "
           "such as to close a hand."),
 )

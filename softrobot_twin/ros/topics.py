@@ -182,11 +182,11 @@ def _by_name(*topics: Topic) -> dict[str, Topic]:
 
 TWIN_TOPICS = _by_name(
     Topic("~/target/<effector>", IN, PointStamped, NEWEST, "m",
-          "the newest is used, limited to the workspace; a message that is not finite, "
-          "stale, out of order or in another frame is refused and counted", "targets.accept_point"),
+          "limited to the workspace; refused and counted if not finite, stale, out of "
+          "order or in another frame", "targets.accept_point"),
     Topic("~/target_pose/<effector>", IN, PoseStamped, NEWEST, "m",
-          "of effectors with `orientation`: position, and turn from the rest shape; refused as a "
-          "target, and where the quaternion is not of unit length within 1 %",
+          "of effectors with `orientation`: position, and turn from rest; refused as a target, "
+          "or with a quaternion not of unit length",
           "targets.accept_pose"),
     Topic("~/target_path/<effector>", IN, Path, NEWEST, "m",
           "in scenes with `control`: where the target will be at the stamp of each pose; the "
@@ -212,7 +212,7 @@ TWIN_TOPICS = _by_name(
           "measured setpoints and efforts, as in `~/cables`; cavities under pressure "
           "and cables with pulleys may be omitted", "device.accept"),
     Topic("~/measured_angles", IN, JointState, STREAM, "rad, N m",
-          "of pulleys and motors of hinges: angle in `position`, torque in `effort` "
+          "of pulleys and hinge motors: angle in `position`, torque in `effort` "
           "(optional); beside or in place of lengths", "measured_angles.accept"),
     Topic("~/measured_pressures/<cavity>", IN, FluidPressure, STREAM, "Pa, absolute",
           "of a cavity under pressure, beside or in place of `~/measured_cables`; "
@@ -220,8 +220,7 @@ TWIN_TOPICS = _by_name(
     Topic("~/command/cables", IN, JointState, NEWEST, "m, N",
           "setpoints in `position` or efforts in `effort`, by names of actuators or "
           "motors, as in `~/cables`. In `mode: direct` all but cavities under pressure are "
-          "named. In `mode: inverse` the named actuators are commanded and the others optimised; "
-          "an empty message commands none", "commands.accept"),
+          "named. In `mode: inverse` the others are optimised; an empty message commands none", "commands.accept"),
     Topic("~/command/angles", IN, JointState, NEWEST, "rad",
           "in `position`, by names of cables or motors with pulleys; the other "
           "actuators stay as they are", "angles.accept"),
@@ -232,16 +231,15 @@ TWIN_TOPICS = _by_name(
           "the newest is used, limited to the workspace and in speed and turn rate; "
           "refused as a target", "poses.accept"),
     Topic("~/cables", OUT, JointState, NEWEST, "m, N",
-          "`position` and `effort` of each actuator: length [m] and tension [N] of a cable, "
-          "position and force of a slide, angle [rad] and torque [N m] of a hinge motor, gauge "
-          "pressure [Pa] twice of a cavity, or its volume [m³] and gauge pressure under "
-          "`control: volume`"),
+          "`position` and `effort`: length and tension of a cable, position and force of a "
+          "slide, angle [rad] and torque [N m] of a hinge motor, pressure [Pa] twice of a "
+          "cavity, or with `control: volume` its volume [m³] and pressure"),
     Topic("~/cable_paths", OUT, JointState, NEWEST, "m",
           "length of each cable's path; shorter than in `~/cables` where the cable is slack; "
           "only while somebody receives it"),
     Topic("~/cables/claim", OUT, String, CLAIM, "",
-          "five times a second: this twin lives, and whether it is enabled. A later twin on the "
-          "same topics stays silent and says whose they are"),
+          "five times a second: this twin lives, and whether it is enabled. A later twin on "
+          "these topics stays silent"),
     Topic("~/angles", OUT, JointState, NEWEST, "rad, N m",
           "angle and torque of each pulley, with the stamp of `~/cables`"),
     Topic("~/pressures/<cavity>", OUT, FluidPressure, NEWEST, "Pa, absolute",
@@ -260,9 +258,8 @@ TWIN_TOPICS = _by_name(
           "3×3: motion of the effector by a force on it while the actuators hold; only while "
           "somebody receives it"),
     Topic("~/jacobian/<effector>", OUT, Float64MultiArray, NEWEST, "m per unit of the actuator",
-          "3 × actuators, in the order of `~/cables`: motion of the effector by each actuator; "
-          "labels name columns and units, such as `north_shortening_m` (m/m); only while "
-          "somebody receives it"),
+          "3 × actuators, in the order of `~/cables`: motion of the effector by each; labels "
+          "name columns and units; only while somebody receives it"),
     Topic("~/external_forces/<force>", OUT, WrenchStamped, NEWEST, "N, N m",
           "force on the robot that the `observer` found; a torque only on a rigid body"),
     Topic("~/force_deviations/<force>", OUT, JointState, NEWEST, "N, m",
@@ -280,8 +277,8 @@ TWIN_TOPICS = _by_name(
     Topic("~/contacts", OUT, PointCloud2, STREAM, "m, N",
           "x y z fx fy fz float32: each contact, and its force on the first body of its pair"),
     Topic("~/visualization", OUT, MarkerArray, NEWEST, "m",
-          "markers of all that the scene shows, for RViz and Foxglove, `visualization_rate` "
-          "times a second and only while somebody receives it"),
+          "all that the scene shows, for RViz and Foxglove, `visualization_rate` times a second "
+          "while somebody receives it"),
     Topic("~/status", OUT, DiagnosticStatus, LATCHED, "",
           "when it changes: what the loop does and why, the status of the step, the active "
           "limits"),
@@ -290,8 +287,8 @@ TWIN_TOPICS = _by_name(
           "`frame_id`; only while somebody receives it, and with tf2_msgs"),
     Topic("/diagnostics", OUT, DiagnosticArray, DIAGNOSTICS, "",
           "1 Hz, and at once when something serious changes: `<node>: loop`, `solver`, "
-          "`limits`, `markers`, `device`, `target`, `view`, `graph`, and `record`, `contact`, "
-          "`touch`, `observer` where there are any"),
+          "`limits`, `markers`, `device`, `target`, `view`, `graph`, `record`, `contact`, "
+          "`touch`, `observer`"),
 )  # fmt: skip
 """Topics of the twin, by name."""
 
@@ -332,9 +329,8 @@ TWIN_SERVICES = (
             "back to the rest shape, within the rate limits; with a device only the model "
             "returns, and the twin is disabled"),
     Service("~/calibrate", Trigger,
-            "fits `calibrate_fit` to the poses at which the robot rested, in another process. "
-            "It answers at once; the result is in `calibration` of `/diagnostics`. The twin "
-            "stays as it is until it is started with the proposal"),
+            "fits `calibrate_fit` to the poses at rest so far, in another process. It answers "
+            "at once; the result is in `/diagnostics`"),
 )  # fmt: skip
 """Services of the twin."""
 

@@ -101,8 +101,8 @@ class Cable(ActuatorEntry):
     body: Name | None = None
     """Its body."""
     also_on: tuple[str, ...] = ()
-    """Other bodies that it runs through, by names or patterns such as ``rib_*``; the nearest body
-    carries each point."""
+    """Other bodies that it runs through, or patterns such as ``rib_*``; the nearest carries each
+    point."""
     frame: Literal["world", "mesh"] = "world"
     """Frame of its points; `mesh` is before the placement."""
     pull_point: Vector
@@ -110,10 +110,9 @@ class Cable(ActuatorEntry):
     pull_point_on: Name = "world"
     """``world``, ``body`` for its own bodies, or a rigid body."""
     points: Annotated[tuple[Vector, ...], Field(min_length=1)]
-    """Points of the body that the cable runs through, from the pull point on."""
+    """Points that the cable runs through, from the pull point on."""
     hold_radius: Annotated[float, unit("m", ge=0.0)] = 0.0
-    """Radius over which each point holds the material, as a washer. With 0 a point yields the
-    more, the finer the mesh is."""
+    """Radius over which each point holds the material. With 0 a finer mesh yields more."""
     shortening: Annotated[OpenRange, unit("m"), allows_zero("the shortening at rest")] = NO_LIMITS
     """Limits of the shortening from rest."""
     rate: Annotated[OpenNumber | None, unit("m/s", gt=0.0)] = None
@@ -219,14 +218,14 @@ class Cavity(WalledEntry, ActuatorEntry):
     volume: Annotated[OpenRange, unit("m³"), not_below_zero("a volume is not negative")] = POSITIVE
     """Limits of the volume."""
     growth: Annotated[OpenRange, unit("m³"), allows_zero("the growth at rest")] = NO_LIMITS
-    """Limits of the change of volume from rest. By default a bursting body is stopped."""
+    """Limits of the change of volume from rest."""
     rate: Annotated[OpenNumber | None, unit("Pa/s or m³/s", gt=0.0)] = None
     """Greatest change of the command per second."""
     flow: Annotated[OpenNumber | None, unit("m³/s", gt=0.0)] = None
     """Greatest change of volume per second under pressure, as of a valve."""
     liquid_density: Annotated[float | None, unit("kg/m³", gt=0.0)] = None
-    """Density of the liquid that fills it; by default gas. The pressure is then that at its
-    highest point at rest."""
+    """Of the liquid that fills it; by default gas. The pressure counts at its highest point at
+    rest."""
 
     def check(self) -> None:
         """Refuse a flow where the volume is commanded."""
@@ -236,7 +235,7 @@ class Cavity(WalledEntry, ActuatorEntry):
 
 
 class SealedCavity(WalledEntry):
-    """A cavity without a valve: its gas is compressed at constant temperature."""
+    """A cavity without a valve, at constant temperature."""
 
     pressure: Annotated[float, unit("Pa")] = 0.0
     """Gauge pressure at rest."""
@@ -295,8 +294,7 @@ class HingeMotor(ActuatorEntry):
     at: Literal["start", "end"] | Annotated[int, Field(ge=0)]
     """The point of the beam with the hinge."""
     angle: Annotated[ClosedRange, unit("rad"), allows_zero("the angle at rest")]
-    """Limits of its angle, less than a turn apart; 0 at rest, right-handed about the hinge's
-    axis."""
+    """Limits of its angle, 0 at rest, right-handed about the hinge's axis."""
     offset: Annotated[float, unit("rad")] = 0.0
     """Zero error of the motor: measured less true angle."""
     rate: Annotated[float | None, unit("rad/s", gt=0.0)] = None

@@ -91,7 +91,7 @@ class Mesh(Entry):
     size: Annotated[float | None, unit("m", gt=0.0)] = None
     """Edge of the tetrahedra of a CAD file."""
     scale: Annotated[float, unit("m per file unit", gt=0.0)] = 1.0
-    """Metres in a unit of the file: 0.001 for millimetres. Not for STEP files."""
+    """Metres in a unit of the file; not for STEP files."""
     rotation: Angles = (0.0, 0.0, 0.0)
     """Angles about the world's axes; after the scale."""
     translation: Vector = (0.0, 0.0, 0.0)
@@ -139,7 +139,7 @@ class ViscosityTerm(Entry):
     told: ClassVar[tuple[str, ...]] = ("{share} in {time} s",)
 
     share: Annotated[float, unit("", gt=0.0, lt=1.0)]
-    """g: share of the modulus at once. `young_modulus` is the modulus after a long time."""
+    """g: share of the modulus at once."""
     time: Annotated[float, unit("s", gt=0.0)]
     """τ: in this time its stress falls to 1/e."""
 
@@ -446,7 +446,7 @@ class SphereRegion(Entry):
 
 
 class Region(Entry):
-    """Nodes in a box or in a sphere, or nodes by their index."""
+    """Nodes in a box or in a sphere, or by their index."""
 
     placed: ClassVar[dict[str, str]] = {"box": "box", "sphere": "inside"}
     one_of: ClassVar[tuple[str, ...]] = ("box", "sphere", "nodes")
@@ -523,7 +523,7 @@ class Damping(Entry):
 
 
 class Visual(Entry):
-    """A finer surface that moves with the body, only for display."""
+    """A finer surface, only for display."""
 
     file: Path
     """Surface mesh, placed like the body's own mesh."""
@@ -545,8 +545,8 @@ class Body(Entry):
     """Its name."""
     mesh: Mesh
     element: Annotated[str, registered("element", element_names)] = "quadratic"
-    """Quadratic has a node at the middle of every edge; linear is faster and too stiff in bending;
-    smoothed is linear with a mean strain around each edge."""
+    """Quadratic has a node on every edge; linear is faster and too stiff in bending; smoothed is
+    linear, about as exact as quadratic."""
     material: Material
     materials: tuple[RegionMaterial, ...] = ()
     """Materials of parts; other cells have `material`."""
@@ -555,11 +555,11 @@ class Body(Entry):
     attached: tuple[Attachment, ...] = ()
     """Nodes that move with a rigid body."""
     volume: Literal["per_element", "patches"] | None = None
-    """Where changes of volume are resisted: patches do not lock near ν = 0.5. Default: patches for
-    smoothed elements whose laws allow it."""
+    """Where changes of volume are resisted; patches do not lock near ν = 0.5. Default: patches for
+    smoothed elements."""
     mass: Literal["lumped", "consistent", "uniform"] | None = None
-    """How mass is shared among nodes: by volume, by shape functions, or equally. Default:
-    consistent for quadratic elements, else lumped."""
+    """By volume, by shape functions, or equally. Default: consistent for quadratic elements, else
+    lumped."""
     damping: Damping = Damping()
     vertebrae: Vertebrae | None = None
     """Rigid parts of a reduced body, by `reduce-vertebrae`."""
@@ -776,7 +776,7 @@ class BeamJoint(Entry):
 
 
 class Beam(Entry):
-    """A slender body along a path, that bends, twists, stretches and shears."""
+    """A slender body that bends, twists, stretches and shears."""
 
     placed: ClassVar[dict[str, str]] = {"points": "point", "thickness_direction": "direction",
                                         "joined": "regions"}  # fmt: skip

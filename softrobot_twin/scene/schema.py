@@ -60,11 +60,9 @@ class Touching(Entry):
     friction: Annotated[float | None, unit("", ge=0.0)] = None
     """µ of the pair; by default `contact.friction`."""
     least_force: Annotated[float | None, unit("N", gt=0.0)] = None
-    """Least sum of the pair's normal forces while targets are followed; the pair needs
-    friction."""
+    """Least sum of the pair's normal forces while targets are followed."""
     least_grip_margin: Annotated[float | None, unit("", gt=0.0, lt=1.0)] = None
-    """Least share of the pair's friction that is left, 1 - Σ |λ_t| / Σ µ λ_n. Targets are missed
-    before the margin falls below."""
+    """Least share of friction that is left, 1 - Σ |λ_t| / Σ µ λ_n; targets give way."""
 
 
 class TouchingPoint(Entry):
@@ -177,10 +175,9 @@ class EffectorOrientation(Entry):
     """How the body shall be turned from rest."""
 
     pointing: Annotated[Vector | None, not_zero("must not be zero: it is a direction")] = None
-    """Axis of the body at rest whose direction counts; without it the whole rotation counts."""
+    """Axis of the body whose direction counts; without it the whole rotation counts."""
     points: tuple[Vector, ...] = ()
-    """Three or more points whose best-fit rotation counts; by default those of the effector. A
-    rigid body needs none."""
+    """Three or more points whose best-fit rotation counts. A rigid body needs none."""
     weight: Annotated[float, unit("", gt=0.0)] = 1.0
     """Weight of the error of the orientation."""
     length_per_radian: Annotated[float | None, unit("m/rad", gt=0.0)] = None
@@ -198,12 +195,12 @@ class EffectorStiffness(Entry):
     """How stiff a touch shall find the effector."""
 
     target: tuple[WantedStiffness, WantedStiffness, WantedStiffness] = (None, None, None)
-    """Stiffness along x, y and z while the actuators hold; null where it is free."""
+    """Stiffness along x, y, z while the actuators hold; null where it is free."""
     weight: Annotated[float, unit("", ge=0.0)] = 1.0
     """Weight of its error."""
     length: Annotated[float | None, unit("m", gt=0.0)] = None
-    """Distance from the target that counts as a stiffness error of 100 %; by default a tenth of
-    the robot's size."""
+    """Distance that counts as a stiffness error of 100 %; by default a tenth of the robot's
+    size."""
 
     def describe(self) -> str:
         """What is asked for, and how it is weighed."""
@@ -272,7 +269,7 @@ class ObservedForce(Entry):
     body: Name | None = None
     """Its body."""
     points: tuple[Vector, ...] = ()
-    """The force acts at their mean. Without points its place is found; on a rigid body a torque is
+    """The force acts at their mean. Without points its place, or on a rigid body its torque, is
     found."""
     touch: Name | None = None
     """Touch at whose points it acts, in place of body and points."""
@@ -289,8 +286,7 @@ class Observer(Entry):
     told: ClassVar[tuple[str, ...]] = ("changes of {walk:=} N in a second",)
 
     forces: tuple[ObservedForce, ...] = ()
-    """The forces; each needs three markers. By default one at each touch, else at each effector,
-    else at a place that is found."""
+    """By default one at each touch, else at each effector, else at a place that is found."""
     walk: Annotated[float, unit("N", gt=0.0)] = 0.3
     """Standard deviation of a force's change in a second."""
     greatest_force: Annotated[float, unit("N", gt=0.0)] = 5.0
@@ -323,8 +319,8 @@ class Control(Entry):
     inputs: Literal["setpoints", "efforts"] = "setpoints"
     """Lengths, pressures and volumes, or tensions and pressures."""
     around: tuple[Annotated[float, unit("m, N, Pa or m³")], ...] = ()
-    """Inputs around which the robot moves, one for each actuator. By default zeros; of tensions a
-    tenth of the greatest."""
+    """Inputs around which the robot moves. By default zeros; of tensions a tenth of the
+    greatest."""
     modes: Annotated[int, Field(ge=1, le=50)] = 5
     """Modes of the linear model."""
     horizon: Annotated[float, unit("s", gt=0.0, le=5.0)] = 0.25
@@ -332,8 +328,7 @@ class Control(Entry):
     delay: Annotated[float, unit("s", ge=0.0, le=1.0)] = 0.0
     """Time from a command to its effect on the real robot."""
     shaping: Literal["none", "zv", "zvd"] = "none"
-    """With `law: quasi_static`: spreads targets over time so that slow modes do not vibrate; zvd
-    bears a less exact model."""
+    """Spreads targets over time, with `law: quasi_static`; zvd bears a less exact model."""
 
     def check(self) -> None:
         """Refuse a shaping that has no effect."""
@@ -359,7 +354,7 @@ class Solver(Entry):
     reach_tolerance: Annotated[float, unit("m", gt=0.0)] = 1.0e-4
     """Distance within which a target counts as reached."""
     exploration: bool = False
-    """Whether a robot at rest away from its targets looks for a nearer pose by simulation."""
+    """Whether a robot at rest looks for a nearer pose by simulation."""
 
     def check(self) -> None:
         """Refuse threads for a factorization that has none."""
