@@ -238,7 +238,6 @@ def mesh(
     Examples:
         softrobot_twin mesh finger.stl --size 6mm --output finger.msh
         softrobot_twin mesh finger.step --rate 50 --output finger.msh
-        softrobot_twin mesh finger.stl --unit cm --step-time 5ms --element linear
         softrobot_twin mesh scan.obj --repair --output scan.stl
 
     Args:
@@ -273,7 +272,6 @@ def init(
 
     Examples:
         softrobot_twin init finger.msh
-        softrobot_twin init finger.stl --size 6mm --output scenes/finger.yaml
 
     Args:
         mesh (MESH): Mesh file (.msh, .vtk, .vtu, .inp) or CAD file.
@@ -393,7 +391,6 @@ def explain(
 
     Examples:
         softrobot_twin explain config/scenes/diamond.yaml
-        softrobot_twin explain config/scenes/diamond.yaml --picture diamond.png
         softrobot_twin explain config/scenes/diamond.yaml --stiffness --at north_shortening_m=0.01
         softrobot_twin explain config/scenes/grasper.yaml --effects
 
@@ -538,7 +535,6 @@ def accuracy(
 
     Examples:
         softrobot_twin accuracy config/scenes/diamond.yaml
-        softrobot_twin accuracy config/scenes/diamond.yaml --train diamond_600:quadratic
 
     Args:
         scene (SCENE): Scene file (YAML).
@@ -570,7 +566,6 @@ def choose(
 
     Examples:
         softrobot_twin choose config/scenes/diamond.yaml --rate 200
-        softrobot_twin choose config/scenes/diamond.yaml --rate 100 --given forces
 
     Args:
         scene (SCENE): Scene file (YAML).
@@ -765,7 +760,6 @@ def demo(
     Examples:
         softrobot_twin demo
         softrobot_twin demo --robot trunk --seconds 10 --no-view
-        softrobot_twin demo --set body.material.young_modulus=1.5e5
 
     Args:
         robot (NAME): Name of a file config/NAME.yaml (default $default).
