@@ -766,41 +766,33 @@ class MeshLevel(NamedTuple):
         return self._replace(scene=with_element(self.scene, element))
 
 
-def mesh_family(
-    scene: Scene, folder: Path, most_tets: float = np.inf,
-    report_skipped: Callable[[str], None] = warn,
-) -> list[MeshLevel]:
+def mesh_family(scene: Scene, folder: Path) -> list[MeshLevel]:
     """Meshes of a scene's body, the coarsest first, all of linear tetrahedra.
 
     A family consists of files in one folder whose names differ only in the number at their end,
     such as ``robot_400.vtk`` and ``robot_1600.vtk``, and whose volumes and bounds agree. A mesh
     without a family is refined uniformly, up to `REFINEMENTS` times. The ``v1`` of ``robot_v1.vtk``
-    is a version and does not count as such a number.
+    is a version and does not count as such a number. Files that are left out are warned of.
 
     Args:
         scene: The scene.
         folder: Where refined meshes are written.
-        most_tets: Finer meshes are left out, except the scene's own.
-        report_skipped: Called with a line for each file that is left out.
 
     Raises:
         SoftRobotTwinError: A mesh cannot be used, or a mesh with cavities has no family.
     """
     own = _own_level(scene)
-    levels = [own, *_family(own, _siblings(scene), "linear", report_skipped)]
+    levels = [own, *_family(own, _siblings(scene), "linear")]
     if len(levels) == 1:
         if scene.cavities or scene.sealed_cavities:
             raise AccuracyError(scene.name, f"{scene.body.mesh.label} has no family, and a mesh with "
                                 "cavities is not refined: put finer meshes beside it whose names "
                                 "differ in the number at the end")
-        levels = _refined(scene, folder, most_tets)
-    kept = [level for level in levels if level.is_own or level.tet_count <= most_tets]
-    return sorted(kept, key=lambda level: level.tet_count)
+        levels = _refined(scene, folder)
+    return sorted(levels, key=lambda level: level.tet_count)
 
 
-def hexahedral_family(
-    scene: Scene, report_skipped: Callable[[str], None] = warn
-) -> list[MeshLevel]:
+def hexahedral_family(scene: Scene) -> list[MeshLevel]:
     """Meshes of the same body made of hexahedra, the coarsest first.
 
     They are the files beside the scene's mesh that have ``_hexa`` before the number at the end, such
@@ -809,7 +801,6 @@ def hexahedral_family(
 
     Args:
         scene: The scene, on a mesh of tetrahedra.
-        report_skipped: Called with a line for each file that is left out.
 
     Returns:
         The scene on these meshes; empty without such files.
@@ -817,22 +808,20 @@ def hexahedral_family(
     if scene.body.mesh.box is not None:
         return [_level(f"{scene.mesh_name}_hexa", scene, False, HEXAHEDRAL)]
     own = _own_level(scene)
-    levels = _family(own, _siblings(scene, HEXAHEDRAL_NAME), HEXAHEDRAL, report_skipped)
+    levels = _family(own, _siblings(scene, HEXAHEDRAL_NAME), HEXAHEDRAL)
     return sorted(levels, key=lambda level: level.tet_count)
 
 
-def _family(
-    own: MeshLevel, files: Iterable[Path], element: str, report_skipped: Callable[[str], None]
-) -> Iterator[MeshLevel]:  # fmt: skip
+def _family(own: MeshLevel, files: Iterable[Path], element: str) -> Iterator[MeshLevel]:
     """The meshes of files that are of the same body as the scene's own."""
     for path in files:
         try:
             level = _level(path.stem, with_mesh_file(own.scene, path.resolve()), False, element)
         except SoftRobotTwinError as error:
-            report_skipped(f"{path.name} is left out: {error}")
+            warn(f"{path.name} is left out: {error}")
             continue
         if reason := _difference(own, level):
-            report_skipped(f"{path.name} is left out, not the body of {own.name}: {reason}")
+            warn(f"{path.name} is left out, not the body of {own.name}: {reason}")
         else:
             yield level
 
@@ -886,14 +875,12 @@ def write_mesh(path: Path, mesh: TetMesh) -> None:
     content.write(path, file_format="vtk42", binary=True)
 
 
-def _refined(scene: Scene, folder: Path, most_tets: float) -> list[MeshLevel]:
+def _refined(scene: Scene, folder: Path) -> list[MeshLevel]:
     """The scene's own mesh and its refinements, with the same fixed regions."""
     levels = [_own_level(scene)]
     body = only_body(with_element(scene, "linear"))
     mesh, is_fixed = body.mesh, body.fixed
     for number in range(1, REFINEMENTS + 1):
-        if 8 * mesh.cell_count > most_tets:
-            break
         mesh, ends = refine(mesh)
         is_fixed = np.concatenate([is_fixed, is_fixed[ends].all(axis=1)])
         file = (folder / f"{scene.mesh_name}_refined_{number}.vtk").resolve()

@@ -44,6 +44,11 @@ SCENE = {
 }
 
 
+@pytest.fixture(autouse=True)
+def one_refinement(monkeypatch):
+    monkeypatch.setattr("softrobot_twin.study.accuracy_study.REFINEMENTS", 1)
+
+
 @pytest.fixture
 def path(tmp_path):
     path = tmp_path / "bar.yaml"
@@ -83,7 +88,7 @@ def test_a_box_is_made_of_what_the_element_asks_for(path):
 
 def test_its_meshes_are_refined_and_made_of_hexahedra_for_a_study(path):
     scene = load_scene(path)
-    levels = mesh_family(scene, path.parent / "meshes", most_tets=1000)
+    levels = mesh_family(scene, path.parent / "meshes")
     assert [level.name for level in levels] == ["box", "box_refined_1"]
     assert [level.tet_count for level in levels] == [96, 768]
     (of_hexahedra,) = hexahedral_family(scene)
@@ -93,7 +98,7 @@ def test_its_meshes_are_refined_and_made_of_hexahedra_for_a_study(path):
 @pytest.mark.parametrize("element", ["linear", "quadratic", "hexahedral"])
 def test_a_study_has_each_mesh_once_with_each_element_whatever_the_scene_has(path, element):
     scene = with_element(load_scene(path), element)
-    levels = mesh_family(scene, path.parent / "meshes", most_tets=1000)
+    levels = mesh_family(scene, path.parent / "meshes")
     every = every_level(levels, hexahedral_family(scene))
     assert [(level.name, level.scene.body.element) for level in every] == [
         ("box", "linear"), ("box_refined_1", "linear"), ("box", "quadratic"),
@@ -103,7 +108,7 @@ def test_a_study_has_each_mesh_once_with_each_element_whatever_the_scene_has(pat
 
 @pytest.mark.parametrize("element", ["linear", "quadratic", "hexahedral"])
 def test_a_reduced_model_is_found_by_its_mesh_and_element(path, element):
-    levels = every_level(mesh_family(load_scene(path), path.parent, most_tets=100),
+    levels = every_level(mesh_family(load_scene(path), path.parent),
                          hexahedral_family(load_scene(path)))
     body = only_body(with_element(load_scene(path), element))
     cells = np.linspace(0, body.mesh.cell_count - 1, 5).astype(np.int64)
@@ -120,7 +125,7 @@ def test_a_reduced_model_is_found_by_its_mesh_and_element(path, element):
 
 
 def test_a_copy_of_its_scene_keeps_the_box_or_names_the_refined_mesh(path):
-    levels = mesh_family(load_scene(path), path.parent / "meshes", most_tets=1000)
+    levels = mesh_family(load_scene(path), path.parent / "meshes")
     for level in levels:
         copy = path.with_name(f"{level.name}.yaml")
         setting = Setting(level.name, "linear", "corotational", 2, None)

@@ -62,13 +62,13 @@ def study(bar, tmp_path_factory):
     scene = load_scene(bar)
     levels = mesh_family(scene, tmp_path_factory.mktemp("none"))
     limits = Limits(1_500, 1_500, 5)
-    hexahedra = hexahedral_family(scene, report_skipped=lambda line: None)
+    hexahedra = hexahedral_family(scene)
     return study_meshes(levels, limits, hexahedra)
 
 
-def test_hexahedra_of_the_same_body_are_found_by_their_names(bar, tmp_path):
-    scene, skipped = load_scene(bar), []
-    levels = hexahedral_family(scene, report_skipped=skipped.append)
+def test_hexahedra_of_the_same_body_are_found_by_their_names(bar, tmp_path, capsys):
+    scene = load_scene(bar)
+    levels, skipped = hexahedral_family(scene), capsys.readouterr().err.splitlines()
     assert [level.name for level in levels] == ["bar_hexa_5", "bar_hexa_40"]
     assert [level.node_count for level in levels] == [24, 63]
     assert len(skipped) == 1 and "bar_hexa_99.vtk is left out, not the body" in skipped[0]
