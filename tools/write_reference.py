@@ -166,7 +166,9 @@ def _rows(
             continue
         new = [part for part in dict.fromkeys(inner) if part not in anchors]
         value = _value(field, anchors) + (f" [{measured}]" if measured else "")
-        told = "" if meaning in EXPLAINED else f". {_plain(meaning)}"
+        is_said = meaning in EXPLAINED or meaning.lower() == f"{name.replace('_', ' ')}." or (
+            value.startswith("as [") and name not in meanings)  # fmt: skip
+        told = "" if is_said else f". {_plain(meaning)}"
         item = item_of_list(field.annotation)
         if place and is_entry(item) and item.placed is not None:
             told += " [Repeatable](#repeat)."
@@ -222,13 +224,15 @@ def _words(annotation: Any, metadata: list, anchors: dict) -> str:
         return ", ".join(f"`{word}`" for word in arguments)
     if origin is tuple and arguments[-1] is Ellipsis:
         item = _words(arguments[0], [], anchors)
-        items = "points" if item == "3 numbers" else _plural(item) + " each" * item[0].isdigit()
+        items = "points" if item == "xyz" else _plural(item) + " each" * item[0].isdigit()
         return f"list of {items}{_length(metadata)}"
     if origin is tuple:
         kinds = sorted({_words(part, [], anchors) for part in arguments})
         free = " or null" if any(type(None) in get_args(part) for part in arguments) else ""
         words = _plural(" or ".join(kinds))
-        return f"{len(arguments)} {'× ' if words[0].isdigit() else ''}{words}{free}"
+        if (len(arguments), words, free) == (3, "numbers", ""):
+            return "xyz"
+        return f"{len(arguments)} {words.replace('xyz', 'points')}{free}"
     if is_entry(annotation):
         return anchors.get(annotation, "section")
     if annotation is str:
