@@ -231,9 +231,8 @@ def mesh(
 ) -> int:  # fmt: skip
     """Fill a part from a CAD program with tetrahedra.
 
-    Mesh a part with gmsh, in metres. Closed surfaces inside it become the named surfaces cavity_1,
-    cavity_2, ...; solids of a STEP file become named regions. It prints quality, step time and mesh
-    error. An open surface, or solids that overlap, are refused; --repair mends them.
+    Mesh a part with gmsh, in metres. Closed surfaces inside it become cavity_1, cavity_2, ...; solids
+    of a STEP file become regions. An open surface, or solids that overlap, are refused.
 
     Examples:
         softrobot_twin mesh finger.stl --size 6mm --output finger.msh
@@ -295,9 +294,8 @@ def simulate(
 ) -> int:  # fmt: skip
     """Run a scene offline, without ROS.
 
-    Run a scene over a targets file, over a commands file, or without commands. Both files have the
-    column time_s and are described in docs/files.md. A row of a targets file is one step; a commands
-    file is interpolated at a fixed rate. What a run wrote can be given back as either.
+    Run a scene over a targets file, a row a step, over a commands file at a fixed rate, or without
+    commands. docs/files.md describes the columns. What a run wrote can be given back as either.
 
     Examples:
         softrobot_twin simulate config/scenes/diamond.yaml --targets config/targets/diamond_circle.csv --output run.csv
@@ -312,12 +310,11 @@ def simulate(
         seconds (S): Run without commands for this time [s].
         steps (N): Run without commands for this number of steps.
         output (FILE.csv): File to write, one row per step.
-        settle (N): With --targets: run the first row N times before recording (default 0).
-        rate (HZ): Steps a second (default 50); not with --targets.
+        settle (N): Run the first row of --targets N times before recording (default 0).
+        rate (HZ): Steps a second, without --targets (default 50).
         picture (FILE.png): Draw the last state (needs matplotlib).
-        picture_at (S): Draw these times [s] side by side instead; not with --targets.
-        picture_view (ELEVATION AZIMUTH): Direction of view [degrees] (default 24 -58); not with
-            --targets.
+        picture_at (S): Draw these times [s] side by side instead.
+        picture_view (ELEVATION AZIMUTH): Direction of view [degrees] (default 24 -58).
     """
     from softrobot_twin.study import offline_run
     from softrobot_twin.study.direct_run import DEFAULT_RATE, simulate_alone, simulate_commands
@@ -362,8 +359,8 @@ def _check_outputs(inputs: Sequence[Path | None], **outputs: Path | None) -> Non
 def plot(file: Path, *, columns: Sequence[str] = (), output: Path | None = None) -> int:
     """Draw what a run wrote over time.
 
-    Draw the file of a run, a panel for each quantity, with the status of each step and the active
-    limits. Files of workspace, targets and commands can be drawn too.
+    Draw the file of a run, a panel for each quantity. Files of workspace, targets and commands can be
+    drawn too.
 
     Examples:
         softrobot_twin plot run.csv
@@ -386,8 +383,8 @@ def explain(
 ) -> int:  # fmt: skip
     """Show the effects of a scene and the terms they become.
 
-    Print what a scene contains: actuators, effectors, size, mass, sag, cables at rest, all entries and
-    terms, the stages of a step, and an estimate of the mesh's error.
+    Print what a scene contains: actuators, effectors, size, mass, sag, entries, terms, stages of a
+    step, and an estimate of the mesh's error.
 
     Examples:
         softrobot_twin explain config/scenes/diamond.yaml
@@ -429,9 +426,8 @@ def calibrate(
 ) -> int:  # fmt: skip
     """Fit numbers of a scene to what was measured on the robot.
 
-    Fit numbers of a scene to markers and efforts that were measured while the robot rested. One of four
-    poses is held back to judge the result. Numbers that the data do not tell are refused by name. A new
-    scene is written only where it predicts the held poses better.
+    Fit numbers of a scene to markers and efforts that were measured at rest. One of four poses is held
+    back to judge the result. A new scene is written only where it predicts these poses better.
 
     Examples:
         softrobot_twin calibrate config/scenes/diamond.yaml --data run.mcap \\
@@ -465,8 +461,7 @@ def workspace(
     """Sample where a robot gets, and how stiff it is there.
 
     Sample the actuators over their bounds, and write where the effectors come to rest, their stiffness,
-    and the efforts, a row for each sample. Sample 0 is the robot at rest. After Ctrl-C the same command
-    goes on.
+    and the efforts. After Ctrl-C the same command goes on.
 
     Examples:
         softrobot_twin workspace config/scenes/diamond.yaml --samples 160 --output workspace.csv --picture workspace.png
@@ -500,8 +495,7 @@ def bench(
     """Time a step, stage by stage.
 
     Time every stage of a step while the effector follows a circle, or the actuators move over their
-    limits, beside one SuperLU factorization. Without a scene it times the Diamond.
-    tools/bench_robots.py times all robots.
+    limits. Without a scene it times the Diamond.
 
     Examples:
         softrobot_twin bench
@@ -529,9 +523,8 @@ def accuracy(
 ) -> int:  # fmt: skip
     """Measure accuracy against computing time.
 
-    Measure the effector's error and the time of a step over meshes, elements and laws, against an
-    extrapolation. Meshes of one family lie beside the mesh of the scene, with other numbers at the end
-    of their names. It takes minutes.
+    Measure the effector's error and the time of a step over meshes, elements and laws. Meshes of one
+    family lie beside the mesh of the scene, with other numbers at the end of their names.
 
     Examples:
         softrobot_twin accuracy config/scenes/diamond.yaml
@@ -561,8 +554,8 @@ def choose(
 ) -> int:  # fmt: skip
     """Find the most accurate setting that keeps a rate.
 
-    Time meshes, elements, laws, reduced models and linearizations on this machine, print the most
-    accurate setting that keeps the rate with a margin, and write its scene.
+    Time meshes, elements, laws and reduced models on this machine, print the most accurate setting that
+    keeps the rate, and write its scene.
 
     Examples:
         softrobot_twin choose config/scenes/diamond.yaml --rate 200
@@ -614,9 +607,8 @@ def reduce(
     """Make the reduced model of a deformable body.
 
     Bring the full model to many states, take modes from its displacements and few weighted quadrature
-    points, and write a file that the scene names by 'reduced: {file: ...}'. The result is judged at
-    fresh states. Sample what the robot will meet: loads, tilts and the whole range. After Ctrl-C the
-    same command goes on.
+    points, and write a file that the scene names by 'reduced: {file: ...}'. Sample what the robot will
+    meet: loads, tilts and the whole range. After Ctrl-C the same command goes on.
 
     Examples:
         softrobot_twin reduce config/scenes/diamond.yaml --error 1% \\
@@ -640,14 +632,13 @@ def reduce(
         along (TARGETS.csv): Sample along a path of targets, in the contact of the scene.
         around (M): Shift of each pass of that path, at most [m] (default $AROUND).
         loads (N): Forces up to this [N] in any direction, in half of the states (default none).
-        load_points (X,Y,Z): Points of --loads at rest [m] (default the effectors); with = before a
-            negative number.
+        load_points (X,Y,Z): Points of --loads at rest [m] (default the effectors).
         surface_loads (COUNT): So many further points, spread over the surface.
         tilts (DEGREES): Directions of gravity up to this angle from the scene's.
         seed (S): Seed of all samples (default $default).
 
     How accurate it is:
-        error (PERCENT): Wanted largest error at fresh states, such as 1% of the displacement.
+        error (PERCENT): Wanted largest error at fresh states, such as 1%.
         energy (SHARE): Share of the energy that the modes leave out (default $ENERGY).
         modes (N): Number of modes instead, rounded up to a multiple of three.
         spare_modes (N): Modes beyond, for the estimate of the error (default $default).
@@ -685,8 +676,8 @@ def reduce_vertebrae(
 ) -> int:  # fmt: skip
     """Make the superelements of bodies with vertebrae.
 
-    Make the superelements of a scene's bodies with vertebrae where they are missing or out of date, and
-    state their error against the full model at fresh states.
+    Make superelements that are missing or out of date, and state their error against the full model at
+    fresh states.
 
     Examples:
         softrobot_twin reduce-vertebrae config/scenes/fetch_reduced.yaml
@@ -716,9 +707,8 @@ def replay(
 ) -> int:  # fmt: skip
     """Run a recorded run of a twin again.
 
-    Repeat a run that a twin recorded with its parameter record, each message and tick in its order. It
-    prints whether all results are equal to the bit, or the first and the largest differences. ROS is
-    not needed.
+    Repeat a run that a twin recorded, each message and tick in its order. It prints whether all results
+    are equal to the bit, or the differences.
 
     Examples:
         softrobot_twin replay run.mcap
@@ -755,7 +745,7 @@ def demo(
     """Drive a simulated robot live over ROS 2.
 
     Start twin, device and target, follow a path open loop and then closed loop, and report the tracking
-    errors. A robot that is driven directly plays its commands instead.
+    errors.
 
     Examples:
         softrobot_twin demo

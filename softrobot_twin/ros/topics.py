@@ -185,8 +185,7 @@ TWIN_TOPICS = _by_name(
           "limited to the workspace; refused and counted if not finite, stale, out of "
           "order or in another frame", "targets.accept_point"),
     Topic("~/target_pose/<effector>", IN, PoseStamped, NEWEST, "m",
-          "of effectors with `orientation`: position, and turn from rest; refused as a target, "
-          "or with a quaternion not of unit length",
+          "of effectors with `orientation`: position, and turn from rest",
           "targets.accept_pose"),
     Topic("~/target_path/<effector>", IN, Path, NEWEST, "m",
           "in scenes with `control`: where the target will be at the stamp of each pose; the "
@@ -194,17 +193,16 @@ TWIN_TOPICS = _by_name(
           "targets.accept_path"),
     Topic("~/target_stiffness/<effector>", IN, Vector3Stamped, NEWEST, "N/m",
           "along x, y, z, NaN where free; replaces `stiffness.target` until `~/reset` "
-          "or `~/enable`; refused as a target, and where not above 0", "stiffness.accept"),
+          "or `~/enable`", "stiffness.accept"),
     Topic("~/target_velocity", IN, Twist, NEWEST, "m/s, rad/s",
           "integrated, limited in speed and workspace, stopped after "
-          "`velocity_timeout`; the angular part turns an effector with `orientation`", "targets.accept_velocity"),
+          "`velocity_timeout`; the angular part turns an effector with `orientation`",
+          "targets.accept_velocity"),
     Topic("~/touch_force/<touch>", IN, WrenchStamped, STREAM, "N",
-          "force on the robot; zero or NaN ends the touch; refused as a target, and above "
-          "`force_limit`",
+          "force on the robot; zero or NaN ends the touch; refused above `force_limit`",
           "touches.accept_force"),
     Topic("~/touch_position/<touch>", IN, PointStamped, STREAM, "m",
-          "the touched point is held there; NaN ends the touch; refused as a target, "
-          "and far from the robot", "touches.accept_place"),
+          "the touched point is held there; NaN ends the touch", "touches.accept_place"),
     Topic("~/markers", IN, PointCloud2, STREAM, "m",
           "x y z float32, id uint32; NaN = hidden; implausible markers are left out and reported",
           "markers.accept"),
@@ -220,7 +218,8 @@ TWIN_TOPICS = _by_name(
     Topic("~/command/cables", IN, JointState, NEWEST, "m, N",
           "setpoints in `position` or efforts in `effort`, by names of actuators or "
           "motors, as in `~/cables`. In `mode: direct` all but cavities under pressure are "
-          "named. In `mode: inverse` the others are optimised; an empty message commands none", "commands.accept"),
+          "named. In `mode: inverse` the others are optimised; an empty message commands none",
+          "commands.accept"),
     Topic("~/command/angles", IN, JointState, NEWEST, "rad",
           "in `position`, by names of cables or motors with pulleys; the other "
           "actuators stay as they are", "angles.accept"),
@@ -228,8 +227,7 @@ TWIN_TOPICS = _by_name(
           "above 0; commands this cavity, the other actuators stay as they are. In "
           "`mode: inverse` an empty message on `~/command/cables` ends it", "pressures.accept"),
     Topic("~/command/pose/<guided body>", IN, PoseStamped, NEWEST, "m",
-          "the newest is used, limited to the workspace and in speed and turn rate; "
-          "refused as a target", "poses.accept"),
+          "limited to the workspace and in speed and turn rate", "poses.accept"),
     Topic("~/cables", OUT, JointState, NEWEST, "m, N",
           "`position` and `effort`: length and tension of a cable, position and force of a "
           "slide, angle [rad] and torque [N m] of a hinge motor, pressure [Pa] twice of a "
@@ -255,8 +253,8 @@ TWIN_TOPICS = _by_name(
     Topic("~/figures", OUT, JointState, NEWEST, "as the names say",
           "what optional effects report, in `position`"),
     Topic("~/compliance/<effector>", OUT, Float64MultiArray, NEWEST, "m/N",
-          "3×3: motion of the effector by a force on it while the actuators hold; only while "
-          "somebody receives it"),
+          "3×3: motion of the effector by a force while the actuators hold; only while somebody "
+          "receives it"),
     Topic("~/jacobian/<effector>", OUT, Float64MultiArray, NEWEST, "m per unit of the actuator",
           "3 × actuators, in the order of `~/cables`: motion of the effector by each; labels "
           "name columns and units; only while somebody receives it"),
