@@ -314,7 +314,7 @@ def _with_default(field: FieldInfo, words: str) -> str:
     value = field.default
     if value is None or value == () or isinstance(value, BaseModel):
         return words
-    shown = f"`{_yaml(value)}`"
+    shown = "zeros" if value == (0.0, 0.0, 0.0) else f"`{_yaml(value)}`"
     return words.replace(shown, f"**{shown}**") if shown in words else f"{words}, {shown}"
 
 

@@ -78,11 +78,11 @@ class Pulley(Entry):
     told: ClassVar[tuple[str, ...]] = ("by a pulley of radius {radius:mm} mm",)
 
     radius: Annotated[float, unit("m", gt=0.0)]
-    """From the axis to the middle of the cable."""
+    """To the middle of the cable."""
     winds: Literal["positive", "negative"] = "positive"
     """Sense of rotation that shortens the cable."""
     angle: Annotated[OpenRange, unit("rad"), allows_zero("the angle at rest")] = NO_LIMITS
-    """Limits of the angle, which is 0 at rest."""
+    """Limits of the angle, 0 at rest."""
     rate: Annotated[OpenNumber | None, unit("rad/s", gt=0.0)] = None
     """Greatest speed."""
 
@@ -108,7 +108,7 @@ class Cable(ActuatorEntry):
     pull_point: Vector
     """Its winch or motor, at rest."""
     pull_point_on: Name = "world"
-    """``world``, ``body`` for its own bodies, or a rigid body."""
+    """``body`` for its own bodies, or a rigid body."""
     points: Annotated[tuple[Vector, ...], Field(min_length=1)]
     """Points that the cable runs through, from the pull point on."""
     hold_radius: Annotated[float, unit("m", ge=0.0)] = 0.0
@@ -124,11 +124,11 @@ class Cable(ActuatorEntry):
     axial_stiffness: Annotated[OpenNumber | None, unit("N", gt=0.0)] = None
     """EA: tension by strain; by default it does not stretch."""
     friction: Annotated[float, unit("", ge=0.0)] = 0.0
-    """µ at its points: where the path turns by β, the tension falls by exp(-µβ)."""
+    """µ at its points: the tension falls by exp(-µβ) at a turn by β."""
     offset: Annotated[float, unit("m")] = 0.0
     """Zero error of its winch: measured less true length."""
     presliding: Annotated[float | None, unit("m", gt=0.0)] = None
-    """Motion over a point until friction acts wholly; by default a thousandth of its length."""
+    """Motion until friction acts wholly; by default a thousandth of the length."""
 
     def check(self) -> None:
         """Refuse presliding without friction."""
@@ -156,7 +156,7 @@ class CavityWall(Entry):
     body: Name | None = None
     """Its body."""
     also_on: tuple[Name, ...] = ()
-    """Other bodies that form the wall; the nearest body carries each vertex."""
+    """Other bodies of the wall; the nearest carries each vertex."""
     part: str | None = None
     """Name of triangles in the file of the body's mesh."""
     file: Path | None = None
@@ -222,7 +222,7 @@ class Cavity(WalledEntry, ActuatorEntry):
     rate: Annotated[OpenNumber | None, unit("Pa/s or m³/s", gt=0.0)] = None
     """Greatest change of the command per second."""
     flow: Annotated[OpenNumber | None, unit("m³/s", gt=0.0)] = None
-    """Greatest change of volume per second under pressure, as of a valve."""
+    """Greatest flow under pressure, as of a valve."""
     liquid_density: Annotated[float | None, unit("kg/m³", gt=0.0)] = None
     """Of the liquid that fills it; by default gas. The pressure counts at its highest point at
     rest."""
@@ -263,7 +263,7 @@ class Motor(Entry):
 
 
 class Slide(ActuatorEntry):
-    """An actuator that moves a guided rigid body, and nodes attached to it, along an axis."""
+    """Moves a guided rigid body, and nodes attached to it, along an axis."""
 
     noun: ClassVar[str] = "slide"
     placed: ClassVar[dict[str, str]] = {"axis": "direction"}
@@ -284,7 +284,7 @@ class Slide(ActuatorEntry):
 
 
 class HingeMotor(ActuatorEntry):
-    """A motor that turns a beam about the hinge at one of its points."""
+    """Turns a beam about the hinge at one of its points."""
 
     noun: ClassVar[str] = "hinge motor"
     placed: ClassVar[dict[str, str]] = {}

@@ -85,7 +85,7 @@ class Mesh(Entry):
     placed: ClassVar[dict[str, str]] = {"rotation": "angles", "translation": "point"}
 
     file: Path | None = None
-    """Mesh file, or CAD file (.stl, .obj, .ply, .off, .step, .stp), relative to the scene file."""
+    """Mesh file, or CAD file (.stl, .obj, .ply, .off, .step, .stp)."""
     box: BoxMesh | None = None
     """A box from the origin, in place of a file."""
     size: Annotated[float | None, unit("m", gt=0.0)] = None
@@ -746,8 +746,7 @@ class BeamJoint(Entry):
     at: Literal["start", "end"] | Annotated[int, Field(ge=0)]
     """First or last point, or a point by its index."""
     to: str
-    """A rigid body, another beam or `world`; a pattern such as ``hub_*`` means the nearest
-    match."""
+    """A rigid body, another beam or `world`; of a pattern such as ``hub_*`` the nearest."""
     by: Literal["rigid", "hinge", "ball"] = "rigid"
     """Rigidly, by a hinge about `axis`, or by a ball joint."""
     to_at: Literal["start", "end"] | Annotated[int, Field(ge=0)] | None = None
@@ -893,7 +892,7 @@ class SurfaceShape(Entry):
     told: ClassVar[tuple[str, ...]] = ("surface {file}",)
 
     file: Path
-    """Mesh file, relative to the scene file."""
+    """Mesh file."""
     scale: Annotated[float, unit("m per file unit", gt=0.0)] = 1.0
     """Metres in a unit of the file."""
     rotation: Angles = (0.0, 0.0, 0.0)
@@ -957,7 +956,7 @@ class RigidJoint(Entry):
     axis: Annotated[Direction | None, not_zero("must not be zero")] = None
     """Axis of a hinge, in the world as drawn."""
     stiffness: Annotated[float, unit("N/m", gt=0.0)] = 1.0e6
-    """Stiffness of the bearing: force by displacement."""
+    """Stiffness of the bearing."""
 
     def check(self) -> None:
         """Refuse a hinge without an axis, and a ball joint with one."""
@@ -986,9 +985,9 @@ class RigidBody(Shaped):
     density: Annotated[float | None, unit("kg/m³", gt=0.0)] = None
     """Of a free body, in place of a mass."""
     velocity: Annotated[tuple[float, float, float], unit("m/s")] = (0.0, 0.0, 0.0)
-    """Initial velocity in a dynamic scene."""
+    """Initial velocity."""
     angular_velocity: Annotated[tuple[float, float, float], unit("rad/s")] = (0.0, 0.0, 0.0)
-    """Initial angular velocity in a dynamic scene."""
+    """Initial angular velocity."""
     damping: Annotated[float, unit("1/s", ge=0.0)] = 0.0
     """α: the drag is α times mass and inertia."""
     speed: Annotated[float | None, unit("m/s", gt=0.0)] = None
@@ -1076,13 +1075,13 @@ class Helix(Entry):
     radius: Annotated[float, unit("m", gt=0.0)]
     """Distance of the threads from the axis."""
     pitch: Annotated[float, unit("m", gt=0.0)]
-    """Advance along the axis in one turn."""
+    """Advance in one turn."""
     reach: Annotated[tuple[float, float], unit("m")]
     """First and last place along the axis, from `point`."""
     count: Annotated[int, Field(ge=1, le=1000)] = 1
     """Threads of each handedness."""
     handedness: Literal["right", "left", "both"] = "both"
-    """Sense of winding about the direction of the axis."""
+    """Sense about the direction."""
     phase: Annotated[float, unit("rad")] = 0.0
     """Angle at which the first thread begins, from x; for an axis near x, from y."""
     segments_per_turn: Annotated[int, Field(ge=3, le=1000)] = 24
@@ -1108,8 +1107,7 @@ class Helix(Entry):
 
 
 class Fibre(Entry):
-    """Threads in a body that are stiff in tension: a helix, a path of points, or edges of the
-    mesh.
+    """Threads that are stiff in tension: a helix, a path of points, or edges of the mesh.
 
     Exactly one of `helix`, `points` and `edges` is given.
     """
@@ -1157,7 +1155,7 @@ class MassSpringBody(Entry):
     stiffness: Annotated[float, unit("N/m", gt=0.0)] = 1.0
     """Of each spring: force by change of length."""
     damping: Annotated[float, unit("N s/m", ge=0.0)] = 0.0
-    """Of each spring: force by rate of change of length."""
+    """Of each spring: force by rate."""
     fixed: tuple[Annotated[int, Field(ge=0)], ...] = ()
     """Points that do not move, by index."""
 

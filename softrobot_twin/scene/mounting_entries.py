@@ -36,7 +36,7 @@ class MountedActuator(Entry):
     actuator: Name
     """The cable or hinge motor."""
     displacement: Annotated[float | None, unit("m or rad")] = None
-    """Angle of a motor [rad] or shortening of a cable [m], from the drawn shape."""
+    """Angle [rad] or shortening [m] from the drawn shape."""
     tension: Annotated[float | None, unit("N", gt=0.0)] = None
     """Tension to which a cable is wound, in place of a displacement."""
 

@@ -340,7 +340,7 @@ class Solver(Entry):
     """How a step is solved, and its tolerances."""
 
     factorization: Literal[*FACTORIZATIONS] = "multifrontal"  # type: ignore[valid-type]
-    """Multifrontal Cholesky, or SuperLU as a reference."""
+    """Multifrontal Cholesky, or SuperLU."""
     threads: Annotated[int | None, Field(ge=1, le=64)] = None
     """Most threads for a large stiffness; by default the cores, at most four."""
     qp_solver: Literal["osqp", "daqp"] = "osqp"
