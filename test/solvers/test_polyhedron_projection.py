@@ -3,11 +3,7 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.solvers.polyhedron_projection import (
-    SLACK_COST,
-    PolyhedronProjection,
-    SoftBounds,
-)
+from softrobot_twin.solvers.polyhedron_projection import SLACK_COST, PolyhedronProjection, SoftBounds
 
 
 def program(seed, n=6, m=9):
@@ -22,8 +18,7 @@ def program(seed, n=6, m=9):
 def test_the_answer_meets_the_kkt_conditions(seed):
     nearest, rows, lower, upper = program(seed)
     lower[:2] = upper[:2] = 0.5 * (lower + upper)[:2]
-    answer = nearest.solve(lower, upper, np.array([0, 1]))
-    w, duals = answer
+    w, duals = nearest.solve(lower, upper, np.array([0, 1]))
     unit = rows / nearest.lengths[:, None]
     np.testing.assert_allclose(w + nearest.q + unit.T @ duals, 0.0, atol=1e-9)
     values = rows @ w
@@ -39,15 +34,12 @@ def test_equations_that_follow_from_others_are_left_out():
     nearest = PolyhedronProjection(rows, rng.standard_normal(5))
     chosen = nearest.independent(np.arange(5))
     assert len(chosen) == 3 and np.linalg.matrix_rank(rows[chosen]) == 3
-    point = rng.standard_normal(5)
-    values = rows @ point
-    answer = nearest.solve(values, values, chosen)
-    np.testing.assert_allclose(rows @ answer.w, values, atol=1e-12)
+    values = rows @ rng.standard_normal(5)
+    np.testing.assert_allclose(rows @ nearest.solve(values, values, chosen).w, values, atol=1e-12)
 
 
 def test_equations_that_contradict_each_other_have_no_answer():
-    rows = np.array([[1.0, 0.0], [1.0, 0.0]])
-    nearest = PolyhedronProjection(rows, np.zeros(2))
+    nearest = PolyhedronProjection(np.array([[1.0, 0.0], [1.0, 0.0]]), np.zeros(2))
     values = np.array([0.0, 1e-3])
     assert nearest.solve(values, values, nearest.independent(np.arange(2))) is None
 
@@ -71,3 +63,10 @@ def test_an_inaccurate_answer_is_refined():
     assert active.any()
     reached = np.where(answer.duals > 0.0, upper, lower)
     np.testing.assert_allclose((rows @ mended)[active], reached[active], atol=1e-13)
+
+
+def test_a_bound_that_hardly_depends_on_what_is_free_is_met():
+    """A gap that an actuator closes by a millionth of what its own force does: w = (actuator, force)."""
+    nearest = PolyhedronProjection(np.array([[0.0, 1.0], [3e-6, 1.0]]), np.array([-1.0, 0.0]))
+    found = nearest.solve(np.array([0.0, -np.inf]), np.array([0.0, 1.8e-6]), np.array([0]))
+    np.testing.assert_allclose(found.w, [0.6, 0.0], atol=1e-9)
