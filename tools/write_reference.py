@@ -344,10 +344,6 @@ def _plain(text: str) -> str:
     return " ".join(text.replace("``", "`").split())
 
 
-def _escaped(text: str) -> str:
-    return text.replace("|", "\\|")
-
-
 # --- commands -------------------------------------------------------------------------------------
 
 
