@@ -3,8 +3,10 @@
 import itertools
 import os
 import runpy
+import secrets
 import sys
 import time
+import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -362,13 +364,19 @@ _STATES = itertools.count()
 
 
 @pytest.fixture
-def drawn_rng():
-    """A generator of random numbers from a drawn seed, which is printed; `DRAWN_SEED` sets it."""
+def drawn_seed(request):
+    """A seed of each case of a run, from a drawn number, which is printed; `DRAWN_SEED` sets that number."""
+    number = os.environ.get("DRAWN_SEED") or secrets.randbelow(2**32)
+    print(f"DRAWN_SEED={number}")
+    return zlib.crc32(f"{number} {request.node.nodeid}".encode())
+
+
+@pytest.fixture
+def drawn_rng(drawn_seed):
+    """A generator of random numbers from `drawn_seed`."""
     import numpy as np
 
-    seed = int(os.environ.get("DRAWN_SEED", np.random.SeedSequence().entropy % 2**32))
-    print(f"DRAWN_SEED={seed}")
-    return np.random.default_rng(seed)
+    return np.random.default_rng(drawn_seed)
 
 
 @pytest.fixture

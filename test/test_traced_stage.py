@@ -38,7 +38,7 @@ def count_driven(monkeypatch):
     return counts
 
 
-def states_of(path, seed):
+def states_of(path, drawn_seed):
     """Positions and efforts over a few steps of all kinds."""
     simulation, random = Simulation.from_scene_file(path), np.random.default_rng(seed)
     actuators, found = simulation.actuators, []
@@ -62,15 +62,13 @@ def states_of(path, seed):
 @pytest.mark.parametrize("path", [
     pytest.param(path, id=path.stem, marks=[pytest.mark.exhaustive] * (path.stem in LARGE))
     for path in sorted(SCENES.glob("*.yaml"))])
-def test_the_driver_gives_the_same_bits_as_python(path, monkeypatch):
-    seed = np.random.SeedSequence().entropy
-    print("seed", seed)
+def test_the_driver_gives_the_same_bits_as_python(path, monkeypatch, drawn_seed):
     driven = count_driven(monkeypatch)
-    found = states_of(path, seed)
+    found = states_of(path, drawn_seed)
     assert driven[0] > 0 or path.stem not in TRACED
     monkeypatch.setattr(TracedStages, "trace_stage", lambda self, known, given: known.stage(*given))
     driven[0] = 0
-    for one, other in zip(found, states_of(path, seed), strict=True):
+    for one, other in zip(found, states_of(path, drawn_seed), strict=True):
         np.testing.assert_array_equal(one, other)
     assert driven[0] == 0
 

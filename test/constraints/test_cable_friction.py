@@ -206,10 +206,8 @@ def test_stick_has_no_negative_stiffness():
 
 # With the first ones the potential of some states is almost zero, and its parts are not.
 @pytest.mark.parametrize("seed", [1343814888, 2951581421, 2261441627, None])
-def test_many_points_of_any_angle_are_solved(seed):
-    seed = np.random.SeedSequence().entropy % 2**32 if seed is None else seed
-    print("seed", seed)
-    rng = np.random.default_rng(seed)
+def test_many_points_of_any_angle_are_solved(seed, drawn_rng):
+    rng = np.random.default_rng(seed) if seed else drawn_rng
     for _ in range(20):
         x = rng.standard_normal((25, 3)) * 0.1
         term = make(x, friction=rng.uniform(0, 1), stiffness=10 ** rng.uniform(0, 4),

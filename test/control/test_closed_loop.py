@@ -245,11 +245,10 @@ def rms_on_circle(places, delay=1):
 
 
 @pytest.mark.exhaustive
-def test_the_misfit_of_the_executed_command_keeps_a_wrong_model_on_its_circle(other_meshes):
+def test_the_misfit_of_the_executed_command_keeps_a_wrong_model_on_its_circle(other_meshes, drawn_seed):
     """E is 15 % off, cables 1 mm, the mesh is another one; commands act 25 ms late, frames come 25 ms
     late with 0.2 mm of noise."""
-    first = int(np.random.default_rng().integers(1 << 30))
-    print("seeds from", first)
+    first = drawn_seed
     runs = [late_run(*other_meshes, ROUND, 200, first + seed) for seed in range(4)]
     misfit = np.array([rms_on_circle(places) for places, _ in runs])
     opened = rms_on_circle(late_run(*other_meshes, ROUND, 200, closed=False)[0])
@@ -334,10 +333,8 @@ def test_a_target_that_jumps_is_followed_as_without_a_lead(other_meshes):
 
 
 @pytest.mark.exhaustive
-def test_noise_of_a_standing_target_is_not_led(other_meshes):
-    seed = int(np.random.default_rng().integers(1 << 30))
-    print("seed", seed)
-    arguments = (*other_meshes, standing, 120, seed)
+def test_noise_of_a_standing_target_is_not_led(other_meshes, drawn_seed):
+    arguments = (*other_meshes, standing, 120, drawn_seed)
     without, _ = late_run(*arguments, delay=4, noise=2e-4, lead_limit=0.0)
     led, _ = late_run(*arguments, delay=4, noise=2e-4)
     assert rms_now(led, standing) < 1.1 * rms_now(without, standing)

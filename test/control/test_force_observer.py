@@ -56,10 +56,8 @@ def pushed(small_scene_mapping):
 
 
 @pytest.fixture
-def rng():
-    seed = int(np.random.default_rng().integers(1 << 31))
-    print("seed", seed)
-    return np.random.default_rng(seed)
+def rng(drawn_rng):
+    return drawn_rng
 
 
 def pose(simulation, rng):

@@ -329,5 +329,5 @@ def test_no_order_of_inputs_leads_to_an_unsafe_command(scenes, name):
 
 @pytest.mark.parametrize("name", ["diamond", "small", "air"])
 @pytest.mark.parametrize("ticks", [120, pytest.param(400, marks=pytest.mark.exhaustive)])
-def test_runs_of_random_inputs_lead_to_no_unsafe_command(scenes, name, ticks):
-    play(scenes, name, int(np.random.SeedSequence().entropy % 2**32), ticks)
+def test_runs_of_random_inputs_lead_to_no_unsafe_command(scenes, name, ticks, drawn_seed):
+    play(scenes, name, drawn_seed, ticks)

@@ -1,7 +1,6 @@
 """The last command of a twin without a device is checked like a measurement."""
 
 import json
-import secrets
 
 import numpy as np
 import pytest
@@ -47,10 +46,8 @@ def test_a_command_a_little_beyond_changed_limits_is_used(kept, simulation):
 
 
 @pytest.mark.parametrize("case", range(10))
-def test_a_command_of_another_robot_is_not_used_and_the_reason_is_told(kept, simulation, case):
-    seed = secrets.randbits(32)
-    print(f"seed {seed}")
-    draw, rest = np.random.default_rng(seed), simulation.rest_setpoints.copy()
+def test_a_command_of_another_robot_is_not_used_and_the_reason_is_told(kept, simulation, case, drawn_rng):
+    draw, rest = drawn_rng, simulation.rest_setpoints.copy()
     place, far = draw.integers(4), 0.051 * draw.choice((-1.0, 1.0)) * 10.0 ** draw.uniform(0.0, 300.0)
     rest[place] += far
     start, why = kept(**{("setpoints", "rest")[case % 2]: rest})

@@ -145,10 +145,8 @@ def lied_to(twin, real, lie, seed):
 
 
 @pytest.fixture
-def seed():
-    drawn = int(np.random.default_rng().integers(1 << 31))
-    print("seed", drawn)
-    return drawn
+def seed(drawn_seed):
+    return drawn_seed
 
 
 @pytest.mark.parametrize("lie", [

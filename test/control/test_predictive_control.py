@@ -167,12 +167,10 @@ def test_the_program_is_the_least_sum_of_squares_within_limits_and_rates():
     assert by_state.shape == (1, 4) and by_last.shape == (1, 1)
 
 
-def test_noise_is_filtered_and_its_seed_is_told():
-    seed = int(np.random.default_rng().integers(1 << 31))
-    print(f"seed {seed}")
+def test_noise_is_filtered(drawn_rng):
     model = swing()
     control = PredictiveControl(model, PERIOD, AT, free(1), noise=2e-4)
-    seen, _ = run(control, Plant(model), sine(), 400, noise=2e-4, rng=np.random.default_rng(seed))
+    seen, _ = run(control, Plant(model), sine(), 400, noise=2e-4, rng=drawn_rng)
     assert rms(seen - wanted(sine(), 400)) < 3e-4
 
 

@@ -1,7 +1,6 @@
 """No command is faster than its rate by the clock, whatever lies between two commands."""
 
 import itertools
-import secrets
 from dataclasses import fields, replace
 
 import numpy as np
@@ -76,10 +75,8 @@ def test_every_setting_is_drawn():
 
 
 @pytest.mark.parametrize("use_device", (False, True))
-def test_changed_parameters_in_every_order_break_no_rate(drive, use_device):
-    seed = secrets.randbits(32)
-    print(f"seed {seed}")
-    draw = np.random.default_rng(seed)
+def test_changed_parameters_in_every_order_break_no_rate(drive, use_device, drawn_rng):
+    draw = drawn_rng
     driver = drive(use_device=use_device, rate=100.0, message_timeout=0.0, device_timeout=60.0)
     watched, loop = Watched(driver, draw), driver.loop
     place, rest = np.zeros(3), loop.simulation.rest_setpoints

@@ -75,10 +75,8 @@ def equal(one, other):
 @pytest.mark.parametrize("mode, use_device", [
     (Mode.INVERSE, False), (Mode.INVERSE, True), (Mode.DIRECT, False),
 ])  # fmt: skip
-def test_a_loop_that_rests_and_one_that_steps_give_the_same_to_the_bit(clocked, mode, use_device):
-    seed = np.random.SeedSequence().entropy
-    print(f"seed {seed}")
-    draw = np.random.default_rng(seed)
+def test_a_loop_that_rests_and_one_that_steps_give_the_same_to_the_bit(clocked, mode, use_device, drawn_rng):
+    draw = drawn_rng
     settings = {"target_timeout": 1.0, "device_timeout": 0.3, "marker_timeout": 0.2}
     pair = [clocked(rests=rests, mode=mode, use_device=use_device, **settings)
             for rests in (True, False)]  # fmt: skip

@@ -205,11 +205,9 @@ def test_it_follows_no_misfit_beyond_its_limit():
     assert np.linalg.norm(correction.offsets[0]) < 0.7 * LIMIT
 
 
-def test_noise_moves_a_resting_robot_less_and_a_load_is_followed_at_once():
+def test_noise_moves_a_resting_robot_less_and_a_load_is_followed_at_once(drawn_rng):
     correction, noise = TargetCorrection(1), 2e-4
-    seed = int(np.random.default_rng().integers(1 << 31))
-    print("seed", seed)
-    rng, past = np.random.default_rng(seed), []
+    rng, past = drawn_rng, []
     for _ in range(400):
         seen = misfit(0.0)._replace(positions=rng.normal(0.0, noise / 2.0, (1, 3)))
         correction.follow(seen, MISFIT_SHARE, LIMIT, noise, stands=True)

@@ -67,11 +67,9 @@ def test_a_target_that_stands_or_jumps_is_not_led(path, rate):
     assert not leads_along(path, rate)[1].any()
 
 
-def test_noise_around_a_standing_target_is_no_way():
-    seed = int(np.random.default_rng().integers(1 << 30))
-    print("seed", seed)
+def test_noise_around_a_standing_target_is_no_way(drawn_seed):
     for rate in (30.0, 100.0):
-        _, leads = leads_along(standing, rate, noise=2e-4, seconds=20.0, seed=seed)
+        _, leads = leads_along(standing, rate, noise=2e-4, seconds=20.0, seed=drawn_seed)
         assert leads.any(axis=1).mean() < 0.03
         # It adds next to nothing to the noise itself.
         assert np.sqrt((leads**2).sum(axis=1).mean()) < 1e-4

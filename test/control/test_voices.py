@@ -1,7 +1,5 @@
 """Two publishers, and two devices, are told from one that was started again or loses messages."""
 
-import secrets
-
 import numpy as np
 import pytest
 
@@ -10,13 +8,6 @@ from softrobot_twin.control.twin_loop import CONTESTED, DISPUTED
 from softrobot_twin.control.voices import CONTESTED_TIME, PlaceWatch, PublisherWatch
 
 INSIDE = (0.01, 0.0, 0.134)
-
-
-def drawn():
-    """A generator whose seed is printed."""
-    seed = secrets.randbits(32)
-    print(f"seed {seed}")
-    return np.random.default_rng(seed)
 
 
 def stream(draw, begin, end, first=1, losses=(0.0, 0.3)):
@@ -29,8 +20,8 @@ def stream(draw, begin, end, first=1, losses=(0.0, 0.3)):
 
 
 @pytest.mark.parametrize("case", range(20))
-def test_one_publisher_that_loses_messages_and_is_started_again_is_never_contested(case):
-    draw, watch = drawn(), PublisherWatch()
+def test_one_publisher_that_loses_messages_and_is_started_again_is_never_contested(case, drawn_rng):
+    draw, watch = drawn_rng, PublisherWatch()
     # Each begins to count anew after the one before has ended.
     for begin, losses in ((0.0, (0.0, 0.3)), (11.0, (0.0,)), (20.0, (0.0,))):
         end, first = begin + draw.uniform(1.0, 8.0), int(draw.choice((1, 1, 500)))
@@ -40,8 +31,8 @@ def test_one_publisher_that_loses_messages_and_is_started_again_is_never_contest
 
 
 @pytest.mark.parametrize("case", range(20))
-def test_one_publisher_whose_listener_stops_again_and_again_is_never_contested(case):
-    draw, watch = drawn(), PublisherWatch()
+def test_one_publisher_whose_listener_stops_again_and_again_is_never_contested(case, drawn_rng):
+    draw, watch = drawn_rng, PublisherWatch()
     interval, heard = 10.0 ** draw.uniform(-2.5, -1.0), 0
     for pause in (0.0, 0.0, *draw.uniform(0.0, 1.5, 40)):
         # Of a queue of one, only the newest message is left after a pause.
@@ -56,9 +47,9 @@ def of_two(draw, first, second):
 
 
 @pytest.mark.parametrize("case", range(20))
-def test_two_publishers_are_contested_after_each_turn_and_neither_is_used(case):
+def test_two_publishers_are_contested_after_each_turn_and_neither_is_used(case, drawn_rng):
     """So it is at any rates and losses, where neither's numbers can be the other's next ones."""
-    draw, watch = drawn(), PublisherWatch()
+    draw, watch = drawn_rng, PublisherWatch()
     counts, last, turned = [0, 0], None, -np.inf
     for time, number, who in of_two(draw, *[(10**4, 1), (10**4, 40), (1, 10**4)][case % 3]):
         used, counts[who] = watch.hear(number, time), counts[who] + 1
@@ -70,8 +61,8 @@ def test_two_publishers_are_contested_after_each_turn_and_neither_is_used(case):
 
 
 @pytest.mark.parametrize("case", range(20))
-def test_two_publishers_whose_numbers_meet_are_noticed(case):
-    draw, watch = drawn(), PublisherWatch()
+def test_two_publishers_whose_numbers_meet_are_noticed(case, drawn_rng):
+    draw, watch = drawn_rng, PublisherWatch()
     noticed, counts = False, [0, 0]
     for time, number, who in of_two(draw, 1, (1, 40)[case % 2]):
         watch.hear(number, time)
@@ -110,9 +101,9 @@ def watch_of(count):
 
 
 @pytest.mark.parametrize("case", range(8))
-def test_noise_of_one_device_is_not_two_devices(case):
+def test_noise_of_one_device_is_not_two_devices(case, drawn_rng):
     """Up to a fortieth of the travel, 1 mm of 40; its first second it may be taken for two."""
-    draw, count = drawn(), (1, 2, 4, 12)[case % 4]
+    draw, count = drawn_rng, (1, 2, 4, 12)[case % 4]
     noise, interval = 10.0 ** draw.uniform(-5.0, -3.0), 10.0 ** draw.uniform(-2.3, -1.0)
     (watch, every), refused = watch_of(count), 0
     times, measured = device(draw, count, interval, noise, 800 * interval)
@@ -123,8 +114,8 @@ def test_noise_of_one_device_is_not_two_devices(case):
 
 
 @pytest.mark.parametrize("case", range(8))
-def test_two_noisy_devices_are_noticed_where_they_are_further_apart_than_noise(case):
-    draw, count = drawn(), (1, 2, 4, 12)[case % 4]
+def test_two_noisy_devices_are_noticed_where_they_are_further_apart_than_noise(case, drawn_rng):
+    draw, count = drawn_rng, (1, 2, 4, 12)[case % 4]
     noise, interval = 10.0 ** draw.uniform(-5.0, -3.5), 10.0 ** draw.uniform(-2.3, -1.5)
     watch, every = watch_of(count)
     times, measured = device(draw, count, interval, noise, 1.0 + 1500 * interval)
@@ -187,8 +178,8 @@ def test_a_second_device_disables_and_is_told(enabled):
     assert follow(enabled, 30).activity is Activity.FOLLOWING
 
 
-def test_a_device_that_measures_with_a_millimetre_of_noise_is_driven(drive):
-    driver, draw = drive(use_device=True, rate=50.0, message_timeout=0.0), drawn()
+def test_a_device_that_measures_with_a_millimetre_of_noise_is_driven(drive, drawn_rng):
+    driver, draw = drive(use_device=True, rate=50.0, message_timeout=0.0), drawn_rng
     true = driver.loop.simulation.rest_setpoints
     seen = set()
     for tick in range(150):

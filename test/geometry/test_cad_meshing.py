@@ -107,12 +107,10 @@ def test_repeated_triangles_are_dropped_and_told(tmp_path, turned):
                for note in shells.notes)  # fmt: skip
 
 
-def test_corners_a_tenth_of_a_micrometre_apart_are_one(tmp_path):
-    seed = int(np.random.SeedSequence().generate_state(1)[0])
-    print("seed", seed)
+def test_corners_a_tenth_of_a_micrometre_apart_are_one(tmp_path, drawn_rng):
     points, triangles = CUBE
     corners = points[triangles].reshape(-1, 3)
-    apart = np.random.default_rng(seed).uniform(-1e-4, 1e-4, corners.shape)  # mm
+    apart = drawn_rng.uniform(-1e-4, 1e-4, corners.shape)  # mm
     part = corners + apart, np.arange(len(corners)).reshape(-1, 3)
     shells = read_shells(write_stl(tmp_path / "cube.stl", part), MM)
     assert len(shells.points) == 8 and len(shells.triangles) == 12

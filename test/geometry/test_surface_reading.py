@@ -239,10 +239,8 @@ def test_a_damaged_file_is_refused_by_name(name, content, told, tmp_path, capfd)
     assert "SystemExit" not in str(caught.value) and capfd.readouterr() == ("", "")
 
 
-def test_a_polygon_with_inward_corners_is_split_into_triangles_that_do_not_overlap(tmp_path):
-    seed = int(np.random.SeedSequence().generate_state(1)[0])
-    print("seed", seed)
-    random = np.random.default_rng(seed)
+def test_a_polygon_with_inward_corners_is_split_into_triangles_that_do_not_overlap(tmp_path, drawn_rng):
+    random = drawn_rng
     for _ in range(20):
         count = int(random.integers(5, 12))
         angles = 2.0 * np.pi * (np.arange(count) + random.uniform(-0.3, 0.3, count)) / count

@@ -23,10 +23,8 @@ def through_json(value):
     return json.loads(json.dumps(plain(value), allow_nan=False))
 
 
-def test_each_number_comes_back_from_json_with_all_its_bits():
-    seed = random.SystemRandom().randrange(2**32)
-    print(f"seed {seed}")
-    drawn = random.Random(seed)
+def test_each_number_comes_back_from_json_with_all_its_bits(drawn_seed):
+    drawn = random.Random(drawn_seed)
     bits = [drawn.getrandbits(64) for _ in range(2000)]
     values = np.array(bits, dtype=np.uint64).view(float)
     values = np.concatenate([values, [0.0, -0.0, math.inf, -math.inf, 5e-324, 0.1, 1e308]])

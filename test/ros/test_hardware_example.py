@@ -267,10 +267,8 @@ def test_no_message_of_a_tracker_ends_its_node(world, make_mocap):
     world.until(lambda: heard and np.isfinite(read_markers(heard[-1])[1]).all())
 
 
-def test_the_frame_of_a_tracker_is_found_from_markers_at_rest():
-    seed = int(np.random.default_rng().integers(2**32))
-    print(f"seed {seed}")
-    draw = np.random.default_rng(seed)
+def test_the_frame_of_a_tracker_is_found_from_markers_at_rest(drawn_rng):
+    draw = drawn_rng
     for _ in range(20):
         known = draw.normal(scale=0.1, size=(5, 3))
         turn = draw.normal(size=4)

@@ -29,10 +29,8 @@ RUBBING = {"cables.*.friction": CABLE_MU}
 
 
 @pytest.fixture
-def rng():
-    seed = np.random.SeedSequence().entropy % 2**32
-    print(f"seed {seed}")
-    return np.random.default_rng(seed)
+def rng(drawn_rng):
+    return drawn_rng
 
 
 @builder

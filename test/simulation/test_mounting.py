@@ -211,10 +211,8 @@ def test_a_mounting_that_moves_what_it_cannot_is_refused_by_name(stage, message)
 
 
 @pytest.mark.exhaustive
-def test_twelve_elements_a_strip_are_within_a_tenth_of_a_millimetre():
-    seed = np.random.SeedSequence().entropy % 2**32
-    print("seed", seed)
-    rng, found = np.random.default_rng(seed), []
+def test_twelve_elements_a_strip_are_within_a_tenth_of_a_millimetre(drawn_rng):
+    rng, found = drawn_rng, []
     angles = rng.uniform(-0.8, 0.8, (10, 4))
     for elements in (12, 64):
         simulation = Simulation(emio().changed(beams={"elements": elements}), with_warnings=False)
@@ -244,10 +242,8 @@ def test_the_points_at_which_its_makers_measured_it_are_reached():
 
 
 @pytest.mark.exhaustive
-def test_sixty_reachable_poses_are_reached():
-    seed = np.random.SeedSequence().entropy % 2**32
-    print("seed", seed)
-    rng, simulation = np.random.default_rng(seed), Simulation(emio(), with_warnings=False)
+def test_sixty_reachable_poses_are_reached(drawn_rng):
+    rng, simulation = drawn_rng, Simulation(emio(), with_warnings=False)
     for _ in range(60):
         simulation.reset()
         aim = rng.uniform(-1.1, 1.7, 4)

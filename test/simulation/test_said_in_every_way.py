@@ -1,6 +1,5 @@
 """A robot answers the same however its scene says it, or a status or a warning tells why not."""
 
-import secrets
 from random import Random
 
 import pytest
@@ -13,7 +12,5 @@ CASES = [pytest.param(count, marks=[pytest.mark.exhaustive] * (count >= 3)) for 
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("count", CASES)
-def test_a_robot_answers_the_same_however_it_is_said(kind, count, tmp_path):
-    seed = secrets.randbits(32)
-    robot = KINDS[kind](Random(seed), tmp_path)
-    assert not disagreements(robot), f"seed {seed}"
+def test_a_robot_answers_the_same_however_it_is_said(kind, count, tmp_path, drawn_seed):
+    assert not disagreements(KINDS[kind](Random(drawn_seed), tmp_path))

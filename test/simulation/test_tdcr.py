@@ -6,7 +6,6 @@ arc of the angle θ, and a tendon at the distance r from it, inwards, is its cho
 each arc alone.
 """
 
-import secrets
 from pathlib import Path
 
 import numpy as np
@@ -63,10 +62,8 @@ def test_twice_as_many_elements_move_the_tip_hardly():
 
 
 @pytest.mark.exhaustive
-def test_it_follows_its_tip_to_random_reachable_points():
-    seed = secrets.randbits(32)
-    print(f"seed {seed}")
-    random = np.random.default_rng(seed)
+def test_it_follows_its_tip_to_random_reachable_points(drawn_rng):
+    random = drawn_rng
     robot = Simulation(load_scene(SCENE))
     start = robot.state
     for _ in range(10):
