@@ -1,4 +1,4 @@
-"""Compares factorizations and QP solvers in time and accuracy; writes docs/solvers.md."""
+"""Compares factorizations and QP solvers in time and accuracy; docs/solvers.md has their figures."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import sys
 from collections.abc import Callable, Sequence
 from itertools import combinations, product
 from pathlib import Path
-from textwrap import fill
 from time import perf_counter
 from typing import NamedTuple, Protocol
 
@@ -574,12 +573,6 @@ class TextTable(NamedTuple):
             made.add_row(*row)
         return made
 
-    def as_markdown(self) -> str:
-        """The table in Markdown, numbers right-aligned."""
-        rule = ["---", *("---:" for _ in self.columns[1:])]
-        lines = [self.columns, rule, *self.rows]
-        return "\n".join("| " + " | ".join(line) + " |" for line in lines)
-
     def write_csv(self, path: Path) -> None:
         """Writes the table as CSV.
 
@@ -629,123 +622,6 @@ def _error_word(value: float) -> str:
     return f"{value:.1e}" if np.isfinite(value) else "-"
 
 
-_PAGE = """# Comparison of solvers
-
-Written by `python tools/compare_solvers.py --docs docs`, which measures the figures of the present
-machine.
-
-{conditions}
-
-## Factorization
-
-{factorization_table}
-
-*W and dx* are what a step needs from a factorization: the compliance of all rows of H, and the
-displacement for one λ. *Residual* is relative to the right-hand side. *Error of W* is relative to
-the largest entry of W; the reference is iterative refinement in extended precision. SuperLU repeats
-ordering, analysis and allocation at every call, because scipy has no other interface (page faults
-in new memory take up to a quarter of its time); the others keep the results that depend on the mesh
-only.{absent}
-
-{factorization_words}
-
-## Inverse problem
-
-{qp_table}
-
-The table compares the general solvers. A step uses them only when its first attempt fails: it
-starts from the active set of the last step, corrects it a few times, and accepts a solution that
-meets all optimality conditions (`softrobot_twin/solvers/warm_start.py`). This attempt is switched
-off here.
-
-Problems are scaled as in a step: the Hessian is the identity, rows and gradient have unit length.
-Each solver solves a sequence of problems; OSQP keeps its workspace and starts from its last
-solution. *Error of λ* is relative to the largest λ of the problem, over the solved problems. The
-reference is found by trial of all active sets for up to four unknowns. For more unknowns it is the
-active set of DAQP at a tolerance of 1e-11, whose equations are solved again and checked against the
-optimality conditions; *judged* is the number of problems with a reference. The targets of the
-random problems are partly out of reach, so that many bounds are active; in the last set every cable
-exists twice.
-
-{qp_words}
-"""
-
-
-def write_solver_page(
-    path: Path, found: FactorizationComparison, figures: Sequence[QPFigures], conditions: str
-) -> None:
-    """Writes the page.
-
-    Args:
-        path: File to write.
-        found: Factorizations.
-        figures: QP solvers.
-        conditions: Machine and versions.
-
-    Raises:
-        OutputError: The file cannot be written.
-    """
-    absent = f" Not installed here: {', '.join(found.absent)}." if found.absent else ""
-    text = _PAGE.format(
-        conditions=_wrapped(f"{conditions}, garbage collection off."),
-        factorization_table=factorization_table(found).as_markdown(),
-        absent=absent, factorization_words=_factorization_words(found),
-        qp_table=qp_table(figures).as_markdown(), qp_words=_qp_words(figures))
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise OutputError(path, error.strerror or str(error)) from error
-
-
-def _factorization_words(found: FactorizationComparison) -> str:
-    times = {one.name: one.factor.median + one.solves.median for one in found.figures}
-    used = found.figures[0]
-    others = ", ".join(f"{name} takes {times[name] / times[used.name]:.1f} times as long"
-                       for name in times if name != used.name)
-    worst = max(one.residual for one in found.figures)
-    return _wrapped(
-        f"The default is {used.name}: {1e3 * times[used.name]:.3f} ms together; {others}. "
-        f"All are accurate: the largest residual is {worst:.1e}. The default releases the "
-        "interpreter's lock, keeps its buffers from step to step and is installed by pip on x86_64 "
-        "and aarch64. SuperLU is selected by `factorization: superlu`, and is the reference of the "
-        "tests; Pardiso is proprietary and has no wheel for aarch64.")
-
-
-def _qp_words(figures: Sequence[QPFigures]) -> str:
-    own = {one.solver: one for one in figures if one.problems == figures[0].problems}
-    fewest = min((one for one in figures if one.solver == OSQP), key=lambda one: one.solved_share)
-    shipped = [one for one in figures if one.solver == AS_SHIPPED]
-    loose = max(one.worst_error for one in figures if one.solver == DAQP)
-    tight = max(one.worst_error for one in figures if one.solver == TIGHT_DAQP)
-    faster = [one.time.median for one in figures if one.solver == OSQP]
-    daqp = [one.time.median for one in figures if one.solver == DAQP]
-    ratios = [a / b for a, b in zip(faster, daqp, strict=True)]
-    return "\n\n".join(map(_wrapped, (
-        f"**DAQP is faster than OSQP**, {min(ratios):.0f} to {max(ratios):.0f} times here, and "
-        f"solves every problem. Its error depends on the tolerance of the bounds: at its default "
-        f"of 1e-6 the largest error of λ was {loose:.0e}, at the 1e-9 used here {tight:.0e}, in "
-        f"the same time.",
-        f"**OSQP is the default** although it is slower: it is widely used, well maintained, and a "
-        f"first-order method that starts from the last step's solution. This is sufficient for a "
-        f"robot that stays inside its workspace. On {figures[0].problems} along a circle "
-        f"(n = {own[OSQP].count}) it solves {100.0 * own[OSQP].solved_share:.0f} % with a worst "
-        f"error of {own[OSQP].worst_error:.0e} in {1e6 * own[OSQP].time.median:.0f} µs (DAQP: "
-        f"{1e6 * own[DAQP].time.median:.0f} µs), a small part of a step. A loose tolerance is not "
-        "useful: at 1e-3 and 1e-5 it reports solutions with large errors.",
-        f"**DAQP solves the problems that OSQP does not solve**: in the set "
-        f"\"{fewest.problems}\" at n = {fewest.count} OSQP reaches its iteration limit for "
-        f"{100.0 * (1.0 - fewest.solved_share):.0f} % of the problems. DAQP then solves them, and "
-        f"the step's report names it: together they solved "
-        f"{100.0 * min(one.solved_share for one in shipped):.0f} % of every set. The iterations of "
-        f"OSQP before that take up to {1e3 * max(one.time.p99 for one in shipped):.1f} ms (p99). "
-        "Set `qp_solver: daqp` for a robot with many cables, or one that is often at its bounds.",
-    )))
-
-
-def _wrapped(words: str) -> str:
-    return fill(words, width=100, break_long_words=False, break_on_hyphens=False)
-
-
 _OPTIONAL_PACKAGES = ("qdldl", "pypardiso")
 # One factorization is timed per this many requested steps, and one QP is taken per five steps.
 _STEPS_A_REPEAT = 10
@@ -753,15 +629,13 @@ _STEPS_A_PROBLEM = 5
 _TWICE = 8
 
 
-def compare(scenes: list[Path], steps: int, output: Path | None = None,
-            docs: Path | None = None, threads: int = 1) -> int:
+def compare(scenes: list[Path], steps: int, output: Path | None = None, threads: int = 1) -> int:
     """Compares solvers and prints the results.
 
     Args:
         scenes: The scene to take matrices and problems from; none for the Diamond.
         steps: How much is measured: a tenth as many factorizations, a fifth as many problems.
         output: Folder for ``factorizations.csv`` and ``qp_solvers.csv``, or None.
-        docs: Folder for ``solvers.md``, or None.
         threads: Most threads of the default factorization, and those of MKL.
 
     Returns:
@@ -770,9 +644,8 @@ def compare(scenes: list[Path], steps: int, output: Path | None = None,
     Raises:
         SoftRobotTwinError: The scene cannot be used or an output not be written.
     """
-    for folder in (output, docs):
-        if folder is not None:
-            make_folder(folder)
+    if output is not None:
+        make_folder(output)
     case = given_cases(scenes[:1] or [default_scene_path()])[0]
     for ignored in scenes[1:]:
         warn(f"{ignored} is left out: solvers are compared on one scene")
@@ -799,9 +672,6 @@ def compare(scenes: list[Path], steps: int, output: Path | None = None,
         for name, made in tables.items():
             made.write_csv(output / f"{name}.csv")
         shown.print(f"written: {output / 'factorizations.csv'}, {output / 'qp_solvers.csv'}")
-    if docs is not None:
-        write_solver_page(docs / "solvers.md", found, figures, conditions)
-        shown.print(f"written: {docs / 'solvers.md'}")
     return 0
 
 
@@ -814,13 +684,11 @@ def main() -> int:
                         help="a tenth as many factorizations, a fifth as many QPs (default 1000)")
     parser.add_argument("--output", metavar="FOLDER", type=Path,
                         help="write factorizations.csv and qp_solvers.csv there")
-    parser.add_argument("--docs", metavar="FOLDER", type=Path,
-                        help="write the tables and what follows from them to FOLDER/solvers.md")
     parser.add_argument("--threads", default=1, type=positive_count, metavar="N",
                         help="most threads of the default factorization, and those of MKL (default 1)")
     chosen = parser.parse_args()
     try:
-        return compare(chosen.scenes, chosen.steps, chosen.output, chosen.docs, chosen.threads)
+        return compare(chosen.scenes, chosen.steps, chosen.output, chosen.threads)
     except SoftRobotTwinError as error:
         print(f"compare_solvers: {error}", file=sys.stderr)
         return 2
