@@ -1,6 +1,7 @@
 """Draws the pictures of the robots in docs/ anew: ``python tools/draw_robots.py [ROBOT ...]``.
 
-Each picture is made by one command of the package, which is printed. All take some minutes.
+Each picture is made by one command of the package, which is printed. All take some minutes. With
+``--moving`` the robots of the README are drawn as moving pictures of the same runs.
 `docs/tracking.png` is the picture of a live demo (`make demo`), `tools/draw_stifface.py` draws what
 stiffness the Stifface renders, and `accuracy` draws the pictures of accuracy.
 """
@@ -14,7 +15,16 @@ import sys
 import tempfile
 from pathlib import Path
 
+import numpy as np
+from PIL import Image
+
 from softrobot_twin.__main__ import main
+from softrobot_twin.simulation import Simulation
+from softrobot_twin.simulation.runs.input_tables import read_commands, read_targets
+from softrobot_twin.simulation.runs.run_columns import RunColumns
+from softrobot_twin.study import direct_run, offline_run
+from softrobot_twin.study.scene_picture import Solid, layers_of, take_snapshot
+from softrobot_twin.study.triangle_drawing import camera_at, image_of
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -82,6 +92,70 @@ def draw(names: list[str], folder: Path) -> int:
     return int(failed)
 
 
+MOVING = ("diamond", "trunk", "grasper", "octoleg", "fetch", "flexo", "stifface")
+FRAMES, FRAME_TIME = 36, 110
+"""How many frames a moving picture has, and how long each is shown [ms]."""
+WIDTH, HEIGHT = 320, 260
+"""Most pixels of a moving picture."""
+LIGHT = np.array([-0.4, -0.5, 0.75])
+
+
+def draw_moving(name: str, folder: Path) -> None:
+    """Draws the run of a robot's picture as a moving picture.
+
+    Args:
+        name: Name of the picture.
+        folder: Folder of the picture.
+    """
+    reader = argparse.ArgumentParser()
+    for option, kind in (("--targets", Path), ("--commands", Path), ("--rate", float), ("--settle", int)):
+        reader.add_argument(option, type=kind)
+    reader.add_argument("--picture-view", nargs=2, type=float, default=(24.0, -58.0))
+    reader.add_argument("--picture-at", nargs="*")
+    words = shlex.split(PICTURES[name])
+    chosen = reader.parse_args(words[2:])
+    simulation = Simulation.from_scene_file(words[1])
+    if chosen.targets:
+        table = read_targets(chosen.targets, simulation)
+        rows = offline_run.run(simulation, table, chosen.settle or 0, offline_run.columns_of(simulation, table))
+        count = len(table.times)
+    else:
+        table, rate = read_commands(chosen.commands, simulation), chosen.rate or direct_run.DEFAULT_RATE
+        rows = direct_run.run_commands(simulation, table, rate, RunColumns(simulation, None, ()))
+        count = len(direct_run.step_times(table, rate))
+    taken = set(np.linspace(0, count - 1, FRAMES).astype(int))
+    frames = [take_snapshot(simulation, None, "").solids for place, _ in enumerate(rows) if place in taken]
+    images = list(map(Image.fromarray, images_of(frames, chosen.picture_view)))
+    path = folder / f"{name}.webp"
+    images[0].save(path, save_all=True, append_images=[*images[1:], *images[-2:0:-1]],
+                   duration=FRAME_TIME, loop=0, quality=60, method=6)
+    print(f"{path}: {path.stat().st_size / 1e3:.0f} kB", flush=True)
+
+
+def images_of(frames: list[list[Solid]], view: tuple[float, float]) -> list[np.ndarray]:
+    """Images of states, all in one window, each of shape (rows, columns, 3).
+
+    Args:
+        frames: What is seen in each state.
+        view: Elevation and azimuth of the eye [degrees].
+    """
+    camera = camera_at(*view)
+    places = camera.project(np.concatenate(
+        [solid.triangles.reshape(-1, 3) for solids in frames for solid in solids]))[:, :2]
+    low, high = places.min(axis=0), places.max(axis=0)
+    margin = 0.02 * (high - low).max()
+    low, high = low - margin, high + margin
+    scale = min(np.array([WIDTH, HEIGHT]) / (high - low))
+    columns, rows = np.round(scale * (high - low)).astype(int)
+    towards = LIGHT @ np.array([camera.right, camera.up, camera.eye])
+
+    def light(normals: np.ndarray, layer: str) -> np.ndarray:
+        return 0.65 + 0.35 * np.clip(normals @ towards, 0.0, 1.0) + 0.08 * normals[:, 2]
+
+    return [image_of(layers_of(solids, camera, light), (low[0], high[0], low[1], high[1]), (rows, columns))
+            for solids in frames]
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -89,7 +163,13 @@ if __name__ == "__main__":
                         help=f"pictures to draw (default all): {', '.join(PICTURES)}")
     parser.add_argument("--folder", type=Path, default=ROOT / "docs",
                         help="where to write them (default docs/)")
+    parser.add_argument("--moving", action="store_true",
+                        help=f"draw moving pictures: {', '.join(MOVING)}")
     chosen = parser.parse_args()
+    if chosen.moving:
+        for name in chosen.names or MOVING:
+            draw_moving(name, chosen.folder)
+        sys.exit()
     if unknown := set(chosen.names) - set(PICTURES):
         parser.error(f"there is no picture {', '.join(sorted(unknown))}")
     sys.exit(draw(chosen.names or list(PICTURES), chosen.folder))
