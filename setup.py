@@ -1,10 +1,13 @@
 """The ament_python package of softrobot_twin; package.xml repeats its run-time dependencies."""
 
+import sys
 from pathlib import Path
 
 from setuptools import find_packages, setup
 
 PACKAGE = "softrobot_twin"
+# colcon's `install` and `develop` put scripts where `ros2 run` looks. pip would put these names on the PATH.
+NODES = ("device", "target", "twin") if {"install", "develop"} & set(sys.argv) else ()
 SHARED_SUFFIXES = {".csv", ".inp", ".msh", ".npz", ".rviz", ".vtk", ".vtu", ".yaml"}
 
 
@@ -87,10 +90,8 @@ setup(
     },
     entry_points={
         "console_scripts": [
-            f"device = {PACKAGE}.ros.process:device",
             f"softrobot_twin = {PACKAGE}.__main__:main",
-            f"target = {PACKAGE}.ros.process:target",
-            f"twin = {PACKAGE}.ros.process:twin",
+            *(f"{node} = {PACKAGE}.ros.process:{node}" for node in NODES),
         ],
     },
 )

@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from softrobot_twin.command_line.commands import program
+from softrobot_twin.command_line.commands import NODES, program
 from softrobot_twin.errors import SoftRobotTwinError, printable_lines
 
 
@@ -15,8 +15,13 @@ def main(arguments: list[str] | None = None) -> int:
     """
     is_module = Path(sys.argv[0]).name == "__main__.py"
     name = "python -m softrobot_twin" if is_module else "softrobot_twin"
+    words = sys.argv[1:] if arguments is None else arguments
+    if words and words[0] in NODES:
+        from softrobot_twin.ros import process
+
+        return getattr(process, words[0])(words[1:])
     parser = program(name)
-    if not (sys.argv[1:] if arguments is None else arguments):
+    if not words:
         parser.print_help(sys.stderr)
         return 2
     chosen = parser.parse_args(arguments)

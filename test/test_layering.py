@@ -55,6 +55,7 @@ DOTTED_NAME = re.compile(r"\w+(\.\w+)*")
 # Our own modules that are imported inside functions, by the file that does, and why they wait.
 LATER_IMPORTS = {
     "__init__.py": "a node listens to signals before it imports the simulation",
+    "__main__.py": "only a node loads the room of nodes",
     "command_line/commands.py": "a command loads only what it runs",
     "control/mesh_error_watch.py": "numpy must be imported after the process has lowered its "
                                    "priority, because threads of its libraries inherit it",

@@ -797,6 +797,10 @@ EXCLUSIVE = {
 """Options of which at most one may be given, and whether one must be."""
 
 
+NODES = ("twin", "device", "target")
+"""Nodes, which take the arguments of `ros2 run softrobot_twin NODE`."""
+
+
 def program(name: str) -> argparse.ArgumentParser:
     """The one parser of all commands.
 
@@ -805,7 +809,8 @@ def program(name: str) -> argparse.ArgumentParser:
     """
     made = Parser(
         prog=name, description="Simulate and control soft robots. All values are in SI units.",
-        epilog=f"COMMAND --help shows the options of a command, with examples.\n\n{EXIT_CODES}",
+        epilog="COMMAND --help shows the options of a command, with examples. "
+               f"{', '.join(NODES)}: nodes, as with ros2 run.\n\n{EXIT_CODES}",
         formatter_class=argparse.RawDescriptionHelpFormatter)
     made.add_argument("--version", action="version", version=f"softrobot_twin {_version()}")
     commands = made.add_subparsers(title="commands", dest="command", metavar="COMMAND",

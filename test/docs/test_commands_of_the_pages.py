@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import pytest
 
-from softrobot_twin.command_line.commands import program
+from softrobot_twin.command_line.commands import NODES, program
 from softrobot_twin.ros.demo import demo_robots
 from softrobot_twin.ros.parameters import ALL_TABLES
 
@@ -92,9 +92,7 @@ def test_files_of_the_repository_in_command_lines_exist():
 
 def test_nodes_and_parameters_in_command_lines_exist():
     nodes = of("ros2", "run", "softrobot_twin")
-    assert {line.words[3] for line in nodes} >= {"twin", "device", "target"}
-    entry_points = re.findall(r'f"(\w+) = ', (ROOT / "setup.py").read_text())
-    assert {line.words[3] for line in nodes} <= set(entry_points)
+    assert {line.words[3] for line in nodes} == set(NODES)
     given = {name for line in nodes for name in re.findall(r"(\w+):=", " ".join(line.words))
              if name not in ("cmd_vel", "__ns")}  # fmt: skip
     set_later = {line.words[4] for line in of("ros2", "param", "set")}
