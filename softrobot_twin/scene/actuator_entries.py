@@ -1,5 +1,5 @@
-"""Entries of actuators: cables, cavities, slides, motors of hinges, and motors that drive several
-cables.
+"""Entries of actuators: cables, cavities, slides, motors of hinges, forces, and motors that drive
+several cables.
 
 Each kind of actuator has a section of its own in a scene. `add_actuator_section` in `schema.py`
 gives a scene the section of a kind that is defined elsewhere.
@@ -13,6 +13,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
+from softrobot_twin.scene.body_entries import BoxRegion, SphereRegion
 from softrobot_twin.scene.entry import (
     ClosedRange,
     Direction,
@@ -313,3 +314,51 @@ class HingeMotor(ActuatorEntry):
         """See `ActuatorEntry`."""
         check_known(f"{key}.beam", f"hinge motor {self.name} turns", self.beam,
                     [beam.name for beam in scene.beams])  # fmt: skip
+
+
+class Force(ActuatorEntry):
+    """A force on a body: of a magnet, a thruster, a tendon outside the model, a person."""
+
+    noun: ClassVar[str] = "force"
+    placed: ClassVar[dict[str, str]] = {
+        "points": "point", "box": "box", "sphere": "inside", "direction": "direction",
+    }  # fmt: skip
+    one_of: ClassVar[tuple[str, ...]] = ("points", "box", "sphere")
+    one_of_words: ClassVar[str] = "a force acts at exactly one of {}"
+
+    body: Name | None = None
+    """Its body."""
+    points: Annotated[tuple[Vector, ...] | None, Field(min_length=1)] = None
+    """Places at rest, which share it alike."""
+    box: BoxRegion | None = None
+    """The surface of a deformable body in it shares the force by area."""
+    sphere: SphereRegion | None = None
+    """The same in a sphere."""
+    direction: Annotated[Direction | None, not_zero("the direction must not be zero")] = None
+    """Its direction, in the world at rest. By default free: three forces `name_x`, `name_y`,
+    `name_z`."""
+    turns_with_body: bool = False
+    """Whether its direction turns with its points, or stays in the world."""
+    control: Literal["force", "displacement"] = "force"
+    """What is commanded: the force, or how far its points move along its direction."""
+    force: Annotated[OpenRange, unit("N"), allows_zero("no force")] = NO_LIMITS
+    """Limits of the force."""
+    displacement: Annotated[OpenRange, unit("m"), allows_zero("the place at rest")] = NO_LIMITS
+    """Limits of the displacement."""
+    rate: Annotated[OpenNumber | None, unit("N/s or m/s", gt=0.0)] = None
+    """Greatest change of the command per second."""
+
+    def check(self) -> None:
+        """Refuse displacements along a direction that turns: they depend on the way."""
+        for key, usual in (("control", "force"), ("displacement", NO_LIMITS)):
+            if self.turns_with_body and getattr(self, key) != usual:
+                raise refusal(key, getattr(self, key),
+                              "a direction that turns with the body has no displacement of its "
+                              "own: command and limit the force")
+
+    def check_references(self, scene, key: str) -> None:
+        """See `ActuatorEntry`."""
+        self.check_body(scene, key)
+        if self.points is None and self.body not in (None, *(b.name for b in scene.deformables)):
+            raise refusal(f"{key}.body", self.body,
+                          "a box or sphere takes the surface of a deformable body: give points")

@@ -17,6 +17,7 @@ from softrobot_twin.scene.actuator_entries import (
     ActuatorEntry,
     Cable,
     Cavity,
+    Force,
     HingeMotor,
     Motor,
     SealedCavity,
@@ -39,6 +40,8 @@ from softrobot_twin.scene.entry import (
     Name,
     OpenNumber,
     Vector,
+    forms_of,
+    is_entry,
     not_zero,
     refusal,
     unit,
@@ -393,6 +396,7 @@ class Scene(Entry):
     motors: tuple[Motor, ...] = ()
     slides: tuple[Slide, ...] = ()
     hinge_motors: tuple[HingeMotor, ...] = ()
+    forces: tuple[Force, ...] = ()
     effectors: tuple[Effector, ...] = ()
     touches: tuple[Touch, ...] = ()
     markers: tuple[Marker, ...] = ()
@@ -558,8 +562,9 @@ def check_control(scene: Scene, control: Control) -> None:
 
 
 ACTUATOR_SECTIONS: dict[str, type[ActuatorEntry]] = {
-    "cables": Cable, "cavities": Cavity, "slides": Slide, "hinge_motors": HingeMotor,
-}
+    section: form.item for section, form in forms_of(Scene).items()
+    if is_entry(form.item) and issubclass(form.item, ActuatorEntry)
+}  # fmt: skip
 """Sections of a scene that contain actuators, and the type of their entries."""
 
 

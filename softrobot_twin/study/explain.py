@@ -240,8 +240,9 @@ def _effects(simulation: Simulation, names: list[str]) -> Iterator[Effect]:
     for group in simulation.actuators.groups:
         section = group.kind.section
         made = "prescribed moves" if group.term is None else f"term {group.term.name}"
-        for index, entry in enumerate(scene.actuator_entries[section]):
-            yield Effect(f"{section}: {entry.name}", describe_actuator(group, index, entry), made)
+        entries = group.entries or scene.actuator_entries[section]
+        for index, (name, entry) in enumerate(zip(group.names, entries, strict=True)):
+            yield Effect(f"{section}: {name}", describe_actuator(group, index, entry), made)
     for motor in scene.motors:
         yield Effect(f"motors: {motor.name}", motor.describe(), "a command for each of its cables")
     for effector in scene.effectors:

@@ -16,6 +16,7 @@ from softrobot_twin.simulation.building.actuator_kinds import (
 )
 from softrobot_twin.simulation.building.cable_actuator import CableActuator
 from softrobot_twin.simulation.building.cavity_actuator import CavityActuator
+from softrobot_twin.simulation.building.force_actuator import ForceActuator
 from softrobot_twin.simulation.building.hinge_motor_actuator import HingeMotorActuator
 from softrobot_twin.simulation.building.limits import ActuatorLimits, Pulleys
 from softrobot_twin.simulation.building.scene_layout import Layout
@@ -25,6 +26,7 @@ register_actuator(CableActuator())
 register_actuator(CavityActuator())
 register_actuator(SlideActuator())
 register_actuator(HingeMotorActuator())
+register_actuator(ForceActuator())
 
 
 class Actuators:

@@ -98,7 +98,7 @@ def _orientation(
     if entry.points:
         key = f"effectors[{index}].orientation.points"
         points = layout.carried(effector.body, entry.points, key, notes)
-    frame = _frame_of(layout, points)
+    frame = frame_of(layout, points)
     if frame is not None:
         nodes, arms = frame_arms(frame, rest)
     else:
@@ -115,8 +115,13 @@ def _orientation(
     return PatchOrientation(index, nodes, arms, frame is not None, axis, entry.weight, length)
 
 
-def _frame_of(layout: Layout, points: BarycentricMapping) -> int | None:
-    """First node of the one frame that carries all points; None where there is none."""
+def frame_of(layout: Layout, points: BarycentricMapping) -> int | None:
+    """First node of the one frame that carries all points; None where there is none.
+
+    Args:
+        layout: The bodies.
+        points: The points.
+    """
     if not layout.framed:
         return None
     carriers = points.nodes[points.barycentric_weights != 0.0] - layout.frames.first_node
