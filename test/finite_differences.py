@@ -2,6 +2,10 @@
 
 import numpy as np
 
+from softrobot_twin.constraints.row_stack import RowStack
+from softrobot_twin.mechanics.stencil import stencil_pairs
+from softrobot_twin.solvers.superlu import SuperLU
+
 
 def central_slopes(function, x, nodes, step):
     """Central differences of a function by each coordinate of some nodes, the last axis."""
@@ -13,3 +17,66 @@ def central_slopes(function, x, nodes, step):
             behind[node, axis] -= step
             columns.append((function(ahead) - function(behind)) / (2.0 * step))
     return np.stack(columns, axis=-1)
+
+
+def assert_slopes_of_actuators(term, nodes, efforts, size, seed=5, bar=1e-6):
+    """The rows of a term are the slopes of its displacements, its stiffness that of its forces.
+
+    Rows of what does not conserve energy have no displacement; their stiffness is assembled in part.
+
+    Args:
+        term: The constraint term of actuators.
+        nodes: All nodes of the scene.
+        efforts: Efforts of its rows, shape (row_count,).
+        size: About how far unknowns are moved from rest [m].
+        seed: Of that move.
+        bar: Error that is allowed, by the largest number.
+    """
+    count, free = nodes.free_node_count, np.arange(nodes.free_node_count)
+    state = nodes.rest_positions.copy()
+    nodes.advance(state, size * np.random.default_rng(seed).standard_normal((count, 3)), 1.0)
+    rows, pairs = RowStack([term], nodes.carried), stencil_pairs(term.stencils(), count)
+    matrix = SuperLU(*(np.concatenate([free, side]) for side in pairs), count)
+    term.bind(matrix.elimination_rank, matrix.slots)
+
+    def forces(at):
+        out = np.zeros((count, 3))
+        rows.evaluate(at)
+        rows.add_forces(efforts, out)
+        return out.ravel()
+
+    def slopes(function):
+        columns = []
+        for place in np.ndindex(count, 3):
+            step, ends = np.zeros((count, 3)), (state.copy(), state.copy())
+            step[place] = 1e-4 * size
+            for end, sign in zip(ends, (1.0, -1.0), strict=True):
+                nodes.advance(end, step, sign)
+            columns.append((function(ends[0]) - function(ends[1])) / (2e-4 * size))
+        return np.stack(columns, axis=-1)
+
+    def values(at):
+        rows.evaluate(at)
+        return rows.values.copy()
+
+    rows.evaluate(state)
+    H = np.zeros((term.row_count, count, 3))
+    np.add.at(H, (rows.row_index, rows.node_index), rows.blocks)
+    H = H.reshape(term.row_count, -1)
+    np.testing.assert_allclose(forces(state), efforts @ H, atol=1e-12 * np.abs(efforts @ H).max())
+    if term.conserves:
+        np.testing.assert_allclose(H, slopes(values), atol=bar * np.abs(H).max())
+    matrix.clear()
+    term.add_stiffness(state, efforts, matrix.storage)
+    K, expected = matrix.matrix().toarray(), -slopes(forces)
+    lacking = term.lacking_stiffness(state, efforts, 3 * count)
+    if lacking is None:
+        expected = 0.5 * (expected + expected.T)
+    else:
+        K = K + lacking.toarray()
+        # All terms leave out ½ [τ]ₓ of their torques τ, which are in balance at rest.
+        for one in () if nodes.carried is None else np.unique(nodes.carried.turning_unknowns):
+            own, torque = slice(3 * one, 3 * one + 3), forces(state).reshape(-1, 3)[one]
+            expected[own, own] -= 0.5 * np.cross(torque, np.eye(3)).T
+    np.testing.assert_allclose(K, expected, atol=bar * max(np.abs(expected).max(), 1e-9))
+    return K

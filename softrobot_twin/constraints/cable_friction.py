@@ -496,6 +496,7 @@ class FrictionCables(ElasticCables):
     """
 
     yields = conserves = may_rest = False
+    loss = "friction along cables"
     takes_efforts = True
     memory_name = "cable_friction"
 

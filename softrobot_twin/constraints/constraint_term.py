@@ -31,6 +31,7 @@ class ConstraintTerm(Protocol):
         is_traceable: Whether `evaluate` and `add_stiffness` do nothing with numbers but by kernels;
             see `traced_stage.py`.
         conserves: Whether equilibria at held values of its rows are minima of an energy.
+        loss: What it does that conserves no energy, in words; else empty.
         yields: Whether its rows yield by themselves: then the term is a `YieldingTerm`.
         takes_efforts: Whether its rows depend on its efforts: then the term is an `EffortTerm`.
         dense_rows: The part of the geometric stiffness that is not assembled, at the state where it
@@ -48,6 +49,7 @@ class ConstraintTerm(Protocol):
     varies: ClassVar[bool] = False
     is_traceable: ClassVar[bool] = False
     conserves: ClassVar[bool] = True
+    loss: ClassVar[str] = ""
     yields: ClassVar[bool] = False
     takes_efforts: ClassVar[bool] = False
     dense_rows: DenseRows | None = None
@@ -116,6 +118,19 @@ class ConstraintTerm(Protocol):
             storage: The factorization's storage [N/m]; added to.
             projected: True for a part of it that is never negative.
         """
+
+    def lacking_stiffness(self, positions: np.ndarray, multipliers: np.ndarray, size: int):
+        """What `add_stiffness` leaves out because it is not symmetric, for derivatives at rest.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            multipliers: λ of its rows at this state [N], shape (k,).
+            size: Number of coordinates of the unknowns.
+
+        Returns:
+            A sparse matrix, shape (size, size); None for nothing.
+        """
+        return None
 
     def clear_dense_rows(self) -> None:
         """Have no dense rows until stiffness is added again; see `ForceTerm.clear_dense_rows`."""

@@ -20,6 +20,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
 
 from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.constraints.constraint_term import ConstraintTerm
@@ -186,7 +187,7 @@ class PointForces(ConstraintTerm):
 class TurningForces(PointForces):
     """Constraint term of forces of which some turn with their body; see the module."""
 
-    conserves = False
+    conserves, loss = False, "forces that turn with their body"
 
     def __init__(self, forces: tuple[PointForce, ...], *others, **options):
         """Lay out the rows; see `PointForces`."""
@@ -208,14 +209,13 @@ class TurningForces(PointForces):
             own = self.entry_rows == row
             reached = free_index[self._patch_nodes[patch]]
             nodes = np.union1d(self.entry_nodes[own], reached[reached >= 0])
-            if len(nodes) > MOST_COUPLED:
-                continue
-            coupled[row] = nodes
+            if len(nodes) <= MOST_COUPLED:
+                coupled[row] = nodes
             weights, arms = np.zeros(len(nodes)), np.zeros((len(nodes), 3))
             shares = self._weights[(self._rows == row) & (self._entries >= 0)]
             np.add.at(weights, np.searchsorted(nodes, self.entry_nodes[own]), shares)
             arms[np.searchsorted(nodes, reached[reached >= 0])] = self._arms[patch][reached >= 0]
-            self._parts.append((row, self._turning.index(row), weights, arms))
+            self._parts.append((row, self._turning.index(row), nodes, weights, arms))
         return _table(coupled)
 
     def evaluate(self, positions: np.ndarray, blocks: np.ndarray, values: np.ndarray) -> None:
@@ -230,20 +230,41 @@ class TurningForces(PointForces):
         )
         super().evaluate(positions, blocks, values)
 
+    def _slopes(self, part, multipliers: np.ndarray) -> np.ndarray:
+        """λ w_a [d]ₓ T [R s_b]ₓ of one force, at the state evaluated last, shape (n, n, 3, 3)."""
+        row, patch, _, weights, arms = part
+        turned = cross_matrices(arms @ self._rotations[patch].T)
+        slopes = cross_matrices(self._directions[row]) @ self._turnings[patch] @ turned
+        return multipliers[row] * weights[:, None, None, None] * slopes
+
     def _add_turning(self, multipliers: np.ndarray, storage: np.ndarray) -> None:
-        """Add the symmetric part of λ w_a [d]ₓ T [R s_b]ₓ, at the state evaluated last."""
+        """Add the symmetric part of the stiffness of turning directions; see `PointForces`."""
         lines, columns = lower_pairs(self._stencils.shape[1])
-        for row, patch, weights, arms in self._parts:
-            turned = cross_matrices(arms @ self._rotations[patch].T)
-            slopes = cross_matrices(self._directions[row]) @ self._turnings[patch] @ turned
-            half = 0.5 * multipliers[row] * weights[:, None, None, None] * slopes
-            matrix = np.zeros((self._stencils.shape[1],) * 2 + (3, 3))
-            matrix[: len(arms), : len(arms)] = half + half.transpose(1, 0, 3, 2)
+        for part in self._parts:
+            row, count = part[0], len(part[2])
+            if count > MOST_COUPLED:
+                continue
+            slopes = self._slopes(part, multipliers)
             order, offsets = self._bound.order[row], self._bound.offsets[row]
+            matrix = np.zeros((self._stencils.shape[1],) * 2 + (3, 3))
+            matrix[:count, :count] = 0.5 * (slopes + slopes.transpose(1, 0, 3, 2))
             present = offsets >= 0
             blocks = matrix[order[lines], order[columns]][present]
             steps = np.arange(3)[:, None] + np.arange(3) * self._bound.strides[row][present, None, None]
             np.add.at(storage, offsets[present, None, None] + steps, blocks)
+
+    def lacking_stiffness(self, positions: np.ndarray, multipliers: np.ndarray, size: int):
+        """See `ConstraintTerm.lacking_stiffness`."""
+        self.evaluate(positions, np.empty((len(self.entry_rows), 3)), np.empty(self.row_count))
+        lacking = sp.csr_array((size + 3 * (self._points.count if self._points else 0),) * 2)
+        for part in self._parts:
+            slopes, places = self._slopes(part, multipliers), 3 * part[2][:, None] + np.arange(3)
+            if len(places) <= MOST_COUPLED:
+                slopes = 0.5 * (slopes - slopes.transpose(1, 0, 3, 2))
+            lines, columns = np.broadcast_arrays(places[:, None, :, None], places[None, :, None, :])
+            entries = slopes.ravel(), (lines.ravel(), columns.ravel())
+            lacking = lacking + sp.coo_array(entries, shape=lacking.shape).tocsr()
+        return lacking if self._points is None else self._points.fold(positions, lacking)
 
 
 def cross_matrices(vectors: np.ndarray) -> np.ndarray:

@@ -30,6 +30,7 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
+import scipy.sparse as sp
 
 from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.geometry.matrix3 import IDENTITY, product, rows, transposed, transposed_product
@@ -372,6 +373,29 @@ class CarriedPoints:
         self.turning_columns = np.concatenate(none + [kind.turning_columns for kind in kinds])
         self._turning_blocks = np.zeros((len(self.turning_unknowns), 3, 3))
         self._moves = np.empty((free_count + self.count, 3))
+
+    def fold(self, positions: np.ndarray, stiffness: sp.csr_array) -> sp.csr_array:
+        """A stiffness of unknowns and carried points, by unknowns: Dᵀ K D.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            stiffness: K [N/m], shape (3 (free_count + count), same).
+
+        Returns:
+            Shape (3 free_count, 3 free_count).
+        """
+        self.update(positions)
+        points, columns = np.nonzero(self.unknowns >= 0)
+        own, axes = 3 * np.arange(self.free_count + self.count), np.arange(3)
+        unknowns = np.concatenate([own[: self.free_count], 3 * self.unknowns[points, columns]])
+        carried = np.concatenate([own[: self.free_count], own[self.free_count + points]])
+        blocks = np.concatenate([np.tile(np.eye(3), (self.free_count, 1, 1)),
+                                 self.derivatives[points, columns]])  # fmt: skip
+        lines, rows = carried[:, None, None] + axes[:, None], unknowns[:, None, None] + axes
+        lines, rows = np.broadcast_arrays(lines, rows)
+        D = sp.coo_array((blocks.ravel(), (lines.ravel(), rows.ravel())),
+                         shape=(len(own) * 3, 3 * self.free_count)).tocsr()  # fmt: skip
+        return D.T @ stiffness @ D
 
     def update(self, positions: np.ndarray) -> None:
         """Compute D at a state: node positions [m], shape (node_count, 3).

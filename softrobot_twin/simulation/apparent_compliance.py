@@ -234,7 +234,12 @@ class HeldTangent:
         lu.storage[:] = self._storage[places]
         terms = (*model.forces, *model.rows.terms)
         dense = [term.dense_rows for term in terms if term.dense_rows is not None]
-        return Saddle(lu.matrix(), dense, rows.H, self._displacement_rows(rows), holding)
+        A, state = lu.matrix(), self._simulation.state
+        multipliers = model.rows.multipliers(state.efforts)
+        for term, own in model.rows.constant_terms:
+            lacking = term.lacking_stiffness(state.positions, multipliers[own], A.shape[0])
+            A = A if lacking is None else A + lacking
+        return Saddle(A, dense, rows.H, self._displacement_rows(rows), holding)
 
     def _assemble(self, positions: np.ndarray) -> None:
         """Sum the exact stiffness of statics, in the layout of the model's factorization."""

@@ -321,7 +321,7 @@ def why_no_linear_model(simulation: Simulation) -> str:
     if scene.slides:
         return f"is not built for slides, which slides[0] {scene.slides[0].name} is"
     if not model.actuators.conserves:
-        return "is not built for friction along cables"
+        return f"is not built for {model.actuators.losses}"
     if any(isinstance(term.on_points, RememberingElements) for term in model.forces):
         return "is not built for materials that remember, such as viscous ones"
     return ""

@@ -109,6 +109,11 @@ class Actuators:
         """Whether equilibria at held displacements are minima of an energy."""
         return all(term.conserves for term in self.terms)
 
+    @property
+    def losses(self) -> str:
+        """What conserves no energy, in words; empty where all do."""
+        return " and ".join(term.loss for term in self.terms if not term.conserves)
+
     def stalled(self, efforts: np.ndarray) -> np.ndarray:
         """Whether each of the first actuators stalls, shape (n,).
 

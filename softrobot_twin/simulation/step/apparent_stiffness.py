@@ -357,7 +357,7 @@ def why_no_stiffness(model: Model) -> str:
     if model.slides is not None:
         return "slides"
     if not model.actuators.conserves:
-        return "friction along cables"
+        return model.actuators.losses
     if rows.told is not None or any(term.yields for term in rows.terms):
         return "actuators that yield, such as cables that stretch"
     return ""
