@@ -43,7 +43,7 @@ GUIDES = {
     "fibres": "materials.md#threads", "obstacles": "surroundings.md", "contact": "surroundings.md",
     "cables": "actuators.md", "cavities": "actuators.md#cavities",
     "sealed_cavities": "actuators.md#cavities", "motors": "actuators.md",
-    "slides": "actuators.md", "hinge_motors": "beams.md", "effectors": "effectors.md",
+    "slides": "actuators.md", "hinge_motors": "beams.md", "forces": "actuators.md#forces", "effectors": "effectors.md",
     "observer": "observer.md", "control": "dynamic_control.md", "mounting": "mounting.md", "touches": "effectors.md#touches", "markers": "own_robot.md", "marker_frame": "calibration.md",
     "solver": "accuracy.md",
     "repeat": "own_robot.md#symmetry", "body.vertebrae": "vertebrae.md",

@@ -621,7 +621,7 @@ def rest_paths(simulation: Simulation) -> list[tuple[str, str]]:
     """
     kind_of, paths = simulation.actuators.kind_of, simulation.actuator_paths()
     rest = dict(zip(simulation.actuator_names, simulation.rest_setpoints, strict=True))
-    cables = {name: path for name, path in paths.items() if kind_of[name].effort.unit == "N"}
+    cables = {name: path for name, path in paths.items() if kind_of[name].one_sided}
     many = len(cables) > 2 * _MOST_ROWS
     alike = by_key(((re.sub(r"\d+", "#", name), len(path)) if many else name, name)
                    for name, path in cables.items())  # fmt: skip

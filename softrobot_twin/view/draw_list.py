@@ -185,7 +185,7 @@ class DrawList:
             if not (names := [name for name in group.names if name in paths]):
                 continue
             owners.append((names, [order.index(name) for name in names]))
-            pulls = group.kind.effort.unit == "N"
+            pulls = group.kind.one_sided
             pulled += names if pulls else []
             entities.append(Entity(
                 f"/robot/{group.kind.section}", "lines", None if pulls else _AXIS_COLOUR, 2.5, names,
