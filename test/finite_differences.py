@@ -35,9 +35,10 @@ def assert_slopes_of_actuators(term, nodes, efforts, size, seed=5, bar=1e-6):
     count, free = nodes.free_node_count, np.arange(nodes.free_node_count)
     state = nodes.rest_positions.copy()
     nodes.advance(state, size * np.random.default_rng(seed).standard_normal((count, 3)), 1.0)
-    rows, pairs = RowStack([term], nodes.carried), stencil_pairs(term.stencils(), count)
+    pairs = stencil_pairs(term.stencils(), count)
     matrix = SuperLU(*(np.concatenate([free, side]) for side in pairs), count)
     term.bind(matrix.elimination_rank, matrix.slots)
+    rows = RowStack([term], nodes.carried)
 
     def forces(at):
         out = np.zeros((count, 3))

@@ -1,5 +1,5 @@
-"""Entries of actuators: cables, cavities, slides, motors of hinges, forces, and motors that drive
-several cables.
+"""Entries of actuators: cables, cavities, slides, motors of hinges, forces, muscles, and motors that
+drive several cables.
 
 Each kind of actuator has a section of its own in a scene. `add_actuator_section` in `schema.py`
 gives a scene the section of a kind that is defined elsewhere.
@@ -362,3 +362,79 @@ class Force(ActuatorEntry):
         if self.points is None and self.body not in (None, *(b.name for b in scene.deformables)):
             raise refusal(f"{key}.body", self.body,
                           "a box or sphere takes the surface of a deformable body: give points")
+
+
+class ForceLength(Entry):
+    """The bell of living muscle: its force by its length."""
+
+    told: ClassVar[tuple[str, ...]] = ("a bell of {width:=} about {optimum:=}",)
+
+    optimum: Annotated[float, unit("", gt=0.0)] = 1.0
+    """Length of its greatest force, by its length at rest."""
+    width: Annotated[float, unit("", gt=0.0)] = 0.67
+    """Change of this share of length at which 1/e of the force is left."""
+
+
+class Muscle(ActuatorEntry):
+    """Fibres that contract by their activation: a thread through a body, or a part of the body."""
+
+    noun: ClassVar[str] = "muscle"
+    placed: ClassVar[dict[str, str]] = {"points": "point", "box": "box", "direction": "direction"}
+    one_of: ClassVar[tuple[str, ...]] = ("points", "box", "region")
+    one_of_words: ClassVar[str] = "a muscle is exactly one of {}"
+
+    body: Name | None = None
+    """Its body."""
+    also_on: tuple[str, ...] = ()
+    """Other bodies of a thread, or patterns such as ``rib_*``; the nearest carries each point."""
+    points: Annotated[tuple[Vector, ...] | None, Field(min_length=2)] = None
+    """Path of a thread, which is bonded to the body at its points."""
+    box: BoxRegion | None = None
+    """Cells whose centre is in it contract along `direction`."""
+    region: str | None = None
+    """The same of a named volume in the mesh file."""
+    frame: Literal["world", "mesh"] = "world"
+    """Frame of the box; `mesh` is before the placement."""
+    direction: Annotated[Direction | None, not_zero("the direction must not be zero")] = None
+    """Of the fibres of a box or region, in the world at rest."""
+    force: Annotated[float | None, unit("N", gt=0.0)] = None
+    """Of a thread at rest, fully active."""
+    stress: Annotated[float | None, unit("Pa", gt=0.0)] = None
+    """The same of a box or region."""
+    free_contraction: Annotated[float | None, unit("", gt=0.0, lt=1.0)] = None
+    """Share of its length by which it shortens without load; by default its force is constant."""
+    force_length: ForceLength | None = None
+    """The relation of living muscle, in place of `free_contraction`."""
+    activation: Annotated[ClosedRange, unit(""), allows_zero("no activation")] = (0.0, 1.0)
+    """Limits of its activation."""
+    rate: Annotated[float | None, unit("1/s", gt=0.0)] = None
+    """Greatest change of the activation per second."""
+
+    def check(self) -> None:
+        """Refuse what does not belong to a thread, or to a region, and two relations."""
+        is_thread = self.points is not None
+        needed, others = (("force",), ("stress", "direction")) if is_thread else (
+            ("stress", "direction"), ("force",))  # fmt: skip
+        for key in needed:
+            if getattr(self, key) is None:
+                raise refusal(key, "(nothing)", f"is required of a {'thread' if is_thread else 'region'}")
+        for key in (*others, *(() if is_thread else ("also_on",))):
+            if getattr(self, key):
+                raise refusal(key, getattr(self, key),
+                              f"is not a key of a {'thread' if is_thread else 'region'}")
+        if self.free_contraction is not None and self.force_length is not None:
+            raise refusal("free_contraction", self.free_contraction,
+                          "force_length says how the force depends on the length")
+        if self.activation[0] < 0.0 or self.activation[1] > 1.0:
+            raise refusal("activation", self.activation, "the limits must lie within 0 and 1")
+
+    def check_references(self, scene, key: str) -> None:
+        """See `ActuatorEntry`."""
+        self.check_body(scene, key)
+        framed = [body.name for body in (*scene.rigid_bodies, *scene.beams)]
+        carriers = [body.name for body in scene.deformables] + framed
+        for index, pattern in enumerate(self.also_on):
+            check_pattern(f"{key}.also_on[{index}]", f"muscle {self.name} is also on", pattern,
+                          carriers)  # fmt: skip
+        if self.points is None and self.body in framed:
+            raise refusal(f"{key}.body", self.body, "a region is of a deformable body: give points")

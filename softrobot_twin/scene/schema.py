@@ -20,6 +20,7 @@ from softrobot_twin.scene.actuator_entries import (
     Force,
     HingeMotor,
     Motor,
+    Muscle,
     SealedCavity,
     Slide,
 )
@@ -397,6 +398,7 @@ class Scene(Entry):
     slides: tuple[Slide, ...] = ()
     hinge_motors: tuple[HingeMotor, ...] = ()
     forces: tuple[Force, ...] = ()
+    muscles: tuple[Muscle, ...] = ()
     effectors: tuple[Effector, ...] = ()
     touches: tuple[Touch, ...] = ()
     markers: tuple[Marker, ...] = ()

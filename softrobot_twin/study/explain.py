@@ -59,7 +59,7 @@ def limits(bounds, unit: str) -> str:
         unit: Their unit.
     """
     if np.isfinite(bounds).any():
-        return f"{vector(bounds)} {unit}"
+        return f"{vector(bounds)} {unit}".rstrip()
     return "without limit"
 
 

@@ -191,7 +191,7 @@ def _jacobian(actuators: Actuators, found: ApparentCompliance, index: int, name:
     rows = []
     quantities = actuators.driven_quantities(found.is_by_effort)
     for place, (actuator, quantity) in enumerate(zip(actuators.names, quantities, strict=True)):
-        factor, unit = _SHOWN.get(quantity.unit, (1.0, f"m/{quantity.unit}"))
+        factor, unit = _SHOWN.get(quantity.unit, (1.0, f"m/{quantity.unit}".rstrip("/")))
         motion = factor * found.jacobian[index, :, place]
         rows.append([actuator, quantity.word, *_numbers(motion), unit,
                      _what_it_holds(actuators, found, place)])

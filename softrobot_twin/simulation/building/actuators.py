@@ -19,6 +19,7 @@ from softrobot_twin.simulation.building.cavity_actuator import CavityActuator
 from softrobot_twin.simulation.building.force_actuator import ForceActuator
 from softrobot_twin.simulation.building.hinge_motor_actuator import HingeMotorActuator
 from softrobot_twin.simulation.building.limits import ActuatorLimits, Pulleys
+from softrobot_twin.simulation.building.muscle_actuator import MuscleActuator
 from softrobot_twin.simulation.building.scene_layout import Layout
 from softrobot_twin.simulation.building.slide_actuator import SlideActuator
 
@@ -27,6 +28,7 @@ register_actuator(CavityActuator())
 register_actuator(SlideActuator())
 register_actuator(HingeMotorActuator())
 register_actuator(ForceActuator())
+register_actuator(MuscleActuator())
 
 
 class Actuators:

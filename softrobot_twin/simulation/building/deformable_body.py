@@ -150,7 +150,7 @@ def material_parts(
     claims: list[tuple[str, Material | RegionMaterial, np.ndarray | None]] = []
     for index, other in enumerate(entry.materials):
         place = f"{key}.materials[{index}]"
-        cells = _claimed(other, place, entry, mesh, parts, scene, notes)
+        cells = claimed_cells(other, place, entry, mesh, parts, scene, notes)
         _refuse_claimed_twice(cells, owner, index, other, key, scene)
         owner[cells] = index
         claims.append((place, other, cells))
@@ -273,11 +273,24 @@ def _or(value, otherwise):
     return otherwise if value is None else value
 
 
-def _claimed(
+def claimed_cells(
     other: RegionMaterial, place: str, entry: BodyEntry, mesh: CellMesh, parts: MeshParts,
     scene: Scene, notes: list[str],
 ) -> np.ndarray:  # fmt: skip
-    """Cells of an entry of `materials`."""
+    """Cells of an entry with a region or a box, such as one of `materials`.
+
+    Args:
+        other: The entry.
+        place: Its key.
+        entry: That of the body.
+        mesh: The body's mesh.
+        parts: Named regions of its file.
+        scene: The scene.
+        notes: List to which warnings are appended.
+
+    Raises:
+        SceneError: There is no such cell.
+    """
     if other.region is not None:
         try:
             return parts.region(other.region)

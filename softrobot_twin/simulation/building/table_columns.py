@@ -33,7 +33,7 @@ def column(name: str, quantity: Quantity) -> str:
         name: Name of the actuator or pulley.
         quantity: The quantity, with its word and unit.
     """
-    return f"{name}_{quantity.word}_{quantity.unit}"
+    return f"{name}_{quantity.word}_{quantity.unit}".removesuffix("_")
 
 
 def position_columns(name: str) -> tuple[str, ...]:

@@ -628,7 +628,7 @@ def _refuse_column(columns: Columns, simulation: Simulation) -> None:
     quantities = dict.fromkeys(quantity for one in (*kinds, *actuator_kinds())
                                for quantity in (one.setpoint, one.displacement, one.effort))
     quantities[ANGLE] = None
-    ends = {f"_{quantity.word}_{quantity.unit}": "actuator" for quantity in quantities}
+    ends = {column("", quantity): "actuator" for quantity in quantities}
     ends.update((end, "effector") for end in _columns_of_targets(""))
     what, owner = next(
         ((what, name[:-len(end)]) for end, what in ends.items() if name.endswith(end)), ("", ""))

@@ -1,0 +1,137 @@
+"""Muscles as actuators, by their activation: threads, or regions whose material contracts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from softrobot_twin.constraints.muscles import Fibres, Muscles
+from softrobot_twin.geometry.cell_mesh import node_counts_of, points_of
+from softrobot_twin.mechanics.barycentric import BarycentricMapping
+from softrobot_twin.mechanics.springs import segments
+from softrobot_twin.scene.actuator_entries import Muscle
+from softrobot_twin.scene.words import count, vector, words
+from softrobot_twin.simulation.building.actuator_kinds import ActuatorGroup, ActuatorKind, Quantity
+from softrobot_twin.simulation.building.deformable_body import claimed_cells
+from softrobot_twin.simulation.building.limits import efforts_at_scale, unlikely
+from softrobot_twin.simulation.building.scene_layout import Layout
+
+FULL_RANGE = (2.0e-2, 1.0e4)
+"""Activations beyond this, which would contract a muscle to nothing, are reported."""
+
+
+class MuscleActuator(ActuatorKind):
+    """The kind `muscles`; see `ActuatorKind`."""
+
+    section = "muscles"
+    entry = Muscle
+    noun = "muscle"
+    setpoint = effort = Quantity("activation", "")
+    displacement = extent = Quantity("work", "J")
+    is_effort_driven = True
+
+    def build(self, layout: Layout, entries: tuple[Muscle, ...], notes: list[str]) -> ActuatorGroup:
+        """See `ActuatorKind.build`."""
+        fibres = tuple(
+            (_region if entry.points is None else _thread)(layout, key, entry, notes)
+            for key, entry in layout.scene.keyed(self.section)
+        )
+        term = Muscles(fibres, layout.nodes.free_index, layout.nodes.carried)
+        for index in np.setdiff1d(np.arange(len(entries)), term.entry_rows):
+            raise layout.scene.error(f"muscles[{index}]", entries[index].name,
+                                     "lies wholly in what is fixed: it moves nothing")
+        size = layout.nodes.size
+        forces = [entry.force or scale / size for entry, scale in zip(entries, term.scales, strict=True)]
+        return ActuatorGroup(
+            self, tuple(entry.name for entry in entries), term, None, np.zeros(len(entries)),
+            term.scales, np.tile([-np.inf, np.inf], (len(entries), 1)),
+            np.array([np.inf if entry.rate is None else entry.rate for entry in entries]),
+            np.array([entry.activation for entry in entries]), np.array(forces),
+        )  # fmt: skip
+
+    def doubts(self, model, group: ActuatorGroup) -> Iterator[str]:
+        """Forces and stresses that are out of scale; see `ActuatorKind.doubts`."""
+        full = efforts_at_scale(model, group.term)
+        for index, (key, entry) in enumerate(model.scene.keyed(self.section) if full is not None else ()):
+            word = "force" if entry.points is not None else "stress"
+            value, unit = getattr(entry, word), "N" if word == "force" else "Pa"
+            yield from unlikely(
+                f"{key}.{word}", value, unit, value * float(full[index]),
+                (1.0 / FULL_RANGE[1], 1.0 / FULL_RANGE[0]),
+                f"some {value * full[index]:.2g} {unit} would contract {entry.name} to nothing; is "
+                f"the {word} in {unit}?",
+            )  # fmt: skip
+
+    def details(self, entry: Muscle, group: ActuatorGroup, index: int) -> str:
+        """See `ActuatorKind.details`."""
+        if entry.points is not None:
+            place = f"a thread of {count(entry.points, 'point')}, {entry.force:.6g} N"
+        else:
+            place = f"{_place(entry)} along {vector(entry.direction)}, {1e-3 * entry.stress:.6g} kPa"
+        free, bell = entry.free_contraction, entry.force_length
+        by_length = None if free is None else f"contracts freely by {100.0 * free:.6g} %"
+        return words(place, by_length, None if bell is None else bell.describe())
+
+
+def _place(entry: Muscle) -> str:
+    return f"region {entry.region}" if entry.box is None else entry.box.describe()
+
+
+def _law(entry: Muscle) -> tuple[float, float, float]:
+    """Slope 1/c, optimum and width of its force by its length."""
+    if entry.force_length is not None:
+        return 0.0, entry.force_length.optimum, entry.force_length.width
+    return (0.0 if entry.free_contraction is None else 1.0 / entry.free_contraction), 0.0, 0.0
+
+
+def _thread(layout: Layout, key: str, entry: Muscle, notes: list[str]) -> Fibres:
+    """A fibre between each two points of a thread."""
+    bodies = layout.bodies_of(entry)
+    if len(bodies) == 1:
+        path = layout.carried(entry.body, entry.points, f"{key}.points", notes)
+    else:
+        path = layout.carried_by_nearest(bodies, entry.points, f"{key}.points", notes)
+    first, second, lengths = segments(path, layout.nodes.rest_positions)
+    if not len(lengths):
+        raise layout.scene.error(f"{key}.points", entry.name, "all its points are one place")
+    nodes, coefficients = _between(first, second)
+    return Fibres(nodes, coefficients, lengths, np.full(len(lengths), entry.force), _law(entry))
+
+
+def _between(first: BarycentricMapping, second: BarycentricMapping) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes and coefficients of the vectors between points, each node once."""
+    nodes = np.hstack([first.nodes, second.nodes])
+    weights = np.hstack([-first.barycentric_weights, second.barycentric_weights])
+    order = np.argsort(nodes, axis=1, kind="stable")
+    nodes, weights = (np.take_along_axis(one, order, axis=1) for one in (nodes, weights))
+    for column in range(nodes.shape[1] - 1, 0, -1):
+        same = nodes[:, column] == nodes[:, column - 1]
+        weights[same, column - 1] += weights[same, column]
+        weights[same, column] = 0.0
+    return np.where(weights == 0.0, -1, nodes), weights
+
+
+def _region(layout: Layout, key: str, entry: Muscle, notes: list[str]) -> Fibres:
+    """A fibre at each quadrature point of the cells of a region."""
+    body = layout.body_named(entry.body)
+    if body.reduction is not None or body.vertebrae is not None:
+        raise layout.scene.error(f"{key}.body", body.name,
+                                 "is reduced: a muscle in a region of it is not built; give points")
+    cells = claimed_cells(entry, key, body.entry, body.mesh, body.parts, layout.scene, notes)
+    direction = np.array(entry.direction) / np.linalg.norm(entry.direction)
+    parts = []
+    for block in layout.mesh_among_nodes(body).strained_blocks(cells):
+        points, mesh = points_of(block.mesh), block.mesh
+        width, at = mesh.cells.shape[1], points.weights.shape[1]
+        present = np.arange(width) < node_counts_of(mesh)[:, None]
+        nodes = np.repeat(np.where(present, mesh.cells, -1), at, axis=0)
+        coefficients = (points.gradients @ direction).reshape(-1, points.gradients.shape[2])
+        parts.append((nodes, np.where(nodes >= 0, coefficients[:, :width], 0.0), points.weights.ravel()))
+    width = max(nodes.shape[1] for nodes, _, _ in parts)
+    pads = [((0, 0), (0, width - nodes.shape[1])) for nodes, _, _ in parts]
+    nodes = np.concatenate([np.pad(part[0], pad, constant_values=-1)
+                            for part, pad in zip(parts, pads, strict=True)])  # fmt: skip
+    coefficients = np.concatenate([np.pad(part[1], pad) for part, pad in zip(parts, pads, strict=True)])
+    volumes = np.concatenate([volume for _, _, volume in parts])
+    return Fibres(nodes, coefficients, np.ones(len(volumes)), entry.stress * volumes, _law(entry))
