@@ -43,7 +43,7 @@ class CavityPressures:
             )
         self.ambient_pressure = ambient_pressure
         kinds = enumerate(simulation.actuators.kind_of.items())
-        cavities = [(i, name, kind) for i, (name, kind) in kinds if kind.effort.unit == "Pa"]
+        cavities = [(i, name, kind) for i, (name, kind) in kinds if kind.effort.word == "pressure"]
         self.places = {name: index for index, name, _ in cavities}
         self.by_volume = frozenset(
             name for _, name, kind in cavities if not kind.is_effort_driven

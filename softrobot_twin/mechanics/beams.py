@@ -696,11 +696,19 @@ class Beams(ForceTerm):
         write_deformations(positions, e.origins, e.end_points, e.end_axes, out)
         return out
 
-    def energy(self, positions: np.ndarray) -> float:
-        """Stored elastic energy [J]."""
+    def strains(self, positions: np.ndarray) -> np.ndarray:
+        """s [m] and ψ [rad] of every element, shape (element_count, 6).
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
         strains = self.deformations(positions)
         _measure_axes(strains, self._w)
-        return 0.5 * float(np.sum(self.elements.stiffness * (strains - self._rest) ** 2))
+        return strains
+
+    def energy(self, positions: np.ndarray) -> float:
+        """Stored elastic energy [J]."""
+        return 0.5 * float(np.sum(self.elements.stiffness * (self.strains(positions) - self._rest) ** 2))
 
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
         """Add the forces [N] and torques [N m].

@@ -438,3 +438,66 @@ class Muscle(ActuatorEntry):
                           carriers)  # fmt: skip
         if self.points is None and self.body in framed:
             raise refusal(f"{key}.body", self.body, "a region is of a deformable body: give points")
+
+
+class RestShape(ActuatorEntry):
+    """Changes the rest shape of a beam: memory alloys, pneumatic or grown lengths."""
+
+    noun: ClassVar[str] = "rest shape"
+    placed: ClassVar[dict[str, str]] = {}
+    one_of: ClassVar[tuple[str, ...]] = ("bend", "bend_sideways", "twist", "elongation")
+
+    beam: Name
+    """The beam; it changes evenly over its length."""
+    bend: Annotated[ClosedRange | None, unit("rad"), allows_zero("the shape at rest")] = None
+    """Limits of the angle between its ends, towards the `thickness_direction`."""
+    bend_sideways: Annotated[ClosedRange | None, unit("rad"), allows_zero("the shape at rest")] = None
+    """The same towards `thickness_direction` × tangent."""
+    twist: Annotated[ClosedRange | None, unit("rad"), allows_zero("the shape at rest")] = None
+    """The same about its axis."""
+    elongation: Annotated[ClosedRange | None, unit("m"), allows_zero("the length at rest")] = None
+    """Limits of the change of its length without load."""
+    rate: Annotated[float | None, unit("rad/s or m/s", gt=0.0)] = None
+    """Greatest change per second."""
+
+    @property
+    def change(self) -> str:
+        """Which of `one_of` it changes."""
+        return self.given(self.one_of)[0]
+
+    def check_references(self, scene, key: str) -> None:
+        """See `ActuatorEntry`."""
+        check_known(f"{key}.beam", f"rest shape {self.name} changes", self.beam,
+                    [beam.name for beam in scene.beams])  # fmt: skip
+
+
+class Stiffener(ActuatorEntry):
+    """Changes Young's modulus of a part of a body: jamming, a phase change."""
+
+    noun: ClassVar[str] = "stiffener"
+    placed: ClassVar[dict[str, str]] = {"box": "box"}
+
+    body: Name | None = None
+    """Its body."""
+    region: str | None = None
+    """Name of a volume in the mesh file, as an entry of `materials` has it; by default the body."""
+    box: BoxRegion | None = None
+    """The cells whose centre is in it, in place of a region."""
+    frame: Literal["world", "mesh"] = "world"
+    """Frame of the box; `mesh` is before the placement."""
+    young_modulus: Annotated[ClosedRange, unit("Pa")]
+    """Limits of the modulus; the one at rest is that of the material."""
+    rate: Annotated[float | None, unit("Pa/s", gt=0.0)] = None
+    """Greatest change of the modulus per second."""
+
+    def check(self) -> None:
+        """Refuse two places, and a modulus of zero."""
+        if self.region is not None and self.box is not None:
+            raise refusal("box", str(self.box), "the cells are those of region: give one of both")
+        if self.young_modulus[0] <= 0.0:
+            raise refusal("young_modulus", self.young_modulus, "the limits must be above zero")
+
+    def check_references(self, scene, key: str) -> None:
+        """See `ActuatorEntry`."""
+        deformable = [body.name for body in scene.deformables]
+        check_carrier(f"{key}.body", self.name, self.body, deformable, [])

@@ -21,8 +21,10 @@ from softrobot_twin.scene.actuator_entries import (
     HingeMotor,
     Motor,
     Muscle,
+    RestShape,
     SealedCavity,
     Slide,
+    Stiffener,
 )
 from softrobot_twin.scene.body_entries import (
     Beam,
@@ -399,6 +401,8 @@ class Scene(Entry):
     hinge_motors: tuple[HingeMotor, ...] = ()
     forces: tuple[Force, ...] = ()
     muscles: tuple[Muscle, ...] = ()
+    rest_shapes: tuple[RestShape, ...] = ()
+    stiffeners: tuple[Stiffener, ...] = ()
     effectors: tuple[Effector, ...] = ()
     touches: tuple[Touch, ...] = ()
     markers: tuple[Marker, ...] = ()

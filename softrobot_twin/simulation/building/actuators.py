@@ -20,8 +20,10 @@ from softrobot_twin.simulation.building.force_actuator import ForceActuator
 from softrobot_twin.simulation.building.hinge_motor_actuator import HingeMotorActuator
 from softrobot_twin.simulation.building.limits import ActuatorLimits, Pulleys
 from softrobot_twin.simulation.building.muscle_actuator import MuscleActuator
+from softrobot_twin.simulation.building.rest_shape_actuator import RestShapeActuator
 from softrobot_twin.simulation.building.scene_layout import Layout
 from softrobot_twin.simulation.building.slide_actuator import SlideActuator
+from softrobot_twin.simulation.building.stiffener_actuator import StiffenerActuator
 
 register_actuator(CableActuator())
 register_actuator(CavityActuator())
@@ -29,6 +31,8 @@ register_actuator(SlideActuator())
 register_actuator(HingeMotorActuator())
 register_actuator(ForceActuator())
 register_actuator(MuscleActuator())
+register_actuator(RestShapeActuator())
+register_actuator(StiffenerActuator())
 
 
 class Actuators:
