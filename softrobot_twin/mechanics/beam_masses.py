@@ -94,8 +94,9 @@ def hermite(s: np.ndarray) -> tuple:
 
 
 def element_masses(
-    elements: BeamElements, lengths, section: BeamSection, density: float, damping: float
-) -> BeamMasses:
+    elements: BeamElements, lengths, section: BeamSection, density: float, damping: float,
+    scales: np.ndarray,
+) -> BeamMasses:  # fmt: skip
     """Mass of the elements of one beam.
 
     Args:
@@ -104,6 +105,7 @@ def element_masses(
         section: The cross-section.
         density: Mass per volume [kg/m³].
         damping: α [1/s].
+        scales: Size of the section at both ends of each, shape (element_count, 2).
     """
     lengths = np.asarray(lengths, float)
     count, shares = len(lengths), 0.5 * (1.0 + _PLACES)
@@ -117,10 +119,11 @@ def element_masses(
         axis[:, :, first + 1 : first + 4] += along[:, None, None] * tangents
         for k in (0, 1):
             across[k, :, :, first + 1 : first + 4] = turn[:, None, None] * axes[:, :, 1 + k]
-    per_place = density * 0.5 * _WEIGHTS[:, None] * lengths
+    squares = (scales[:, 0] + shares[:, None] * (scales[:, 1] - scales[:, 0])) ** 2
+    per_place = density * 0.5 * _WEIGHTS[:, None] * lengths * squares
     matrices = section.area * np.einsum("pe,pek,pel->ekl", per_place, axis, axis)
     for moment, own in zip((section.inertia_z, section.inertia_y), across, strict=True):
-        matrices += moment * np.einsum("pe,pek,pel->ekl", per_place, own, own)
+        matrices += moment * np.einsum("pe,pek,pel->ekl", per_place * squares, own, own)
     borne = section.area * np.einsum("pe,pek->ek", per_place, axis)
     # An end that does not move by itself accelerates nothing.
     held = np.repeat(elements.unknowns < 0, 4, axis=1)

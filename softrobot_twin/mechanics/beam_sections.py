@@ -40,6 +40,25 @@ class BeamSection(NamedTuple):
         """Distance of the furthest point of the outline from the axis [m]."""
         return float(np.linalg.norm(self.outline, axis=1).max())
 
+    def tapered(self, scales: np.ndarray) -> BeamSection:
+        """The constants of elements with this stiffness, whose size changes linearly along them.
+
+        They are exact for an even force, moment and shear.
+
+        Args:
+            scales: Size at both ends of each by that of this section, shape (element_count, 2).
+
+        Returns:
+            The section; its constants have the shape (element_count,).
+        """
+        a, b = scales.T
+        plane, bending = a * b, 3.0 * (a * b) ** 3 / (a * a + a * b + b * b)
+        return BeamSection(
+            plane * self.area, bending * self.inertia_y, bending * self.inertia_z,
+            bending * self.torsion, plane * self.shear_area_y, plane * self.shear_area_z,
+            self.outline,
+        )  # fmt: skip
+
 
 def rectangle(thickness: float, width: float, poisson_ratio: float) -> BeamSection:
     """A rectangle.

@@ -708,7 +708,9 @@ class GivenSection(Entry):
 class CrossSection(Entry):
     """A rectangle, a circle, a tube, or given constants."""
 
-    told: ClassVar[tuple[str, ...]] = ("{rectangle}", "{circle}", "{tube}", "{constants}")
+    told: ClassVar[tuple[str, ...]] = (
+        "{rectangle}", "{circle}", "{tube}", "{constants}", "{end_scale} of it at the end",
+    )  # fmt: skip
     one_of: ClassVar[tuple[str, ...]] = ("rectangle", "circle", "tube", "constants")
     one_of_words: ClassVar[str] = "a section has exactly one of {}"
 
@@ -716,6 +718,8 @@ class CrossSection(Entry):
     circle: CircleSection | None = None
     tube: TubeSection | None = None
     constants: GivenSection | None = None
+    end_scale: Annotated[float, unit("", gt=0.0)] = 1.0
+    """Size of the section at the end of the beam by that at its start, linear between."""
 
     @property
     def is_round(self) -> bool:

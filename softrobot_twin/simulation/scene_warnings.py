@@ -254,7 +254,7 @@ def _odd_values(body) -> list[str]:
 
 def _odd_beam(beam) -> list[str]:
     material, key = beam.entry.material, beam.key
-    length, across = float(beam.lengths.sum()), 2.0 * beam.section.radius
+    length, across = float(beam.lengths.sum()), 2.0 * beam.radius
     notes = _outside([
         (f"{key} length", length, SIZE_RANGE, "m", "are its points in millimetres?"),
         (f"{key}.material.density", material.density, DENSITY_RANGE, "kg/m³",

@@ -284,7 +284,9 @@ def test_a_taut_beam_has_the_frequencies_of_a_string_with_bending_stiffness(squa
         rigidity = YOUNG * inertia
         force = square * rigidity * count**2 / LENGTH**2
         beams, _, _, _, K = stretched(count, force)
-        masses = element_masses(beams.elements, np.full(count, LENGTH / count), RIBBON, 1000.0, 0.0)
+        masses = element_masses(
+            beams.elements, np.full(count, LENGTH / count), RIBBON, 1000.0, 0.0, np.ones((count, 2))
+        )
         M = np.zeros((2 * count + 2, 2 * count + 2))
         for e, own in enumerate(masses.matrices):
             M[2 * e : 2 * e + 4, 2 * e : 2 * e + 4] += own[np.ix_([0, 1, 4, 5], [0, 1, 4, 5])]

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import eigh
 from scipy.optimize import brentq
 from scipy.special import ellipk
 
@@ -19,7 +20,7 @@ from softrobot_twin.simulation import (
     Hold,
     Status,
 )
-from softrobot_twin.simulation.building.beam_bodies import build_section
+from softrobot_twin.simulation.building.beam_bodies import build_section, swept_surface
 from test.scene_changes import repeat_step
 
 YOUNG, RADIUS = 1.0e6, 0.002
@@ -515,3 +516,54 @@ def test_the_end_of_a_beam_points_where_its_effector_asks(simulate):
     x, carriers = simulation.state.positions, simulation.model.beams[0].carriers
     tangent = x[carriers.frame_nodes[-1] + 1] - x[carriers.frame_nodes[-1]]
     assert np.degrees(np.arccos(tangent @ wanted)) < 0.1
+
+
+# --- tapered beams --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("end_scale", "elements"), [(0.4, 32), (2.0, 32)])
+def test_a_cone_bends_stretches_and_weighs_as_in_theory(simulate, end_scale, elements):
+    def made(direction, count):
+        push = {"name": "push", "body": "rod", "points": [[1, 0, 0]], "direction": direction}
+        section = {"circle": {"radius": RADIUS}, "end_scale": end_scale}
+        return simulate(gravity=[0, 0, 0], beams=[rod(section=section, elements=count)], forces=[push],
+                        solver={"newton_iterations": 60, "residual_tolerance": 1e-12})  # fmt: skip
+
+    bent = made([0, 0, 1], elements)
+    force = 1e-4 * RIGIDITY
+    result = bent.step(CommandEfforts(np.array([force]), 1.0))
+    # F L³ / 3 E I at its thick end, by b/a; and the even stretch F L / E π a b.
+    assert result.displacements[0] == pytest.approx(force / (3.0 * RIGIDITY * end_scale), rel=2e-3)
+    stretched = made([1, 0, 0], 1).step(CommandEfforts(np.array([force]), 1.0))
+    assert stretched.displacements[0] == pytest.approx(force / (YOUNG * AREA * end_scale), rel=1e-6)
+    mass = 1e-6 * AREA * (1.0 + end_scale + end_scale**2) / 3.0
+    assert bent.model.beams[0].mass == pytest.approx(mass)
+
+
+def test_a_cone_vibrates_with_the_frequency_of_its_ritz_quotient(simulate):
+    nodes, weights = np.polynomial.legendre.leggauss(20)
+    x, weights, powers = 0.5 * (nodes + 1.0), 0.5 * weights, np.arange(2, 9)[:, None]
+    sizes = (1.0 - 0.5 * x) ** 2
+    bends, moves = powers * (powers - 1) * x ** (powers - 2), x**powers
+    K, M = (bends * weights * sizes**2) @ bends.T, (moves * weights * sizes) @ moves.T
+    frequency = np.sqrt(eigh(K, M, eigvals_only=True)[0] * RIGIDITY / (1000.0 * AREA))
+    cone = rod(section={"circle": {"radius": RADIUS}, "end_scale": 0.5}, density=1000.0, elements=16)
+    simulation = simulate(
+        gravity=[0, 0, -1e-4], beams=[cone], integration="dynamic",
+        time_scheme="generalized_alpha", spectral_radius=1.0,
+        solver={"newton_iterations": 30, "residual_tolerance": 1e-10},
+    )  # fmt: skip
+    step = 2.0 * np.pi / frequency / 100.0
+    heights = [repeat_step(simulation, Hold(step), 1).state.positions[-4, 2] for _ in range(101)]
+    # It swings about its balance: after a period it is where it was.
+    assert np.argmin(heights) == pytest.approx(50, abs=2)
+    assert heights[-1] == pytest.approx(0.0, abs=0.05 * np.ptp(heights))
+
+
+def test_the_surface_of_a_cone_narrows_to_its_end(simulate):
+    cone = rod(section={"circle": {"radius": RADIUS}, "end_scale": 0.25}, elements=4)
+    simulation = simulate(gravity=[0, 0, 0], beams=[cone])
+    points, _ = swept_surface(simulation.model.beams[0])
+    places = points.positions(simulation.state.positions)
+    radii = np.linalg.norm(places[:, 1:], axis=1)
+    np.testing.assert_allclose(radii[:-2], RADIUS * (1.0 - 0.75 * places[:-2, 0]), atol=1e-9)

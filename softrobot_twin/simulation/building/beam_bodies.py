@@ -136,7 +136,7 @@ class BeamBody:
     Attributes:
         entry: Its entry in the scene.
         index: Its index among the beams.
-        section: Its cross-section.
+        section: Its cross-section at the start.
         places: Its nodes at rest [m], shape (node_count, 3).
         axes: Axes of the cross-section at each node at rest, as columns: tangent, y, z, shape
             (node_count, 3, 3).
@@ -175,7 +175,23 @@ class BeamBody:
     @property
     def mass(self) -> float:
         """Its mass [kg]."""
-        return float(self.entry.material.density * self.section.area * self.lengths.sum())
+        a, b = self.scales.T
+        areas = self.section.area * (a * a + a * b + b * b) / 3.0
+        return float(self.entry.material.density * (areas * self.lengths).sum())
+
+    @property
+    def scales(self) -> np.ndarray:
+        """Size of the section at both ends of each element, by that at the start, shape
+        (element_count, 2).
+        """
+        along = np.concatenate([[0.0], np.cumsum(self.lengths)]) / self.lengths.sum()
+        sizes = 1.0 + along * (self.entry.section.end_scale - 1.0)
+        return np.column_stack([sizes[:-1], sizes[1:]])
+
+    @property
+    def radius(self) -> float:
+        """Distance of the furthest point of its sections from the axis [m]."""
+        return self.section.radius * max(1.0, self.entry.section.end_scale)
 
     @property
     def node_lengths(self) -> np.ndarray:
@@ -198,7 +214,8 @@ class BeamBody:
     @property
     def is_round(self) -> bool:
         """Whether it touches as a round body, of the radius of its section."""
-        return self.entry.section.rectangle is None
+        section = self.entry.section
+        return section.rectangle is None and section.end_scale == 1.0
 
     def axis_in_frames(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The axis at both ends of each element, in the frames that these move with.
@@ -326,7 +343,7 @@ class BeamBody:
             origins, frames.unknowns_of(origins.ravel()).reshape(-1, 2), c.local_places[ends],
             end_axes, rest,
             element_stiffness(
-                self.lengths, self.section, material.young_modulus, material.poisson_ratio
+                self.lengths, self.section.tapered(self.scales), material.young_modulus, material.poisson_ratio
             ),
             np.full(len(ends), self.entry.damping.stiffness),
         )  # fmt: skip
@@ -345,7 +362,8 @@ def all_elements(
     elements = [beam.elements(rest_positions, frames) for beam in beams]
     masses = [
         element_masses(
-            own, beam.lengths, beam.section, beam.entry.material.density, beam.entry.damping.mass
+            own, beam.lengths, beam.section, beam.entry.material.density, beam.entry.damping.mass,
+            beam.scales,
         )
         for beam, own in zip(beams, elements, strict=True)
     ]
@@ -666,7 +684,7 @@ class BeamNet:
         """The frames of nodes, by their order; their mass is that of the elements."""
         radius = np.zeros(len(self.is_fixed))
         for beam in self.beams:
-            reaches = beam.node_lengths + beam.section.radius
+            reaches = beam.node_lengths + beam.radius
             for k, ((kind, which), reach) in enumerate(zip(self._carriers_of(beam), reaches, strict=True)):
                 if kind == "frame":
                     base, node = self.representatives[which]
@@ -740,7 +758,7 @@ class BeamNet:
             points[h] = rotation.T @ (pivot.place - origin)
             rotations[h] = rotation.T @ beam.axes[node]
             arm = float(np.linalg.norm(beam.places[node] - pivot.place))
-            radii[h] = arm + beam.node_lengths[node] + beam.section.radius
+            radii[h] = arm + beam.node_lengths[node] + beam.radius
             if pivot.joint.axis is not None:
                 axis = np.array(pivot.joint.axis) / np.linalg.norm(pivot.joint.axis)
                 axes[h] = beam.axes[node].T @ axis
@@ -840,7 +858,8 @@ def _outlines(beam: BeamBody, elements: np.ndarray, shares: np.ndarray) -> np.nd
     y = axes[:, :, 1] - np.sum(axes[:, :, 1] * tangents, axis=1)[:, None] * tangents
     y /= np.linalg.norm(y, axis=1, keepdims=True)
     across = np.stack([y, np.cross(tangents, y)], axis=1)
-    outlines = np.einsum("pk,nki->npi", beam.section.outline, across)
+    sizes = np.sum(weights * beam.scales[elements], axis=1)
+    outlines = np.einsum("n,pk,nki->npi", sizes, beam.section.outline, across)
     corners = np.flatnonzero((shares == 0.0) & (elements > 0))
     before = beam.element_axes[elements[corners] - 1, 1, :, 0]
     own = tangents[corners]
@@ -849,7 +868,7 @@ def _outlines(beam: BeamBody, elements: np.ndarray, shares: np.ndarray) -> np.nd
     along = np.sum(between * own, axis=1)
     off = -np.einsum("npi,ni->np", outlines[corners], between)
     off /= np.where(along > 1.0e-9, along, np.inf)[:, None]
-    most = MOST_MITRE * beam.section.radius
+    most = MOST_MITRE * beam.radius
     outlines[corners] += np.clip(off, -most, most)[:, :, None] * own[:, None, :]
     return outlines
 
