@@ -58,11 +58,14 @@ class OwnConstants(NamedTuple):
         shear_modulus: Gives µ at rest [Pa] of a mapping of all of them by name; raises ValueError,
             which says why, where they do not fit each other.
         parameters: Makes the parameters from such a mapping and the bulk modulus [Pa].
+        bulk_modulus: Gives κ at rest [Pa] of laws whose constants say it; None where a scene gives
+            it or Poisson's ratio.
     """
 
     constants: tuple[LawConstant, ...]
     shear_modulus: Callable[[Mapping], float]
     parameters: Callable[[Mapping, float], tuple]
+    bulk_modulus: Callable[[Mapping], float] | None = None
 
 
 class PointLaw(NamedTuple):

@@ -293,6 +293,13 @@ class ElasticEntry(Entry):
         Raises:
             PydanticCustomError: A constant is missing, is none of the law's, or does not fit.
         """
+        own = law_named(law).own
+        if own is not None and own.bulk_modulus is not None:
+            for key in ("poisson_ratio", "bulk_modulus"):
+                if getattr(self, key) is not None:
+                    raise refusal(key, getattr(self, key), f"the law {law} has it among its constants")
+            self._check_own_constants(law, own)
+            return
         nu, kappa = self.volume_constants(otherwise)
         if nu is None and kappa is None:
             raise refusal("poisson_ratio", "(nothing)",
@@ -301,7 +308,6 @@ class ElasticEntry(Entry):
             raise refusal("poisson_ratio", nu,
                           f"the law {law} is not defined for an incompressible material: give less "
                           "than 0.5, or a law with a bulk modulus, such as neo_hookean")
-        own = law_named(law).own
         if own is not None:
             self._check_own_constants(law, own)
             return

@@ -5,6 +5,7 @@ from softrobot_twin.mechanics.laws import (
     mooney_rivlin,
     neo_hookean,
     ogden,
+    orthotropic,
     saint_venant_kirchhoff,
     small_displacement,
     yeoh,
@@ -13,5 +14,5 @@ from softrobot_twin.mechanics.point_law import law_named, law_names
 
 __all__ = [
     "corotational", "law_named", "law_names", "mooney_rivlin", "neo_hookean", "ogden",
-    "saint_venant_kirchhoff", "small_displacement", "yeoh",
+    "orthotropic", "saint_venant_kirchhoff", "small_displacement", "yeoh",
 ]  # fmt: skip

@@ -165,8 +165,12 @@ def material_parts(
         if cells is not None:
             volume = float(mesh.volumes[cells].sum())
         density = _or(own.density, base.density)
+        at_rest = law_at_rest(own, law, base)
+        if hasattr(at_rest.parameters, "turned"):
+            turn = Rotation.from_euler("xyz", entry.mesh.rotation).as_matrix()
+            at_rest = at_rest._replace(parameters=at_rest.parameters.turned(turn))
         made.append(MaterialPart(
-            place, law, *law_at_rest(own, law, base),
+            place, law, *at_rest,
             base.total_mass / volume if density is None else density, cells, volume,
             *_memory(_or(own.viscosity, base.viscosity), _or(own.softening, base.softening)),
             _strain_range(own, base),
@@ -203,6 +207,8 @@ def law_at_rest(entry: ElasticEntry, law: str, otherwise: ElasticEntry | None = 
         parameters = law_named(law).of_moduli(entry.young_modulus, nu)
         return AtRest(parameters, entry.young_modulus, nu)
     mu = own.shear_modulus(entry.constants)
+    if own.bulk_modulus is not None:
+        nu, kappa = None, own.bulk_modulus(entry.constants)
     if kappa is None:
         parameters = own.parameters(entry.constants, bulk_modulus_of_shear(mu, nu))
         return AtRest(parameters, 2.0 * mu * (1.0 + nu), nu)
