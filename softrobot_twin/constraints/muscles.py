@@ -215,14 +215,3 @@ class Muscles(ConstraintTerm):
             add_row_forces(self.entry_rows, self.entry_nodes, blocks, multipliers, self._pulls)
             pulls = self._pulls[self._points.free_count :]
         self._folded.add(positions, self._matrices, pulls, storage)
-
-    def stretches(self, positions: np.ndarray) -> np.ndarray:
-        """Mean stretch of the fibres of each muscle, by their work, shape (row_count,).
-
-        Args:
-            positions: Node positions [m], shape (node_count, 3).
-        """
-        places = positions[self._nodes] * (self._nodes >= 0)[:, :, None]
-        vectors = np.einsum("sa,sai->si", self._coefficients, places)
-        shares = self._laws[:, 0] * np.linalg.norm(vectors, axis=1)
-        return np.bincount(self._muscle, shares, self.row_count) / self.scales

@@ -105,10 +105,10 @@ class RestShape(Beams):
         self._k, self._pulls = np.zeros_like(self._k), elements.stiffness * change
 
     def follow_move(self, start: np.ndarray) -> None:
-        """Predict nothing; see the class."""
+        """Predict nothing; see `ForceTerm.follow_move` and the class."""
 
     def energy(self, positions: np.ndarray) -> float:
-        """-p · ε, in units of energy by those of the effort."""
+        """-p · ε, in units of energy by those of the effort; see `ForceTerm.energy`."""
         return -float(np.sum(self._pulls * (self.strains(positions) - self._rest)))
 
     def add(self, positions, forces, storage, projected: bool) -> None:

@@ -42,6 +42,14 @@ def test_the_push_on_the_diamond_is_found(run):
 
 
 @pytest.mark.exhaustive
+def test_the_arm_of_muscles_yields_less_where_it_is_stiffer(run, tmp_path):
+    seen = run("muscular_arm")
+    assert all(0.0 < value <= 1.0 for value in seen["activations"].values())
+    assert seen["yields"][1e6] < 0.5 * seen["yields"][100e3]
+    assert (tmp_path / "muscular_arm.png").stat().st_size > 10_000
+
+
+@pytest.mark.exhaustive
 def test_the_trunk_follows_its_path_while_the_cylinders_carry_it(run, tmp_path):
     seen = run("trunk_in_contact")
     assert seen["errors"].max() < 0.1  # mm
