@@ -46,11 +46,12 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.compilation import INNER, KERNEL, ONCE, njit
-from softrobot_twin.constraints.cable import CablePath, add_stiffness_kernel
+from softrobot_twin.constraints.cable import CablePath, add_stiffness_kernel, write_matrices
 from softrobot_twin.constraints.elastic_cable import ElasticCables
 from softrobot_twin.constraints.row_stack import add_row_forces
 from softrobot_twin.geometry.vector3 import cross, divided, dot, norm
 from softrobot_twin.mechanics.force_term import DenseRows, ForceTerm
+from softrobot_twin.mechanics.kinematics import CarriedPoints, CarriedRows
 from softrobot_twin.mechanics.springs import segment_vector
 
 # Iterations of Newton's method, halvings of a step that does not lower the potential enough, and
@@ -502,19 +503,23 @@ class FrictionCables(ElasticCables):
 
     def __init__(
         self, paths: tuple[CablePath, ...], free_index: np.ndarray, rest_positions: np.ndarray,
-        materials: CableMaterials,
+        materials: CableMaterials, points: CarriedPoints | None = None,
     ):  # fmt: skip
         """Divide the paths into segments.
 
         Args:
-            paths: The cables; none of their points is on a free rigid body.
-            free_index: Unknown of each node, -1 where fixed, shape (node_count,).
+            paths: The cables.
+            free_index: Unknown or carried point of each node, -1 where fixed, shape (node_count,).
             rest_positions: Node positions at rest [m], shape (node_count, 3).
             materials: How they stretch and rub.
+            points: The carried points of the scene; None without any.
         """
         super().__init__(
-            paths, free_index, rest_positions, axial_stiffness=materials.axial_stiffness
+            paths, free_index, rest_positions, points, axial_stiffness=materials.axial_stiffness
         )
+        self._carried = None
+        if self._points is not None:
+            self._carried = CarriedRows(points, len(self.entry_rows))
         self.materials, self._flexibility = materials, 1.0 / materials.axial_stiffness
         count = len(self.cable_of_stretch)
         self._firsts = np.searchsorted(self.cable_of_stretch, np.arange(len(paths) + 1))
@@ -593,15 +598,25 @@ class FrictionCables(ElasticCables):
 
         See `EffortTerm`.
         """
-        self._evaluate(positions, self._base, values)
+        self._measure_base(positions, values)
         self.solve(positions)
         of = self.stretch_of_entry
         np.multiply(self._base, self._force_slopes[of, None], out=blocks)
         np.subtract(self.rest_lengths, self.beyond[self._firsts[:-1]], out=values)
 
-    def length_blocks(self) -> np.ndarray:
-        """Entries of ∂δ/∂q at the state evaluated last, shape (entry_count, 3)."""
-        return self._base * self._length_slopes[self.stretch_of_entry, None]
+    def _measure_base(self, positions: np.ndarray, lengths: np.ndarray) -> None:
+        """Find the lengths of the paths [m], and what each segment pulls at, by unknowns."""
+        self._evaluate(positions, self._base, lengths)
+        self._on_unknowns = self.stretch_of_entry, self.entry_nodes, self._base
+        if self._carried is not None:
+            count = self._carried.reduce(positions, *self._on_unknowns)
+            found = self._carried.row_index, self._carried.node_index, self._carried.blocks
+            self._on_unknowns = tuple(own[:count] for own in found)
+
+    def displacement_entries(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Rows, unknowns and blocks of ∂δ/∂q at the state evaluated last."""
+        of, nodes, blocks = self._on_unknowns
+        return self.cable_of_stretch[of], nodes, blocks * self._length_slopes[of, None]
 
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
         """See `Cables.bind`."""
@@ -615,9 +630,9 @@ class FrictionCables(ElasticCables):
             positions: Node positions [m], shape (node_count, 3).
             forces: Forces on the unknowns [N], shape (free_node_count, 3); added to.
         """
-        self._evaluate(positions, self._base, np.zeros(self.row_count))
+        self._measure_base(positions, np.zeros(self.row_count))
         self.solve(positions)
-        add_row_forces(self.stretch_of_entry, self.entry_nodes, self._base, self.tensions, forces)
+        add_row_forces(*self._on_unknowns, self.tensions, forces)
 
     def add_stiffness(
         self, positions: np.ndarray, multipliers: np.ndarray, storage: np.ndarray,
@@ -625,15 +640,24 @@ class FrictionCables(ElasticCables):
     ) -> None:
         """Add the geometric stiffness of the told tensions; see `ConstraintTerm.add_stiffness`."""
         self.solve(positions)
-        add_stiffness_kernel(
-            positions, self._nodes, self._coefficients, self._constants, self._least,
-            self._rounding, np.arange(len(self.cable_of_stretch)), self.tensions, self._bound.offsets,
-            self._bound.strides, storage,
-        )  # fmt: skip
+        of_segments = (positions, self._nodes, self._coefficients, self._constants, self._least,
+                       self._rounding, np.arange(len(self.cable_of_stretch)), self.tensions)  # fmt: skip
+        if self._carried is None:
+            add_stiffness_kernel(*of_segments, self._bound.offsets, self._bound.strides, storage)
+            return
+        write_matrices(*of_segments, self._matrices)
+        pulls = None
+        if self._folded.turns and not projected:
+            base, lengths, pulls = self._pulls
+            self._evaluate(positions, base, lengths)
+            pulls[:] = 0.0
+            add_row_forces(self.stretch_of_entry, self.entry_nodes, base, self.tensions, pulls)
+            pulls = pulls[self._points.free_count :]
+        self._folded.add(positions, self._matrices, pulls, storage)
 
     def stick_rows(self) -> DenseRows:
         """Rows of the stiffness of sticking points, at the state evaluated last."""
-        of, parts = self.stretch_of_entry, []
+        (of, reached, base), parts = self._on_unknowns, []
         point, local = [], []
         for first, last in zip(self._firsts[:-1], self._firsts[1:], strict=True):
             point += range(first + 1, last)
@@ -642,9 +666,9 @@ class FrictionCables(ElasticCables):
         for row, (p, own) in enumerate(zip(point, local, strict=True)):
             entries = np.flatnonzero((of >= own.start) & (of < own.stop))
             factors = self._stick[p, of[entries] - own.start]
-            parts.append(self._base[entries] * factors[:, None])
+            parts.append(base[entries] * factors[:, None])
             rows.append(np.full(len(entries), row))
-            nodes.append(self.entry_nodes[entries])
+            nodes.append(reached[entries])
         none = np.empty(0, np.int64)
         return DenseRows(
             np.concatenate([none, *rows]), np.concatenate([none, *nodes]),

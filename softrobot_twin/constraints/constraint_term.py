@@ -170,7 +170,7 @@ class EffortTerm(ConstraintTerm, Protocol):
 
     A force term holds the forces of its efforts, and its rows only what a change of them adds. Other
     terms need not have these members. Where friction makes ∂δ/∂q another matrix than H, a term has a
-    method `length_blocks` that gives its entries, at the places of those of H.
+    method `displacement_entries` that gives its entries: their rows, unknowns and blocks.
 
     Attributes:
         takes_efforts: True.

@@ -127,7 +127,7 @@ class RowStack:
     @property
     def row_capacity(self) -> int:
         """Greatest number of rows that the memory can hold, with those of `displacement_rows`."""
-        more = sum(term.row_count for term in self.terms if hasattr(term, "length_blocks"))
+        more = sum(term.row_count for term in self.terms if hasattr(term, "displacement_entries"))
         return sum(term.row_capacity for term in self.terms) + more
 
     def _make_room(self) -> None:
@@ -379,11 +379,12 @@ class RowStack:
             return None
         rows, own, nodes, blocks = [], [], [], []
         for term, part in self._told_parts:
-            if hasattr(term, "length_blocks"):
+            if hasattr(term, "displacement_entries"):
                 own.append(np.arange(part.start, part.stop))
-                rows.append(term.entry_rows + sum(len(o) for o in own[:-1]))
-                nodes.append(term.entry_nodes)
-                blocks.append(term.length_blocks())
+                entries = term.displacement_entries()
+                rows.append(entries[0] + sum(len(o) for o in own[:-1]))
+                nodes.append(entries[1])
+                blocks.append(entries[2])
         if not own:
             return None
         return DisplacementRows(

@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 
 from softrobot_twin.constraints.cable_friction import FrictionCables
-from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, FollowTargets, Status
+from softrobot_twin.constraints.row_stack import RowStack
+from softrobot_twin.scene import scene_from_mapping
+from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, FollowTargets, Simulation, Status
+from test.builder import builder
 from test.scene_changes import repeat_step
 
 SHARES = "cable_friction_0.shares"
@@ -146,3 +149,90 @@ def test_a_beam_in_motion_comes_to_rest_at_the_capstan_equation(beam):
     tensions, angles = of_east(simulation)
     least, most = (tensions[0] * np.exp(s * 0.3 * angles.sum()) for s in (-1, 1))
     assert least * (1 - 1e-9) <= tensions[-1] <= most * (1 + 1e-9)
+
+
+# --- on frames ------------------------------------------------------------------------------------
+
+
+@builder
+def backbone(friction, joined=False) -> Simulation:
+    """Makes a rod with two tendons beside it, along nine points each; perhaps with a ball at its end."""
+    heights = np.linspace(0.0, 0.2, 9)
+    cables = [
+        {"name": name, "body": "rod", "pull_point": [x, 0.0, -0.01], "friction": friction,
+         "points": [[x, 0.0, z] for z in heights], "shortening": [-0.02, 0.05]}
+        for name, x in (("left", -0.004), ("right", 0.004))
+    ]  # fmt: skip
+    rod = {
+        "name": "rod", "points": [[0.0, 0.0, 0.0], [0.0, 0.0, 0.2]], "elements": 16,
+        "section": {"circle": {"radius": 0.001}}, "fixed": ["start"],
+        "material": {"young_modulus": 1e9, "poisson_ratio": 0.3, "density": 1000.0},
+    }  # fmt: skip
+    mapping = {
+        "name": "backbone", "gravity": [0.0, 0.0, 0.0], "beams": [rod], "cables": cables,
+        "effectors": [{"name": "tip", "body": "rod", "points": [[0.0, 0.0, 0.2]], "directions": ["x"]}],
+        "solver": {"newton_iterations": 60, "residual_tolerance": 1e-8},
+    }  # fmt: skip
+    if joined:
+        mapping["rigid_bodies"] = [{"name": "ball", "motion": "free", "mass": 0.01,
+                                    "sphere": {"radius": 0.01}, "position": [0.0, 0.0, 0.2]}]  # fmt: skip
+        rod["joined"] = [{"at": "end", "to": "ball"}]
+        for cable in cables:
+            cable["also_on"] = ["ball"]
+    return Simulation(scene_from_mapping(mapping, None))
+
+
+def pull_right(simulation, shortening):
+    """Pulls one tendon and pays the other out, until it rests."""
+    return repeat_step(simulation, CommandSetpoints(
+        simulation.rest_setpoints - [-0.02, shortening], 0.1), 2)  # fmt: skip
+
+
+@pytest.mark.parametrize("joined", [False, True])
+def test_pulling_and_releasing_a_tendon_along_a_beam_give_the_capstan_equation(backbone, joined):
+    simulation = backbone(0.3, joined)
+    for way, last in ((1.0, np.linspace(0.001, 0.006, 6)), (-1.0, np.linspace(0.005, 0.001, 5))):
+        for shortening in last:
+            result = pull_right(simulation, shortening)
+            assert result.status is Status.OK
+        term = term_of(simulation)
+        tensions, angles = term.tensions[9:], term.angles[9:]
+        if way > 0.0:
+            assert angles.sum() > 1.0
+        assert tensions[-1] == pytest.approx(tensions[0] * np.exp(-way * 0.3 * angles.sum()), rel=1e-6)
+
+
+def test_without_friction_the_term_bends_a_beam_as_plain_tendons_do(backbone):
+    plain, tiny = backbone(0.0), backbone(1e-9)
+    a, b = (pull_right(simulation, 0.005) for simulation in (plain, tiny))
+    np.testing.assert_allclose(a.efforts, b.efforts, atol=1e-5)
+    np.testing.assert_allclose(a.state.positions, b.state.positions, atol=1e-7)
+
+
+def test_the_inverse_bends_a_beam_to_its_target_against_friction(backbone):
+    simulation = backbone(0.3)
+    target = simulation.effector_positions() + [0.05, 0.0, 0.0]
+    result = repeat_step(simulation, FollowTargets(target, 0.1), 30)
+    assert result.status.is_success and result.effector_errors[0] < 1e-5
+    again = repeat_step(backbone(0.3), CommandSetpoints(result.setpoints, 0.1), 5)
+    np.testing.assert_allclose(again.effector_positions[0, 0], target[0, 0], atol=2e-3)
+
+
+def test_forces_and_lengths_on_a_beam_are_slopes(backbone):
+    simulation = backbone(0.3)
+    pull_right(simulation, 0.005)
+    term, nodes, x = term_of(simulation), simulation.model.nodes, simulation.state.positions
+
+    def held(tensions):
+        forces = np.zeros((nodes.free_node_count, 3))
+        term.tell_efforts(np.array(tensions))
+        term.held_forces.add_forces(x, forces)
+        return forces
+
+    slope = (held([1e-9, 1.001]) - held([1e-9, 0.999])) / 2e-3
+    held([1e-9, 1.0])
+    rows = RowStack([term], nodes.carried)
+    rows.evaluate(x)
+    H = np.zeros((2, nodes.free_node_count, 3))
+    np.add.at(H, (rows.row_index, rows.node_index), rows.blocks)
+    np.testing.assert_allclose(H[1], slope, atol=1e-6)

@@ -140,10 +140,8 @@ def _friction_term(
     scene, nodes = layout.scene, layout.nodes
     index = next(index for index, cable in enumerate(entries) if cable.friction)
     reason = ""
-    if nodes.carried is not None and any(
-        (nodes.free_index[path.points.nodes] >= nodes.carried.free_count).any() for path in paths
-    ):
-        reason = "scenes with cables over beams, free rigid bodies, vertebrae or reduced bodies"
+    if any(body.vertebrae is not None or body.reduction is not None for body in layout.bodies):
+        reason = "scenes with vertebrae or reduced bodies"
     elif scene.time_scheme != "backward_euler":
         reason = f"time_scheme {scene.time_scheme}"
     if reason:
@@ -161,7 +159,7 @@ def _friction_term(
         _axial_stiffness(entries), np.array([cable.friction for cable in entries]),
         np.array(presliding),
     )  # fmt: skip
-    return FrictionCables(paths, nodes.free_index, nodes.rest_positions, materials)
+    return FrictionCables(paths, nodes.free_index, nodes.rest_positions, materials, nodes.carried)
 
 
 def _limit_by_pulleys(
