@@ -81,9 +81,8 @@ REFUSED = {
         ({"cables.0.friction": 0.3, "cables.0.presliding": 0.0}, "cables[0].presliding", " m"),
         ({"cables.0.friction": 0.0, "cables.0.presliding": 1e-4}, "cables[0].presliding",
          "give friction"),
-        ({"cables.*.friction": 0.3, "cables.0.pull_point_on": "block", "integration": "dynamic",
-          "rigid_bodies": [{"name": "block", "mass": 0.1, "box": {"size": [0.1, 0.1, 0.02]}}]},
-         "cables[0].friction", "over beams, free rigid bodies, vertebrae"),
+        ({"cables.*.friction": 0.3, "body.material": RUBBER, "body.vertebrae": VERTEBRAE},
+         "cables[0].friction", "scenes with vertebrae or reduced bodies"),
         ({"cables.*.friction": 0.3, "integration": "dynamic", "time_scheme": "generalized_alpha"},
          "cables[0].friction", "time_scheme generalized_alpha"),
         # Contact, obstacles and their files.

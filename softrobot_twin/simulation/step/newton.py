@@ -128,7 +128,9 @@ class Newton:
         self._step_limit = self._whole_limit
         self._time_step = self._last_move = self._slope = 0.0
         self._moves_to_make = 0
-        self._conserves = model.actuators.conserves
+        self._conserves, is_slender = model.actuators.conserves, any(t.is_slender for t in model.forces)
+        # Whole moves of slender bodies push back, and converge all the same.
+        self._searches = not (self._conserves or is_slender)
         self._judged: Actuation | None = None
         self._judges_projection = False
         # What the last move of the step displaced, where contacts may lead to and fro.
@@ -140,7 +142,7 @@ class Newton:
         factorization = model.factorization
         self._augmented, self._held = augmented_tangent_of(model), None
         self._projects_in_part = (
-            any(term.is_slender for term in model.forces) and not isinstance(factorization, DenseStiffness)
+            is_slender and not isinstance(factorization, DenseStiffness)
             and not model.is_dynamic and self._conserves
         )  # fmt: skip
         self._was_folded = self._follows = False
@@ -701,7 +703,7 @@ class Newton:
         """
         if actuation.are_efforts_given:
             is_judged = is_judged and (self.projected_tangent or self.is_nearly_flat)
-        is_searched = not self._conserves and is_judged and not actuation.are_efforts_given
+        is_searched = self._searches and is_judged and not actuation.are_efforts_given
         self._judges_projection = self._projects_in_part and self.projected_tangent
         needs_slope = self._model.is_dynamic or not self._conserves or self._judges_projection
         if needs_slope or (self.merit is not None and is_judged):
