@@ -7,6 +7,9 @@ from softrobot_twin.constraints.cable_friction import FrictionCables
 from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, FollowTargets, Simulation, Status
+
+from .building.test_reduced_body import spanning_basis
+from .test_reduced_contact import saved_beside
 from test.builder import builder
 from test.scene_changes import repeat_step
 
@@ -236,3 +239,13 @@ def test_forces_and_lengths_on_a_beam_are_slopes(backbone):
     H = np.zeros((2, nodes.free_node_count, 3))
     np.add.at(H, (rows.row_index, rows.node_index), rows.blocks)
     np.testing.assert_allclose(H[1], slope, atol=1e-6)
+
+
+def test_on_a_basis_that_spans_everything_friction_is_that_of_the_full_body(beam, tmp_path):
+    full = beam(rubbing(0.3))
+    reduced = saved_beside(full, spanning_basis(full.model.bodies[0]), tmp_path / "reduced.npz")
+    for shortening in (0.004, 0.008, 0.006):
+        a, b = (pull(simulation, shortening, 0.0, 0.0, 0.0) for simulation in (full, reduced))
+        assert a.status is b.status is Status.OK
+        np.testing.assert_allclose(b.efforts, a.efforts, atol=1e-5)
+        np.testing.assert_allclose(b.effector_positions, a.effector_positions, atol=1e-7)

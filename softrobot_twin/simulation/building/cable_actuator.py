@@ -139,14 +139,9 @@ def _friction_term(
     """
     scene, nodes = layout.scene, layout.nodes
     index = next(index for index, cable in enumerate(entries) if cable.friction)
-    reason = ""
-    if any(body.vertebrae is not None or body.reduction is not None for body in layout.bodies):
-        reason = "scenes with vertebrae or reduced bodies"
-    elif scene.time_scheme != "backward_euler":
-        reason = f"time_scheme {scene.time_scheme}"
-    if reason:
+    if scene.time_scheme != "backward_euler":
         raise scene.error(f"cables[{index}].friction", entries[index].friction,
-                          f"friction along cables is not built for {reason}")
+                          f"friction along cables is not built for time_scheme {scene.time_scheme}")
     lengths = [
         np.linalg.norm(np.diff(path.positions(nodes.rest_positions), axis=0), axis=1).sum()
         for path in paths
