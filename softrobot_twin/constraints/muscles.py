@@ -28,6 +28,7 @@ Arguments of the kernels here:
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -47,7 +48,7 @@ _ZERO = np.zeros(3)
 
 
 class Fibres(NamedTuple):
-    """The fibres of one muscle.
+    """Fibres of one muscle, of one width.
 
     Attributes:
         nodes: Nodes of each fibre, -1 where there is none, shape (fibre_count, width).
@@ -136,7 +137,7 @@ class Muscles(ConstraintTerm):
     is_traceable = True
 
     def __init__(
-        self, muscles: tuple[Fibres, ...], free_index: np.ndarray,
+        self, muscles: Sequence[Sequence[Fibres]], free_index: np.ndarray,
         points: CarriedPoints | None = None,
     ):  # fmt: skip
         """Lay out the rows.
@@ -146,16 +147,20 @@ class Muscles(ConstraintTerm):
             free_index: Unknown or carried point of each node, -1 where fixed, shape (node_count,).
             points: The carried points of the scene; None without any.
         """
-        self.row_count, width = len(muscles), max(own.nodes.shape[1] for own in muscles)
-        padded = [((0, 0), (0, width - own.nodes.shape[1])) for own in muscles]
-        self._nodes = np.concatenate([np.pad(own.nodes, pad, constant_values=-1)
-                                      for own, pad in zip(muscles, padded, strict=True)])  # fmt: skip
-        self._coefficients = np.concatenate([np.pad(own.coefficients, pad)
-                                             for own, pad in zip(muscles, padded, strict=True)])  # fmt: skip
-        self._muscle = np.repeat(np.arange(len(muscles)), [len(own.nodes) for own in muscles])
+        parts = [own for muscle in muscles for own in muscle]
+        width = max(own.nodes.shape[1] for own in parts)
+        pads = [((0, 0), (0, width - own.nodes.shape[1])) for own in parts]
+        self._nodes, self._coefficients = (
+            np.concatenate([np.pad(own[field], pad, constant_values=none)
+                            for own, pad in zip(parts, pads, strict=True)])
+            for field, none in ((0, -1), (1, 0.0))
+        )  # fmt: skip
+        self.row_count = len(muscles)
+        counts = [sum(len(own.nodes) for own in muscle) for muscle in muscles]
+        self._muscle = np.repeat(np.arange(len(muscles)), counts)
         self._laws = np.concatenate([
             np.column_stack([own.forces, own.lengths, np.tile(own.law, (len(own.nodes), 1))])
-            for own in muscles
+            for own in parts
         ])  # fmt: skip
         work = self._laws[:, 0] * self._laws[:, 1]
         self.scales = np.bincount(self._muscle, work, len(muscles))

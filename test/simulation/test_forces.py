@@ -201,12 +201,6 @@ def test_derivatives_beside_a_force_are_those_of_its_equilibria(column, on_frame
         np.testing.assert_allclose(found, expected, atol=2e-3 * np.abs(expected).max())
 
 
-def test_a_force_on_a_turned_frame_leads_to_balance(on_frames):
-    for turns in (False, True):
-        result = hold(on_frames(turns), 0.05, 0.1)
-        assert result.report.residual < 1e-6
-
-
 def test_columns_and_explain_name_a_force_with_its_unit(column):
     entry = force(points=TOP, rate=2.0)
     del entry["direction"]

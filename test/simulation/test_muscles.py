@@ -10,7 +10,6 @@ from softrobot_twin.simulation import (
     CommandEfforts,
     CommandSetpoints,
     FollowTargets,
-    Hold,
     Simulation,
     Status,
 )
@@ -90,17 +89,6 @@ def test_an_artificial_muscle_contracts_freely_by_its_contraction(column):
     strong = column(region(stress=1e7, **LINE), cells=(1, 1, 2))
     result = repeat_step(strong, CommandSetpoints(np.ones(1), 1.0), 10)
     assert contraction(result) == pytest.approx(0.2, rel=0.01)
-
-
-def test_the_work_of_activation_is_the_energy_of_the_body(column):
-    simulation, work = column(region(**BELL)), 0.0
-    before = hold(simulation, 0.0)
-    for activation in np.linspace(0.05, 1.0, 20):
-        result = hold(simulation, activation)
-        work += (activation - 0.025) * (result.displacements[0] - before.displacements[0])
-        before = result
-    energy = sum(term.energy(result.state.positions) for term in simulation.model.forces)
-    assert work == pytest.approx(energy, rel=2e-3)
 
 
 def test_a_muscle_at_one_side_bends_and_a_thread_pulls_as_a_cable_does(column):
@@ -187,12 +175,3 @@ def test_a_muscle_that_cannot_be_is_refused(column, entry, key, why):
     with pytest.raises(SceneError) as refused:
         column(entry)
     assert key in str(refused.value) and why in str(refused.value)
-
-
-def test_a_state_with_muscles_is_complete(column):
-    simulation = column(region(**BELL))
-    hold(simulation, 0.6)
-    state = simulation.state
-    one = simulation.step(Hold(0.1))
-    simulation.restore(state)
-    assert simulation.step(Hold(0.1)).state.positions.tobytes() == one.state.positions.tobytes()

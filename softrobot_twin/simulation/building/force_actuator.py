@@ -21,8 +21,6 @@ from softrobot_twin.simulation.building.scene_layout import Layout
 # thousand.
 FORCE_RANGE = (1.0e-4, 50.0)
 """Of the force that would move its points by the size of the body, if it were linear."""
-DISPLACEMENT_RANGE = (1.0e-3, 10.0)
-"""Of the size of the largest body."""
 AXES = ("x", "y", "z")
 
 
@@ -69,14 +67,9 @@ class ForceActuator(ActuatorKind):
 
     def doubts(self, model, group: ActuatorGroup) -> Iterator[str]:
         """Limits that are a thousand times out of scale; see `ActuatorKind.doubts`."""
-        size, first = model.nodes.size, 0
-        asked = any(0.0 < max(map(abs, force.force)) < np.inf for force in model.scene.forces)
+        asked, first = any(max(map(abs, force.force)) < np.inf for force in model.scene.forces), 0
         moving = efforts_at_scale(model, group.term) if asked else None
         for key, force in model.scene.keyed(self.section):
-            ends = [abs(end) for end in force.displacement if np.isfinite(end)]
-            yield from unlikely(f"{key}.displacement", max(ends, default=0.0), "m", size,
-                                DISPLACEMENT_RANGE, f"the largest body is {size:.3g} m long; is "
-                                "the limit in metres?")  # fmt: skip
             if moving is not None:
                 yield from unlikely(f"{key}.force", max(map(abs, force.force)), "N",
                                     float(moving[first]), FORCE_RANGE,

@@ -68,14 +68,11 @@ class MuscleActuator(ActuatorKind):
         if entry.points is not None:
             place = f"a thread of {count(entry.points, 'point')}, {entry.force:.6g} N"
         else:
-            place = f"{_place(entry)} along {vector(entry.direction)}, {1e-3 * entry.stress:.6g} kPa"
+            place = entry.box.describe() if entry.region is None else f"region {entry.region}"
+            place += f" along {vector(entry.direction)}, {1e-3 * entry.stress:.6g} kPa"
         free, bell = entry.free_contraction, entry.force_length
         by_length = None if free is None else f"contracts freely by {100.0 * free:.6g} %"
         return words(place, by_length, None if bell is None else bell.describe())
-
-
-def _place(entry: Muscle) -> str:
-    return f"region {entry.region}" if entry.box is None else entry.box.describe()
 
 
 def _law(entry: Muscle) -> tuple[float, float, float]:
@@ -85,7 +82,7 @@ def _law(entry: Muscle) -> tuple[float, float, float]:
     return (0.0 if entry.free_contraction is None else 1.0 / entry.free_contraction), 0.0, 0.0
 
 
-def _thread(layout: Layout, key: str, entry: Muscle, notes: list[str]) -> Fibres:
+def _thread(layout: Layout, key: str, entry: Muscle, notes: list[str]) -> list[Fibres]:
     """A fibre between each two points of a thread."""
     bodies = layout.bodies_of(entry)
     if len(bodies) == 1:
@@ -96,7 +93,7 @@ def _thread(layout: Layout, key: str, entry: Muscle, notes: list[str]) -> Fibres
     if not len(lengths):
         raise layout.scene.error(f"{key}.points", entry.name, "all its points are one place")
     nodes, coefficients = _between(first, second)
-    return Fibres(nodes, coefficients, lengths, np.full(len(lengths), entry.force), _law(entry))
+    return [Fibres(nodes, coefficients, lengths, np.full(len(lengths), entry.force), _law(entry))]
 
 
 def _between(first: BarycentricMapping, second: BarycentricMapping) -> tuple[np.ndarray, np.ndarray]:
@@ -112,26 +109,21 @@ def _between(first: BarycentricMapping, second: BarycentricMapping) -> tuple[np.
     return np.where(weights == 0.0, -1, nodes), weights
 
 
-def _region(layout: Layout, key: str, entry: Muscle, notes: list[str]) -> Fibres:
-    """A fibre at each quadrature point of the cells of a region."""
+def _region(layout: Layout, key: str, entry: Muscle, notes: list[str]) -> list[Fibres]:
+    """A fibre at each quadrature point of the cells of a region, by kind of cells."""
     body = layout.body_named(entry.body)
     if body.reduction is not None or body.vertebrae is not None:
         raise layout.scene.error(f"{key}.body", body.name,
                                  "is reduced: a muscle in a region of it is not built; give points")
     cells = claimed_cells(entry, key, body.entry, body.mesh, body.parts, layout.scene, notes)
     direction = np.array(entry.direction) / np.linalg.norm(entry.direction)
-    parts = []
+    found = []
     for block in layout.mesh_among_nodes(body).strained_blocks(cells):
-        points, mesh = points_of(block.mesh), block.mesh
-        width, at = mesh.cells.shape[1], points.weights.shape[1]
-        present = np.arange(width) < node_counts_of(mesh)[:, None]
-        nodes = np.repeat(np.where(present, mesh.cells, -1), at, axis=0)
-        coefficients = (points.gradients @ direction).reshape(-1, points.gradients.shape[2])
-        parts.append((nodes, np.where(nodes >= 0, coefficients[:, :width], 0.0), points.weights.ravel()))
-    width = max(nodes.shape[1] for nodes, _, _ in parts)
-    pads = [((0, 0), (0, width - nodes.shape[1])) for nodes, _, _ in parts]
-    nodes = np.concatenate([np.pad(part[0], pad, constant_values=-1)
-                            for part, pad in zip(parts, pads, strict=True)])  # fmt: skip
-    coefficients = np.concatenate([np.pad(part[1], pad) for part, pad in zip(parts, pads, strict=True)])
-    volumes = np.concatenate([volume for _, _, volume in parts])
-    return Fibres(nodes, coefficients, np.ones(len(volumes)), entry.stress * volumes, _law(entry))
+        (gradients, volumes), mesh = points_of(block.mesh), block.mesh
+        present = np.arange(mesh.cells.shape[1]) < node_counts_of(mesh)[:, None]
+        nodes = np.repeat(np.where(present, mesh.cells, -1), volumes.shape[1], axis=0)
+        slopes = (gradients @ direction).reshape(nodes.shape)
+        volumes = volumes.ravel()
+        found.append(Fibres(nodes, np.where(nodes >= 0, slopes, 0.0), np.ones(len(volumes)),
+                            entry.stress * volumes, _law(entry)))  # fmt: skip
+    return found
