@@ -104,8 +104,9 @@ def describe_actuator(group: ActuatorGroup, index: int, entry) -> str:
     """
     kind = group.kinds[index] if group.kinds else group.kind
     parts = [kind.details(entry, group, index)]
+    rest = group.effort_zeros[index] if group.has_rest_efforts else 0.0
     for quantity, bounds in ((kind.displacement, group.displacement_bounds[index]),
-                             (kind.effort, group.effort_bounds[index])):
+                             (kind.effort, group.effort_bounds[index] + rest)):
         factor, unit = _shown(quantity)
         parts.append(f"{quantity.word} {limits(factor * np.asarray(bounds), unit)}")
     if np.isfinite(group.rates[index]):

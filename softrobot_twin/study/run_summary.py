@@ -53,7 +53,7 @@ class RunSummary:
         """
         self.unit, self._hold = unit, hold
         self._effectors = simulation.effector_names
-        self._kinds = simulation.actuators.kind_of
+        self._kinds, self._told = simulation.actuators.kind_of, simulation.actuators.told_efforts
         self._pairs = pair_names(simulation)
         self._free = [index for index, part in enumerate(simulation.model.rigid) if part.is_free]
         self._free_names = [simulation.model.rigid[index].name for index in self._free]
@@ -176,7 +176,7 @@ class RunSummary:
 
     def _of_actuators(self) -> list[tuple[str, str]]:
         """Ranges of displacement and effort of each actuator; those that are alike in one row."""
-        displacements, efforts = self._series("displacements"), self._series("efforts")
+        displacements, efforts = self._series("displacements"), self._told(self._series("efforts"))
         alike: dict[tuple[str, str], list[str]] = {}
         names, of = tuple(self._kinds), tuple(self._kinds.values())
         for noun, places in by_key((kind.noun, index) for index, kind in enumerate(of)).items():

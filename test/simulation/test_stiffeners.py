@@ -88,7 +88,7 @@ def test_columns_and_explain_name_a_stiffener(beam):
     assert header[header.index("jam_young_modulus_Pa") :][:2] == (
         "jam_young_modulus_Pa", "jam_strained_volume_m3")
     told = {effect.entry: effect.content for effect in effects(simulation)}
-    assert "E 100 kPa, 10 to 1000 kPa" in told["stiffeners: jam"]
+    assert "E 100 kPa at rest, strained_volume without limit, young_modulus [10, 1000] kPa" in told["stiffeners: jam"]
 
 
 @pytest.mark.parametrize("entry, change, key, why", [

@@ -11,7 +11,7 @@ from softrobot_twin.study.run_summary import RunSummary
 
 SIMULATION = SimpleNamespace(
     effector_names=(), scene=SimpleNamespace(gravity=(0.0, 0.0, 0.0)),
-    actuators=SimpleNamespace(kind_of={}), model=SimpleNamespace(contacts=None, rigid=[]),
+    actuators=SimpleNamespace(kind_of={}, told_efforts=np.array), model=SimpleNamespace(contacts=None, rigid=[]),
     state=SimpleNamespace(positions=None))
 NONE = np.zeros((0, 3))
 

@@ -66,6 +66,8 @@ class ActuatorGroup:
         effort_zeros: What is told of an effort of 0 [effort unit], shape (count,); by default 0. Of
             what is effort-driven it is the setpoint at rest.
         effort_gains: Effort by what is told of it, less the zero, shape (count,); by default 1.
+        has_rest_efforts: Whether the zeros are efforts at rest, such as moduli, and not errors of
+            sensors.
         entries: Entry of each, where an entry is several actuators; by default one after the other.
     """
 
@@ -86,6 +88,7 @@ class ActuatorGroup:
     effort_zeros: np.ndarray | None = None
     effort_gains: np.ndarray | None = None
     entries: tuple[ActuatorEntry, ...] = ()
+    has_rest_efforts: bool = False
 
     def __post_init__(self) -> None:
         """Fill in what is usual."""

@@ -46,15 +46,14 @@ class StiffenerActuator(ActuatorKind):
             np.tile([-np.inf, np.inf], (len(entries), 1)),
             np.array([np.inf if entry.rate is None else entry.rate for entry in entries]),
             np.array([entry.young_modulus for entry in entries]) - zeros[:, None],
-            volumes / layout.nodes.size, effort_zeros=zeros,
+            volumes / layout.nodes.size, effort_zeros=zeros, has_rest_efforts=True,
         )  # fmt: skip
 
     def details(self, entry: Stiffener, group: ActuatorGroup, index: int) -> str:
         """See `ActuatorKind.details`."""
         whole = "the whole body" if entry.box is None else entry.box.describe()
-        low, high = (1e-3 * end for end in entry.young_modulus)
         place = whole if entry.region is None else f"region {entry.region}"
-        return f"{place}, E {1e-3 * group.rest_setpoints[index]:.6g} kPa, {low:.6g} to {high:.6g} kPa"
+        return f"{place}, E {1e-3 * group.rest_setpoints[index]:.6g} kPa at rest"
 
 
 def _part(layout: Layout, key: str, entry: Stiffener, notes: list[str]) -> MaterialPart:
