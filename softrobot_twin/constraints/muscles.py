@@ -41,6 +41,7 @@ from softrobot_twin.geometry.vector3 import norm, scaled, set_row
 from softrobot_twin.mechanics.kinematics import CarriedPoints, FoldedSegments
 from softrobot_twin.mechanics.springs import segment_vector
 from softrobot_twin.mechanics.stencil import add_weighted_matrices, bind_stencils
+from softrobot_twin.traced_stage import clear
 
 # A fibre that is shorter than this share of its length at rest has no direction.
 NO_STRETCH = 1.0e-6
@@ -169,7 +170,9 @@ class Muscles(ConstraintTerm):
         self._lay_out_entries()
         if points is not None and (self._free >= points.free_count).any():
             self._folded = FoldedSegments(points, self._free, self._coefficients)
-            self._points, self._pulls = points, np.empty((points.free_count + points.count, 3))
+            self._points = points
+            self._buffer = np.empty((len(self.entry_rows), 3)), np.empty(self.row_count)
+            self._pulls = np.empty((points.free_count + points.count, 3))
 
     def _lay_out_entries(self) -> None:
         self._free = np.where(self._nodes >= 0, self._free_index[self._nodes], -1)
@@ -214,9 +217,8 @@ class Muscles(ConstraintTerm):
             return
         pulls = None
         if self._folded.turns and not projected:
-            blocks, works = np.empty((len(self.entry_rows), 3)), np.empty(self.row_count)
-            self.evaluate(positions, blocks, works)
-            self._pulls[:] = 0.0
-            add_row_forces(self.entry_rows, self.entry_nodes, blocks, multipliers, self._pulls)
+            self.evaluate(positions, *self._buffer)
+            clear(self._pulls.reshape(-1))
+            add_row_forces(self.entry_rows, self.entry_nodes, self._buffer[0], multipliers, self._pulls)
             pulls = self._pulls[self._points.free_count :]
         self._folded.add(positions, self._matrices, pulls, storage)

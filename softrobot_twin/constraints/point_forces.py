@@ -31,6 +31,7 @@ from softrobot_twin.geometry.vector3 import dot, row, scaled, set_row
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.kinematics import CarriedPoints, FoldedStiffness
 from softrobot_twin.mechanics.stencil import bind_stencils, lower_pairs
+from softrobot_twin.traced_stage import clear
 
 
 class PointForce(NamedTuple):
@@ -112,6 +113,7 @@ class PointForces(ConstraintTerm):
         self.entry_rows, self.entry_nodes = self._rows[moves], unknowns[moves]
         self._stencils = self._coupled(forces, free_index, points)
         self._points, self._folded = points, None
+        self._buffer = np.empty((len(self.entry_rows), 3)), np.empty(self.row_count)
         if points is not None and (self._stencils >= points.free_count).any():
             self._folded = FoldedStiffness(points, self._stencils)
             self._pulls = np.empty((points.free_count + points.count, 3))
@@ -157,13 +159,12 @@ class PointForces(ConstraintTerm):
         """
         if projected or not len(self._stencils):
             return
-        blocks, values = np.empty((len(self.entry_rows), 3)), np.empty(self.row_count)
-        self.evaluate(positions, blocks, values)
+        self.evaluate(positions, *self._buffer)
         if self._folded is None:
             self._add_turning(multipliers, storage)
             return
-        self._pulls[:] = 0.0
-        add_row_forces(self.entry_rows, self.entry_nodes, blocks, multipliers, self._pulls)
+        clear(self._pulls.reshape(-1))
+        add_row_forces(self.entry_rows, self.entry_nodes, self._buffer[0], multipliers, self._pulls)
         self._folded.clear()
         self._add_turning(multipliers, self._folded.scratch)
         self._folded.fold(positions, self._pulls[self._points.free_count :], storage)
@@ -178,7 +179,7 @@ class PointForces(ConstraintTerm):
             positions: Node positions [m], shape (node_count, 3).
             length: Length of each line [m].
         """
-        self.evaluate(positions, np.empty((len(self.entry_rows), 3)), np.empty(self.row_count))
+        self.evaluate(positions, *self._buffer)
         tips = [point.positions(positions)[0] for point in self.points]
         return [np.stack([tip - length * d, tip])
                 for tip, d in zip(tips, self._directions, strict=True)]  # fmt: skip
@@ -255,7 +256,7 @@ class TurningForces(PointForces):
 
     def lacking_stiffness(self, positions: np.ndarray, multipliers: np.ndarray, size: int):
         """See `ConstraintTerm.lacking_stiffness`."""
-        self.evaluate(positions, np.empty((len(self.entry_rows), 3)), np.empty(self.row_count))
+        self.evaluate(positions, *self._buffer)
         lacking = sp.csr_array((size + 3 * (self._points.count if self._points else 0),) * 2)
         for part in self._parts:
             slopes, places = self._slopes(part, multipliers), 3 * part[2][:, None] + np.arange(3)

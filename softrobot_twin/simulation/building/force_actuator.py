@@ -83,8 +83,7 @@ class ForceActuator(ActuatorKind):
 
     def details(self, entry: Force, group: ActuatorGroup, index: int) -> str:
         """See `ActuatorKind.details`."""
-        place = entry.box or entry.sphere
-        at = count(entry.points, "point") if place is None else f"the surface in a {_word(entry)}"
+        at = count(entry.points, "point") if entry.points else f"the surface in a {_word(entry)}"
         along = AXES[index % 3] if entry.direction is None else vector(entry.direction)
         turns = "turns with the body" if entry.turns_with_body else None
         return words(f"at {at}, along {along}", turns, f"driven by {entry.control}")
@@ -97,11 +96,8 @@ def _word(entry: Force) -> str:
 def _forces(layout: Layout, key: str, entry: Force, notes: list[str]) -> list[PointForce]:
     """The force of an entry, or the three along the axes."""
     nodes = layout.nodes
-    if entry.points is not None:
-        points = layout.carried(entry.body, entry.points, f"{key}.points", notes)
-        shares = None
-    else:
-        points, shares = _surface(layout, key, entry)
+    points, shares = _surface(layout, key, entry) if entry.points is None else (
+        layout.carried(entry.body, entry.points, f"{key}.points", notes), None)  # fmt: skip
     moving = nodes.free_index[points.nodes[points.barycentric_weights != 0.0]] >= 0
     if not moving.any():
         raise layout.scene.error(key, entry.name, "lies wholly in what is fixed: it moves nothing")

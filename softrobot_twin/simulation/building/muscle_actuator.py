@@ -17,7 +17,7 @@ from softrobot_twin.simulation.building.deformable_body import claimed_cells
 from softrobot_twin.simulation.building.limits import efforts_at_scale, unlikely
 from softrobot_twin.simulation.building.scene_layout import Layout
 
-FULL_RANGE = (2.0e-2, 1.0e4)
+FULL_RANGE = (2.0e-2, 1.0e3)
 """Activations beyond this, which would contract a muscle to nothing, are reported."""
 
 
