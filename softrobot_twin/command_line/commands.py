@@ -438,10 +438,11 @@ def calibrate(
         scene (SCENE): Scene file (YAML).
         data (FILE): Recorded runs (.mcap), or tables (.csv) with setpoints, markers (marker_4_x_m) and
             efforts.
-        fit (KEY): Numbers to fit, perhaps with *; keys joined by + change together (default: what the
-            data tell).
+        fit (KEY): Numbers to fit, perhaps with *; keys joined by + change together, # moves copies of a
+            repeated entry (default: those that lower the error of poses held back).
         known (KEY=DEVIATION): Standard deviation before the fit, in the unit of the number, or as a
-            share of moduli and densities (default: 30 % of moduli, 2 % of the size for lengths).
+            share of moduli and densities (default: 30 % of moduli, 2 % of the size for lengths). Or
+            KEY=VALUE±DEVIATION of what was measured otherwise.
         check (FILE): Runs and tables that judge the result (default: every fourth pose).
         output (FILE.yaml): Scene to write (default: beside the scene, SCENE_calibrated.yaml).
         picture (FILE.png): Draw the errors before and after, and the intervals.
