@@ -33,7 +33,7 @@ _KEY = re.compile(r"[^.\[\]]+(?:\[\d+\])*(?:\.[^.\[\]]+(?:\[\d+\])*)*")
 _TIED = re.compile(r"([+-]*)(.+)")
 COPIES = "#"
 """At the end of a key: with all copies of the repeated entry."""
-BY_SHARE = frozenset({"Pa", "kg/m³", "N", "N/m"})
+BY_SHARE = frozenset({"Pa", "kg/m³", "N", "N/m", "N m/rad"})
 """Units of numbers above zero by their nature: tied ones keep their ratios."""
 _SHIFT, _LEAST_SHARE = 1.0e-3, 1.0e-9
 # A preset gives these: where one of them has another value, the preset is no more what is asked for.

@@ -50,7 +50,7 @@ from softrobot_twin.study.residual_analysis import (
     selected,
 )
 
-RELATIVE = {"Pa": 0.3, "kg/m³": 0.3, "N": 0.7, "N/m": 0.7}
+RELATIVE = {"Pa": 0.3, "kg/m³": 0.3, "N": 0.7, "N/m": 0.7, "N m/rad": 0.7}
 """What is known before of what is above zero, by its unit: a standard deviation as a share."""
 KNOWN = {"rad": 0.1, "": 0.1}
 """The same of other numbers, in their unit."""
@@ -927,7 +927,7 @@ def usual_keys(scene: Scene) -> list[list[str]]:
     kinds += [rf"cavities\[{index}\]\.pressure_(gain|offset)" for index, cavity in
               enumerate(scene.cavities) if cavity.control == "pressure"]  # fmt: skip
     found = [[key for key in known if re.fullmatch(kind, key)] for kind in kinds]
-    for kind in (r"hinge_motors.*\.offset", r"beams\[\d+\]\.points\[0\]\[\d\]", r"beams.*\.through\[\d\]",
+    for kind in (r"hinge_motors.*\.(offset|stiffness)", r"beams.*\.arcs\[\d+\]\.angle", r"beams\[\d+\]\.points\[0\]\[\d\]", r"beams.*\.through\[\d\]",
                  r"mounting.*\.translation\[\d\]"):  # fmt: skip
         found += _by_copies(scene, [key for key in known if re.fullmatch(kind, key)])
     found.append([key for key in known if re.fullmatch(r"hinge_motors.*\.offset", key)])

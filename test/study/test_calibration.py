@@ -168,6 +168,23 @@ def test_derivatives_by_the_zero_of_a_hinge_are_those_of_differences():
     assert_derivatives(scene, [pose], ("hinge_motors.*.offset",))
 
 
+def test_derivatives_by_an_arc_and_by_what_servos_yield_are_those_of_differences():
+    scene = load_scene(SCENES / "emio.yaml")
+    arcs = [{"at": "end", "radius": 0.0225, "angle": 0.35, "towards": [0, 0, 1]}]
+    scene = changed_scene(scene, {"beams.*.arcs": arcs, "hinge_motors.*.stiffness": 5.0})
+    handles = [one for key in ("beams.*.arcs[0].angle#", "hinge_motors.*.stiffness#", "mounting[0].bodies[0].translation[0]#")
+               for one in tied(scene, key)]  # fmt: skip
+    pose = RestPose(np.array([0.3, -0.2, 0.4, 0.1]), np.zeros((4, 3)), np.full((1, 3), np.nan), np.zeros(4), np.zeros((0, 3)))
+    model = RestModel(scene, handles, [pose])
+    values = np.array([one.read(scene) for one in handles])
+    own = model.predict(values, True).jacobian
+    assert not model.lost
+    for column, step in enumerate(np.diag([1e-3, 0.05, 1e-4][: len(handles)])):
+        ends = [model.predict(values + sign * step, False).values for sign in (1.0, -1.0)]
+        differences = (ends[0] - ends[1]) / (2.0 * step[column])
+        assert np.abs(own[:, column] - differences).max() < 2e-3 * np.abs(differences).max(), handles[column].key
+
+
 def test_derivatives_by_tied_numbers_are_those_of_differences(bar):
     keys = ["+-+cables.*.offset", "+markers.*.point[0]", "+-cables[0].pull_point[1]+cables[1].axial_stiffness"]
     handles = [one for key in keys for one in tied(bar, key)]
