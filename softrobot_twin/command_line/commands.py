@@ -37,7 +37,7 @@ from softrobot_twin.study.training_options import (
 
 EXIT_CODES = fill("exit codes: 0 done, 1 done but a row, a process or a check failed, 2 the input or "
                   "an argument cannot be used, 3 simulate: the last row is not_converged or "
-                  "inverted, 130 stopped by Ctrl-C", TEXT_WIDTH)
+                  "inverted, or commanded beyond a limit, 130 stopped by Ctrl-C", TEXT_WIDTH)
 
 
 class OptionError(NamedError):
@@ -422,7 +422,7 @@ def explain(
 def calibrate(
     scene: GivenFile, *, data: Sequence[GivenFile], fit: Sequence[str] = (), known: Sequence[str] = (),
     check: Sequence[GivenFile] = (), output: Path | None = None, picture: Path | None = None,
-    suggest: bool = False,
+    suggest: bool = False, axes: str | None = None, backwards: Sequence[str] = (),
 ) -> int:  # fmt: skip
     """Fit numbers of a scene to what was measured on the robot.
 
@@ -447,11 +447,15 @@ def calibrate(
         output (FILE.yaml): Scene to write (default: beside the scene, SCENE_calibrated.yaml).
         picture (FILE.png): Draw the errors before and after, and the intervals.
         suggest: Tell what should be measured next.
+        axes (AXES): Axes of the tables that are x, y and z of the scene, such as z,x,y (default: x,y,z).
+        backwards (ACTUATOR): Actuators whose setpoints and efforts have the other sign in the tables.
     """
+    from softrobot_twin.record.rest_poses import Axes
     from softrobot_twin.study.calibration_report import calibrate_scene
 
     _check_outputs((scene, *data, *check), output=output, picture=picture)
-    return calibrate_scene(scene, data, fit, known, output, picture, suggest, check)
+    return calibrate_scene(scene, data, fit, known, output, picture, suggest, check,
+                           Axes.read(axes or "x,y,z", backwards))  # fmt: skip
 
 
 def workspace(

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from softrobot_twin.control.rest_watch import RestPose
-from softrobot_twin.record.rest_poses import read_poses
+from softrobot_twin.record.rest_poses import Axes, read_poses
 from softrobot_twin.record.run_description import files_named
 from softrobot_twin.scene import load_scene
 from softrobot_twin.scene.loading import changes_of
@@ -61,7 +61,7 @@ def measured_poses(data: Any, simulation: Simulation) -> tuple[list[RestPose], l
 def calibrate_scene(
     path: Path, data: Sequence[Path], fit: Sequence[str], known: Sequence[str] = (),
     output: Path | None = None, picture: Path | None = None, suggest: bool = False,
-    check: Sequence[Path] = (),
+    check: Sequence[Path] = (), axes: Axes = Axes(),
 ) -> int:  # fmt: skip
     """Calibrates a scene, prints what was found, and writes another scene where it is better.
 
@@ -74,6 +74,7 @@ def calibrate_scene(
         picture: Picture to write; None for none.
         suggest: Whether to tell what should be measured next.
         check: Files that judge in place of every fourth pose.
+        axes: How tables name them.
 
     Returns:
         Exit code: 1 where no scene was written.
@@ -84,8 +85,8 @@ def calibrate_scene(
     scene = load_scene(path)
     with terminal_status("reading what was measured"):
         simulation = Simulation(scene, with_warnings=False)
-        poses, words = read_poses(data, simulation)
-        judges, more = read_poses(check, simulation)
+        poses, words = read_poses(data, simulation, axes)
+        judges, more = read_poses(check, simulation, axes)
     for sentence in words + more:
         print(sentence)
     with terminal_status("fitting"):
