@@ -450,12 +450,10 @@ def calibrate(
         axes (AXES): Axes of the tables that are x, y and z of the scene, such as z,x,y (default: x,y,z).
         backwards (ACTUATOR): Actuators whose setpoints and efforts have the other sign in the tables.
     """
-    from softrobot_twin.record.rest_poses import Axes
     from softrobot_twin.study.calibration_report import calibrate_scene
 
     _check_outputs((scene, *data, *check), output=output, picture=picture)
-    return calibrate_scene(scene, data, fit, known, output, picture, suggest, check,
-                           Axes.read(axes or "x,y,z", backwards))  # fmt: skip
+    return calibrate_scene(scene, data, fit, known, output, picture, suggest, check, axes or "x,y,z", backwards)
 
 
 def workspace(

@@ -61,7 +61,7 @@ def measured_poses(data: Any, simulation: Simulation) -> tuple[list[RestPose], l
 def calibrate_scene(
     path: Path, data: Sequence[Path], fit: Sequence[str], known: Sequence[str] = (),
     output: Path | None = None, picture: Path | None = None, suggest: bool = False,
-    check: Sequence[Path] = (), axes: Axes = Axes(),
+    check: Sequence[Path] = (), axes: str = "x,y,z", backwards: Sequence[str] = (),
 ) -> int:  # fmt: skip
     """Calibrates a scene, prints what was found, and writes another scene where it is better.
 
@@ -74,7 +74,8 @@ def calibrate_scene(
         picture: Picture to write; None for none.
         suggest: Whether to tell what should be measured next.
         check: Files that judge in place of every fourth pose.
-        axes: How tables name them.
+        axes: See `Axes.read`; of tables.
+        backwards: See there.
 
     Returns:
         Exit code: 1 where no scene was written.
@@ -82,11 +83,11 @@ def calibrate_scene(
     Raises:
         SoftRobotTwinError: The scene or the data cannot be used.
     """
-    scene = load_scene(path)
+    scene, read_as = load_scene(path), Axes.read(axes, backwards)
     with terminal_status("reading what was measured"):
         simulation = Simulation(scene, with_warnings=False)
-        poses, words = read_poses(data, simulation, axes)
-        judges, more = read_poses(check, simulation, axes)
+        poses, words = read_poses(data, simulation, read_as)
+        judges, more = read_poses(check, simulation, read_as)
     for sentence in words + more:
         print(sentence)
     with terminal_status("fitting"):

@@ -78,36 +78,75 @@ class Step(NamedTuple):
 def selected(linear: Linear, always: Sequence[int] = (), shown: np.ndarray | None = None) -> list[Step]:
     """The numbers that lower the held-back error, the one that brings most first.
 
-    After each number that is added, those that it made needless are taken away again.
+    Numbers are added one after the other, and those that became needless taken away. Numbers that only help
+    together are missed so; the set that remains where needless ones are taken from all of them replaces
+    the first where its error is less by more than luck.
 
     Args:
         linear: With all candidates.
         always: Indices of numbers that are fitted in any case, and are told first.
         shown: Mask of the residuals that steps tell, shape (n,); None for all.
     """
-    folds, chosen, steps = linear.folds(), list[int](), list[Step]()
-    places = np.unique(linear.poses, return_inverse=True)[1]
-    own = np.ones(len(places), bool) if shown is None else shown
+    search = _Search(linear, list(always))
+    added = search.grown(list(always))
+    left = search.thinned(list(range(linear.jacobian.shape[1])))
+    chosen = left if search.is_gain(added, left) else added
+    own, steps = slice(None) if shown is None else shown, list[Step]()
+    so_far, waiting = list[int](), list(dict.fromkeys([*always, *chosen]))
+    while waiting:
+        first = waiting[:1] if len(so_far) < len(always) else waiting
+        best = min(first, key=lambda k: search.error([*so_far, k]))
+        before, after = (search.residuals(one)[own] for one in (so_far, [*so_far, best]))
+        steps.append(Step(best, *(float(np.sqrt(np.mean(one**2))) for one in (before, after))))
+        so_far.append(best)
+        waiting.remove(best)
+    return steps
 
-    def gains(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-        return np.bincount(places, before**2 - after**2)
 
-    now, waiting = linear.held_back(chosen, folds), list(always)
-    while True:
-        left = waiting[:1] or [k for k in range(linear.jacobian.shape[1]) if k not in chosen]
-        tried = {k: linear.held_back([*chosen, k], folds) for k in left}
-        best = min(tried, key=lambda k: float(np.sum(tried[k] ** 2)), default=None)
-        if best is None or not (waiting or _is_gain(gains(now, tried[best]))):
-            return steps
-        waiting = waiting[1:]
-        chosen.append(best)
-        steps.append(Step(best, *(float(np.sqrt(np.mean(one[own] ** 2))) for one in (now, tried[best]))))
-        now = tried[best]
-        for k in [one for one in chosen[:-1] if one not in always]:
-            without = linear.held_back([one for one in chosen if one != k], folds)
-            if not _is_gain(gains(without, now)):
-                chosen.remove(k)
-                steps, now = [one for one in steps if one.number != k], without
+class _Search:
+    """Held-back residuals of sets of numbers."""
+
+    def __init__(self, linear: Linear, always: list[int]):
+        self._linear, self._always, self._folds = linear, always, linear.folds()
+        self._places = np.unique(linear.poses, return_inverse=True)[1]
+        self._known: dict[frozenset[int], np.ndarray] = {}
+
+    def residuals(self, numbers: Sequence[int]) -> np.ndarray:
+        """Those of a set, shape (n,)."""
+        key = frozenset(numbers)
+        if key not in self._known:
+            self._known[key] = self._linear.held_back(sorted(key), self._folds)
+        return self._known[key]
+
+    def error(self, numbers: Sequence[int]) -> float:
+        """Their sum of squares."""
+        return float(np.sum(self.residuals(numbers) ** 2))
+
+    def is_gain(self, before: Sequence[int], after: Sequence[int]) -> bool:
+        """Whether a set is better than another one by more than luck."""
+        return _is_gain(np.bincount(self._places, self.residuals(before) ** 2 - self.residuals(after) ** 2))
+
+    def grown(self, chosen: list[int]) -> list[int]:
+        """A set to which numbers were added as long as one brings something."""
+        seen = set[frozenset[int]]()
+        while frozenset(chosen) not in seen:
+            seen.add(frozenset(chosen))
+            left = [k for k in range(self._linear.jacobian.shape[1]) if k not in chosen]
+            best = min(left, key=lambda k: self.error([*chosen, k]), default=None)
+            if best is None or not self.is_gain(chosen, [*chosen, best]):
+                break
+            chosen = self.thinned([*chosen, best])
+        return chosen
+
+    def thinned(self, chosen: list[int]) -> list[int]:
+        """A set without its needless numbers."""
+        while True:
+            free = [k for k in chosen if k not in self._always]
+            least = min(free, key=lambda k: self.error([one for one in chosen if one != k]), default=None)
+            without = [one for one in chosen if one != least]
+            if least is None or self.is_gain(without, chosen):
+                return chosen
+            chosen = without
 
 
 def _is_gain(gains: np.ndarray) -> bool:
