@@ -14,9 +14,9 @@ import numpy as np
 
 FOLDS = 8
 """Parts of which each is held back once."""
-GAIN, IN_DEVIATIONS = 2.0, 1.5
+GAIN, IN_DEVIATIONS = 2.0, 0.5
 """A number is worth its place where the held-back error falls by this (Akaike 1974: two for each number),
-and by so many standard deviations of the sum of what single poses gain."""
+and by this share of the standard deviation of the sum of what single poses gain."""
 FAULTY, MOST_FAULTY = 4.0, 0.3
 """A point is faulty that is off by so many times the median; where more than this share are, the model is wrong."""
 _DIRECTIONS, _TOLD = 12, 3.0
