@@ -997,6 +997,8 @@ def _together(scene: Scene, keys: Sequence[str]) -> Iterator[Parameter | JointPa
         return
     alike: dict[object, list[Parameter]] = {}
     for one in parameters(scene, *keys):
+        if one.key.startswith("marker_frame.scale") and keys[0] == "marker_frame":
+            continue  # A camera is scaled by its maker: a scale is asked for by name.
         is_modulus = one.key.endswith("young_modulus")
         alike.setdefault(one.read(scene) if is_modulus else one.key, []).append(one)
     for own in alike.values():

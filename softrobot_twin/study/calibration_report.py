@@ -18,6 +18,7 @@ from softrobot_twin.scene.loading import changes_of
 from softrobot_twin.scene.scene_parameters import full_keys
 from softrobot_twin.scene.scene_editing import EditedValue, edited_text
 from softrobot_twin.simulation import Simulation
+from softrobot_twin.simulation.mounting import MountingError
 from softrobot_twin.study.calibration import (
     POINTS,
     UNUSUAL,
@@ -119,6 +120,12 @@ def calibrate_scene(
     if not found.is_accepted:
         print(f"no scene is written: {why_not(found)}")
         return NOT_BETTER
+    if scene.mounting:
+        try:
+            Simulation(found.scene, with_warnings=False)
+        except MountingError as error:
+            print(f"no scene is written: with these numbers it cannot be mounted: {error}")
+            return NOT_BETTER
     written = output or path.with_name(f"{path.stem}_calibrated.yaml")
     write_scene(found, path, written, ", ".join(one.name for one in data))
     print(f"wrote {written}")
