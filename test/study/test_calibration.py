@@ -334,8 +334,9 @@ def test_what_a_suggestion_promises_comes_true(bar, random):
     weight = -float(best.poses[0].forces[-1, 2])
     again = poses_at(bar, np.array([RestModel(bar, [], []).simulation.rest_setpoints - pose.setpoints
                                     for pose in best.poses]), np.full(len(best.poses), weight), False)
-    model = RestModel(bar, parameters(bar, *keys), [*found.poses, *measured(truth, again, 1.0, random)])
-    now = estimate(model, model.measured, unknowns_of(bar, keys))
+    unknowns = unknowns_of(bar, keys)
+    model = RestModel(bar, [one.parameter for one in unknowns], [*found.poses, *measured(truth, again, 1.0, random)])
+    now = estimate(model, model.measured, unknowns)
     by_noise = now.noise[MARKERS] / found.joint.noise[MARKERS]
     got = now.deviations[own] / by_noise
     assert got < 0.8 * found.joint.deviations[own]

@@ -79,4 +79,4 @@ def test_twenty_other_emios_are_found_to_their_noise_by_numbers_that_are_as_good
     chosen, true_ones = np.array(errors).T
     assert np.count_nonzero(chosen < 1.15) >= 18
     assert 0.90 <= np.mean(shares) <= 0.99
-    assert np.mean(chosen) < 1.03 * np.mean(true_ones)
+    assert np.mean(chosen) < 1.05 * np.mean(true_ones)
