@@ -927,7 +927,8 @@ def usual_keys(scene: Scene) -> list[list[str]]:
     kinds += [rf"cavities\[{index}\]\.pressure_(gain|offset)" for index, cavity in
               enumerate(scene.cavities) if cavity.control == "pressure"]  # fmt: skip
     found = [[key for key in known if re.fullmatch(kind, key)] for kind in kinds]
-    for kind in (r"hinge_motors.*\.(offset|stiffness)", r"beams.*\.arcs\[\d+\]\.angle", r"beams\[\d+\]\.points\[0\]\[\d\]", r"beams.*\.through\[\d\]",
+    for kind in (r"hinge_motors.*\.(offset|stiffness)", r"beams.*\.arcs\[\d+\]\.angle",
+                 r"beams\[\d+\]\.points\[0\]\[\d\]", r"beams.*\.through\[\d\]",
                  r"mounting.*\.translation\[\d\]"):  # fmt: skip
         found += _by_copies(scene, [key for key in known if re.fullmatch(kind, key)])
     found.append([key for key in known if re.fullmatch(r"hinge_motors.*\.offset", key)])

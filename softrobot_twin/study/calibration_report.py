@@ -142,7 +142,8 @@ def _known(texts: Iterable[str]) -> dict[str, Given]:
         except ValueError:
             numbers = np.nan, np.nan
         if not (np.isfinite(numbers[0]) and 0.0 < numbers[1] < np.inf):
-            raise CalibrationError(f"--known {text}", "must be KEY=DEVIATION or KEY=VALUE±DEVIATION, with a deviation above zero")
+            raise CalibrationError(f"--known {text}", "must be KEY=DEVIATION or KEY=VALUE±DEVIATION, with a "
+                                   "deviation above zero")  # fmt: skip
         found[key] = numbers if sign else numbers[1]
     return found
 
@@ -215,8 +216,10 @@ def _steps(found: Calibration) -> list:
     noise = next((found.estimate.noise[kind] for kind in POINTS if kind in found.estimate.noise), None)
     if not found.steps or noise is None:
         return []
-    values = {one.parameter.key: f"{value:.3g} ± {0.5 * (high - low) / 1.96:.2g} {one.parameter.unit}" for one, value, (low, high) in zip(
-        found.estimate.unknowns, found.estimate.values, found.estimate.intervals, strict=True)}  # fmt: skip
+    estimate = found.estimate
+    values = {one.parameter.key: f"{value:.3g} ± {0.5 * (high - low) / 1.96:.2g} {one.parameter.unit}"
+              for one, value, (low, high) in zip(estimate.unknowns, estimate.values, estimate.intervals,
+                                                 strict=True)}  # fmt: skip
     in_mm = 1e3 * np.sqrt(3.0 * found.estimate.alike) * noise
     rows = ([key, values[key], f"{in_mm * (one.after - one.before):+.2f} mm", f"{in_mm * one.after:.2f} mm"]
             for key, one in found.steps)  # fmt: skip

@@ -91,7 +91,8 @@ class MoreIterations:
 
     def lines(self) -> list[tuple[str, str]]:
         """How many steps were repeated, as names and values to print."""
-        return [("repeated", f"{self.repeated} rows, with up to {MORE_ITERATIONS} linearizations")] * (self.repeated > 0)
+        told = ("repeated", f"{self.repeated} rows, with up to {MORE_ITERATIONS} linearizations")
+        return [told] if self.repeated else []
 
 
 def commands_of(table: TargetTable) -> Iterator[Command]:
