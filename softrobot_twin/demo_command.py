@@ -11,6 +11,7 @@ import os
 import sys
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from softrobot_twin.ros.demo import (
     NOTICEABLE_SHARE,
     RUNS,
     Demo,
+    DemoCalibration,
     DemoOutcome,
     DemoPlan,
     DemoStatus,
@@ -27,9 +29,13 @@ from softrobot_twin.ros.demo import (
     isolate,
     plan_demo,
 )
+from softrobot_twin.shared_files import ScenePath
 from softrobot_twin.simulation import Simulation
+from softrobot_twin.study.calibration import calibrate
+from softrobot_twin.study.calibration_demo import poses_of_device
+from softrobot_twin.study.calibration_report import tables, why_not, write_scene
 from softrobot_twin.study.demo_table import write_demo_table
-from softrobot_twin.study.terminal import console, live_line, table
+from softrobot_twin.study.terminal import console, live_line, table, terminal_status
 from softrobot_twin.study.touch_report import draw_presses, touch_report, untouched
 from softrobot_twin.study.tracking import (
     TimedValues,
@@ -41,9 +47,11 @@ from softrobot_twin.study.tracking import (
 )
 
 RESULTS = ("report.json", "tracking.png", "presses.png", "samples.npz", "run.rrd",
-           *(f"{run}.csv" for run in (*RUNS, *CONTROLLED_RUNS)), "commands.csv")
+           *(f"{run}.csv" for run in (*RUNS, *CONTROLLED_RUNS)), "commands.csv", "calibration.png")
 """Files that a demo writes into its folder, besides one log for each process."""
 
+CALIBRATED = "calibrated"
+"""Folder in that of a demo for the run with the calibrated twin."""
 _FEWEST_SAMPLES = 10
 """A run with fewer samples is left out of the report."""
 _STOPPED = 130
@@ -69,9 +77,42 @@ def demo(robot: str, folder: Path, run_time: float, view: bool,
         SoftRobotTwinError: The robot, its scene or an output cannot be used.
     """
     plan = plan_demo(robot, folder, run_time, view, changes)
+    code, records = _shown(plan)
+    if code or plan.calibration is None or RUNS[0] not in records:
+        return code
+    scene = _calibrated(plan, plan.calibration)
+    if scene is None:
+        return code
+    again = replace(plan, scene_file=ScenePath(scene, ()), runs=RUNS[:1], folder=folder / CALIBRATED, calibration=None)
+    again.folder.mkdir(exist_ok=True)
+    code, after = _shown(again)
+    if RUNS[0] in after:
+        draw_tracking(plan.robot, {"before": records[RUNS[0]], "after": after[RUNS[0]]}, folder / "calibration.png")
+        print(f"wrote {folder / 'calibration.png'}: the path before and after the calibration")
+    return code
+
+
+def _calibrated(plan: DemoPlan, how: DemoCalibration) -> Path | None:
+    """Calibrates the twin by poses of the device; the scene that was written, None where none is better."""
+    twin, device = (Simulation.from_scene_file(path) for path in (plan.scene_file, how.device_scene))
+    with terminal_status(f"driving the device to {how.count} poses, and calibrating the twin by them"):
+        poses = poses_of_device(twin, device, np.array(how.box), how.count, how.noise, how.seed)
+        found = calibrate(twin.scene, poses, [])
+    console().print(*tables(found))
+    if not found.is_accepted:
+        print(f"the twin stays as it is: {why_not(found)}")
+        return None
+    written = plan.folder / f"{plan.scene_file.stem}_calibrated.yaml"
+    write_scene(found, plan.scene_file, written, f"{len(poses)} poses of the demo")
+    print(f"wrote {written}")
+    return written
+
+
+def _shown(plan: DemoPlan) -> tuple[int, dict[str, TrackingRecord]]:
+    """Runs a plan and reports it; its exit code, and the record of each run."""
     for name in RESULTS:
         # Old results must not remain after an interrupted demo.
-        (folder / name).unlink(missing_ok=True)
+        (plan.folder / name).unlink(missing_ok=True)
     _print_start(plan, isolate(os.environ))
     try:
         with live_line() as show:
@@ -80,7 +121,7 @@ def demo(robot: str, folder: Path, run_time: float, view: bool,
         print(f"softrobot_twin: {died}; its last lines:", file=sys.stderr)
         for text in died.last_lines:
             print(f"    {text}", file=sys.stderr)
-        return 1
+        return 1, {}
     return _report(plan, outcome)
 
 
@@ -113,8 +154,8 @@ def _print_start(plan: DemoPlan, domain: str) -> None:
                   soft_wrap=True)
 
 
-def _report(plan: DemoPlan, outcome: DemoOutcome) -> int:
-    """Writes the results, prints the summary and returns the exit code."""
+def _report(plan: DemoPlan, outcome: DemoOutcome) -> tuple[int, dict[str, TrackingRecord]]:
+    """Writes the results and prints the summary; see `_shown`."""
     simulation = Simulation.from_scene_file(plan.scene_file)
     records = {run: record for run in outcome.starts
                if (record := _record(outcome, run, simulation.actuators.kind_of)) is not None}
@@ -141,8 +182,8 @@ def _report(plan: DemoPlan, outcome: DemoOutcome) -> int:
               f"{plan.folder / name}.log", file=sys.stderr)
     if outcome.was_stopped:
         print("softrobot_twin: stopped", file=sys.stderr)
-        return _STOPPED
-    return 1 if unclean else 0
+        return _STOPPED, records
+    return int(bool(unclean)), records
 
 
 def _touches(plan: DemoPlan, outcome: DemoOutcome) -> dict | None:

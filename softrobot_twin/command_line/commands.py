@@ -37,7 +37,7 @@ from softrobot_twin.study.training_options import (
 
 EXIT_CODES = fill("exit codes: 0 done, 1 done but a row, a process or a check failed, 2 the input or "
                   "an argument cannot be used, 3 simulate: the last row is not_converged or "
-                  "inverted, 130 stopped by Ctrl-C", TEXT_WIDTH)
+                  "inverted, or commanded beyond a limit, 130 stopped by Ctrl-C", TEXT_WIDTH)
 
 
 class OptionError(NamedError):
@@ -422,7 +422,7 @@ def explain(
 def calibrate(
     scene: GivenFile, *, data: Sequence[GivenFile], fit: Sequence[str] = (), known: Sequence[str] = (),
     check: Sequence[GivenFile] = (), output: Path | None = None, picture: Path | None = None,
-    suggest: bool = False,
+    suggest: bool = False, axes: str | None = None, backwards: Sequence[str] = (),
 ) -> int:  # fmt: skip
     """Fit numbers of a scene to what was measured on the robot.
 
@@ -438,19 +438,22 @@ def calibrate(
         scene (SCENE): Scene file (YAML).
         data (FILE): Recorded runs (.mcap), or tables (.csv) with setpoints, markers (marker_4_x_m) and
             efforts.
-        fit (KEY): Numbers to fit, perhaps with *; keys joined by + change together (default: what the
-            data tell).
+        fit (KEY): Numbers to fit, perhaps with *; keys joined by + change together, # moves copies of a
+            repeated entry (default: those that lower the error of poses held back).
         known (KEY=DEVIATION): Standard deviation before the fit, in the unit of the number, or as a
-            share of moduli and densities (default: 30 % of moduli, 2 % of the size for lengths).
+            share of moduli and densities (default: 30 % of moduli, 2 % of the size for lengths). Or
+            KEY=VALUE±DEVIATION of what was measured otherwise.
         check (FILE): Runs and tables that judge the result (default: every fourth pose).
         output (FILE.yaml): Scene to write (default: beside the scene, SCENE_calibrated.yaml).
         picture (FILE.png): Draw the errors before and after, and the intervals.
         suggest: Tell what should be measured next.
+        axes (AXES): Axes of the tables that are x, y and z of the scene, such as z,x,y (default: x,y,z).
+        backwards (ACTUATOR): Actuators whose setpoints and efforts have the other sign in the tables.
     """
     from softrobot_twin.study.calibration_report import calibrate_scene
 
     _check_outputs((scene, *data, *check), output=output, picture=picture)
-    return calibrate_scene(scene, data, fit, known, output, picture, suggest, check)
+    return calibrate_scene(scene, data, fit, known, output, picture, suggest, check, axes or "x,y,z", backwards)
 
 
 def workspace(

@@ -91,3 +91,33 @@ class HingeAngles(ConstraintTerm):
         """Share of a move in which no hinge turns by more than a quarter turn."""
         largest = np.abs(move[self.entry_nodes, 0]).max(initial=0.0)
         return 1.0 if largest <= 0.25 * TURN else float(0.25 * TURN / largest)
+
+
+class YieldingHingeAngles(HingeAngles):
+    """Hinges of which some have motors that yield; a `YieldingTerm`.
+
+    The motor turns by δ = α + λ / k, where the hinge turns by α under the torque λ.
+
+    Attributes:
+        compliance: Turn of each motor by its torque [rad/(N m)], shape (row_count, row_count), diagonal.
+        stretch_ratios: Ones: the hinge turns as the motor does.
+    """
+
+    yields = True
+
+    def __init__(self, frames: HingedFrames, hinges, limits, stiffness, yielding):
+        """Take the hinges.
+
+        Args:
+            frames: See `HingeAngles`.
+            hinges: See there.
+            limits: See there.
+            stiffness: See there.
+            yielding: k of each motor, infinite for one that does not yield [N m/rad], shape (count,).
+        """
+        super().__init__(frames, hinges, limits, stiffness)
+        self.compliance = np.diag(1.0 / np.array(yielding, float))
+        self.stretch_ratios = np.ones(self.row_count)
+
+    def tell_efforts(self, efforts: np.ndarray) -> None:
+        """Nothing: the compliance is constant; see `YieldingTerm.tell_efforts`."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
+from softrobot_twin.errors import NamedError
 from softrobot_twin.control.rest_watch import RestPose, RestWatch, Sample, sample_of
 from softrobot_twin.record.loop_calls import repeat
 from softrobot_twin.record.replay import Replay
@@ -29,6 +31,62 @@ from softrobot_twin.simulation.runs.input_tables import (
 
 _MEASURED = ("markers.", "device.", "measured_angles.", "measured_pressures.", "touches.")
 EXAMPLE = "north_length_m,marker_4_x_m,marker_4_y_m,marker_4_z_m"
+
+
+class Axes(NamedTuple):
+    """How tables of somebody else name axes and turn motors.
+
+    Attributes:
+        order: Which of their axes is x, y and z of the scene.
+        signs: Its direction.
+        backwards: Names of actuators whose setpoints and efforts have the other sign.
+    """
+
+    order: tuple[int, ...] = (0, 1, 2)
+    signs: tuple[float, ...] = (1.0, 1.0, 1.0)
+    backwards: tuple[str, ...] = ()
+
+    @classmethod
+    def read(cls, words: str, backwards: Iterable[str] = ()) -> Axes:
+        """Reads what a user wrote.
+
+        Args:
+            words: Axes of the table that are x, y and z of the scene, such as ``z,x,y`` or ``-y,x,z``.
+            backwards: See `backwards`.
+
+        Raises:
+            AxesError: They are no three axes of one right-handed frame.
+        """
+        parts = [one.strip() for one in words.split(",")]
+        if sorted(one.lstrip("-+") for one in parts) != ["x", "y", "z"]:
+            raise AxesError(words, "must name x, y and z once each, such as z,x,y or -y,x,z")
+        order = tuple("xyz".index(one.lstrip("-+")) for one in parts)
+        signs = tuple(-1.0 if one.startswith("-") else 1.0 for one in parts)
+        if np.linalg.det(np.eye(3)[list(order)] * np.array(signs)[:, None]) < 0.0:
+            raise AxesError(words, "is left-handed: such a table mirrors the robot; turn one axis round with -")
+        return cls(order, signs, tuple(backwards))
+
+    def of(self, pose: RestPose, names: Sequence[str]) -> RestPose:
+        """A pose of a table in the frame of the scene.
+
+        Args:
+            pose: The pose as the table has it.
+            names: Names of the actuators.
+
+        Raises:
+            AxesError: The scene has no actuator of a name.
+        """
+        for one in self.backwards:
+            if one not in names:
+                raise AxesError(one, f"is no actuator of the scene, which has {', '.join(names)}")
+        turns = np.where(np.isin(names, self.backwards), -1.0, 1.0)
+        vectors = {name: getattr(pose, name)[:, list(self.order)] * self.signs
+                   for name in ("markers", "effectors", "forces")}  # fmt: skip
+        return pose._replace(setpoints=turns * pose.setpoints, efforts=turns * pose.efforts, **vectors)
+
+
+class AxesError(NamedError):
+    """Axes or actuators of a table that do not fit; its name is what was written."""
 
 
 def poses_of_run(path: Path, simulation: Simulation) -> tuple[list[RestPose], str]:
@@ -67,7 +125,7 @@ def poses_of_run(path: Path, simulation: Simulation) -> tuple[list[RestPose], st
 
 
 def poses_of_table(
-    source: Path | str | Mapping, simulation: Simulation
+    source: Path | str | Mapping, simulation: Simulation, axes: Axes = Axes()
 ) -> tuple[list[RestPose], str]:
     """Poses at rest of a CSV file or a table of columns, and how many were dropped, in words.
 
@@ -78,6 +136,7 @@ def poses_of_table(
     Args:
         source: The file or the table.
         simulation: The model.
+        axes: How the table names them.
 
     Raises:
         TableFileError: The table cannot be used.
@@ -102,7 +161,7 @@ def poses_of_table(
         for axis, own in enumerate(force_columns(touch)):
             if own in columns:
                 forces[:, index, axis] = np.nan_to_num(columns.pop(own, may_be_open=True))
-    seen = [RestPose(*parts, f"{name}, line {line}") for line, *parts in zip(
+    seen = [axes.of(RestPose(*parts, f"{name}, line {line}"), actuators.names) for line, *parts in zip(
         columns.lines, setpoints, markers, effectors, efforts, forces, strict=True)]  # fmt: skip
     if TIME not in columns:
         return seen, f"{name}: {len(seen)} poses at rest, one of each row{words}"
@@ -140,13 +199,14 @@ def _points(columns: Columns, names: Iterable[str]) -> np.ndarray:
 
 
 def read_poses(
-    sources: Iterable[Path | str | Mapping], simulation: Simulation
+    sources: Iterable[Path | str | Mapping], simulation: Simulation, axes: Axes = Axes()
 ) -> tuple[list[RestPose], list[str]]:
     """Poses at rest of runs and tables, and a sentence on each of these.
 
     Args:
         sources: Files ``.mcap`` of runs, CSV files, or tables of columns.
         simulation: The model.
+        axes: How the tables name them; runs are in the frame of the scene.
 
     Raises:
         SoftRobotTwinError: A file cannot be used.
@@ -155,7 +215,7 @@ def read_poses(
     for source in sources:
         is_run = isinstance(source, Path | str) and Path(source).suffix == SUFFIX
         found, told = (poses_of_run(Path(source), simulation) if is_run
-                       else poses_of_table(source, simulation))  # fmt: skip
+                       else poses_of_table(source, simulation, axes))  # fmt: skip
         poses += found
         words.append(told)
     return poses, words

@@ -134,6 +134,24 @@ would receive one as soon as the twin publishes, before all nodes are connected.
 _DEFAULTS = {entry.name: entry.default for entry in (*TARGET, *DEVICE, *TWIN)}
 
 
+class DemoCalibration(NamedTuple):
+    """How a demo calibrates the twin by its device.
+
+    Attributes:
+        device_scene: The device's scene.
+        count: Number of poses at rest.
+        box: Least and greatest place of the effector [m], shape (2, 3).
+        noise: Standard deviation of measured markers [m].
+        seed: Seed of the noise.
+    """
+
+    device_scene: ScenePath
+    count: int
+    box: tuple
+    noise: float
+    seed: int
+
+
 @dataclass(frozen=True)
 class DemoPlan:
     """Settings of a demo.
@@ -155,6 +173,7 @@ class DemoPlan:
         view_port: Port to which viewers connect, or None without a view.
         opens_viewer: True when a viewer is opened, which needs a display.
         folder: Folder of the recording and of the processes' logs.
+        calibration: How the twin is calibrated for a last run; None where it is not.
     """
 
     robot: str
@@ -172,6 +191,7 @@ class DemoPlan:
     view_port: int | None
     opens_viewer: bool
     folder: Path
+    calibration: DemoCalibration | None = None
 
     @property
     def is_direct(self) -> bool:
@@ -269,7 +289,17 @@ def plan_demo(robot: str, folder: Path, run_time: float, view: bool,
         ramp_time=min(ramp_time, 0.5 * turn_time),
         period=1.0 / float(values["rate"]), tells_ahead=bool(values["target_ahead"]),
         view_port=_port(int(values["view_port"])) if view else None,
-        opens_viewer=view and display, folder=folder)
+        opens_viewer=view and display, folder=folder, calibration=_calibration(values))
+
+
+def _calibration(values: Mapping[str, Any]) -> DemoCalibration | None:
+    """How a demo calibrates by the values of its parameters; None where it does not."""
+    if not values["device_calibration_poses"]:
+        return None
+    return DemoCalibration(
+        find_scene(values, "device_scene"), int(values["device_calibration_poses"]),
+        (values["workspace_min"], values["workspace_max"]), float(values["device_marker_noise"]),
+        int(values["device_seed"]))
 
 
 def isolate(environment: dict[str, str] | os._Environ) -> str:

@@ -316,6 +316,8 @@ DEVICE = COMMON + _fixed(
           "What the fingertip measures: the place of the touched point, or the force.",
           choices=("position", "force")),
     Entry("device_seed", 1, "Seed of the noise.", "", 0, 2**31 - 1),
+    Entry("device_calibration_poses", 0, "Poses at rest of the device by which a demo calibrates the twin for "
+          "a last run; 0 for none.", "", 0, 200),
 )
 
 TARGET = _fixed(

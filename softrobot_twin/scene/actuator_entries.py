@@ -302,6 +302,8 @@ class HingeMotor(ActuatorEntry):
     """Greatest speed."""
     torque: Annotated[OpenRange, unit("N m"), allows_zero("no torque")] = NO_LIMITS
     """Limits of its torque on the beam."""
+    stiffness: Annotated[float | None, unit("N m/rad", gt=0.0)] = None
+    """Of motor and gear; by default they do not yield."""
 
     def check(self) -> None:
         """Refuse limits that are a turn or more apart."""

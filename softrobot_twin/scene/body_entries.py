@@ -784,11 +784,31 @@ class BeamJoint(Entry):
         return self.phrase(f"{at} to {{to}}{turns}")
 
 
+class BeamArc(Entry):
+    """A piece of a circle that lengthens a beam beyond its first or last point, without a corner.
+
+    What lies beyond the arc is rigid: a joint of the beam's end takes hold of the end of the arc.
+    """
+
+    placed: ClassVar[dict[str, str]] = {"towards": "direction"}
+
+    at: Literal["start", "end"]
+    """The end of the beam."""
+    radius: Annotated[float, unit("m", gt=0.0)]
+    """Radius of its axis."""
+    angle: Annotated[float, unit("rad", gt=0.0, lt=2.0 * math.pi)]
+    """How far it bends."""
+    towards: Annotated[Direction, not_zero("must not be zero: the centre lies there")]
+    """From the end of the beam to the centre of the circle."""
+    elements: Annotated[int, Field(ge=1, le=1000)] = 2
+    """Its elements, beside those of the beam."""
+
+
 class Beam(Entry):
     """A slender body that bends, twists, stretches and shears."""
 
     placed: ClassVar[dict[str, str]] = {"points": "point", "thickness_direction": "direction",
-                                        "joined": "regions"}  # fmt: skip
+                                        "joined": "regions", "arcs": "regions"}  # fmt: skip
 
     name: Name
     """Its name."""
@@ -805,10 +825,12 @@ class Beam(Entry):
     fixed: tuple[Literal["start", "end"], ...] = ()
     """Ends that are clamped in the world."""
     joined: tuple[BeamJoint, ...] = ()
+    arcs: Annotated[tuple[BeamArc, ...], Field(max_length=2)] = ()
+    """Arcs at its ends."""
     damping: Damping = Damping()
 
     def check(self) -> None:
-        """Refuse points, elements, joints and fixed ends that make no beam."""
+        """Refuse points, elements, joints, arcs and fixed ends that make no beam."""
         spans = len(self.points) - 1
         for index, (a, b) in enumerate(zip(self.points, self.points[1:], strict=False)):
             if a == b:
@@ -823,6 +845,8 @@ class Beam(Entry):
                 raise ValueError(f"joins point {joint.at}, but has the points 0 to {spans}")
         if len(set(self.fixed)) != len(self.fixed):
             raise ValueError("names an end twice in fixed")
+        if len({arc.at for arc in self.arcs}) != len(self.arcs):
+            raise ValueError("has two arcs at one end")
 
 
 # --- rigid shapes, in the coordinates of their body or obstacle ----------------------------------

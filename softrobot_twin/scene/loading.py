@@ -147,7 +147,7 @@ def scene_from_mapping(mapping: Any, path: Path | None = None) -> Scene:
     except ValidationError as error:
         raise scene_error(error, Scene, path,
                           as_written=lambda place: as_written(entries, place)) from None
-    scene._source = Source(entries)
+    scene._source = Source(entries, mapping)
     return scene
 
 

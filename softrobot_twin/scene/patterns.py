@@ -600,9 +600,11 @@ class Source:
 
     Attributes:
         mapping: The expanded scene, or None for a scene that was not read.
+        written: The scene with its patterns.
     """
 
     mapping: Any = dataclasses.field(default=None, compare=False, repr=False)
+    written: Any = dataclasses.field(default=None, compare=False, repr=False)
 
     def error(self, error: SceneError) -> SceneError:
         """An error of the expanded scene with the key that the scene file has.

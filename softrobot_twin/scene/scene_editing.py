@@ -11,8 +11,8 @@ import yaml
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene.loading import read_yaml, scene_from_mapping, written_out
 from softrobot_twin.scene.patterns import as_written
-from softrobot_twin.scene.refusal_messages import parts
-from softrobot_twin.scene.scene_parameters import changed_scene, parameters
+from softrobot_twin.scene.refusal_messages import dotted, parts
+from softrobot_twin.scene.scene_parameters import changed_scene, parameters, value_at
 from softrobot_twin.scene.schema import Scene
 
 _ANCHOR = re.compile(r"&(\w+)\s+(\{[^{}]*\}|\[[^\[\]]*\]|[^\s#]+)")
@@ -51,7 +51,7 @@ def edited_text(text: str, scene: Scene, numbers: Mapping[str, EditedValue]) -> 
     places = {shared.get(place, place): number for place, number in places.items()}
     comments: dict[int, list[str]] = {}
     for place, number in sorted(places.items(), key=lambda one: (len(one[0]), str(one[0]))):
-        text = _with_value(text, place, number.value, place in shared.values())
+        text = _with_value(text, place, number.value, place in shared.values(), scene)
     root = yaml.compose(text, Loader=yaml.SafeLoader)
     for place, number in places.items():
         line = _found(root, place, place in shared.values())[0].end_mark.line
@@ -103,15 +103,17 @@ def _in_mapping(node: yaml.MappingNode, step: Any, with_merged: bool) -> yaml.No
     return _in_mapping(merged, step, True)
 
 
-def _with_value(text: str, place: tuple, value: Any, with_merged: bool) -> str:
-    """The text with a value at a place; see `_found`."""
+def _with_value(text: str, place: tuple, value: Any, with_merged: bool, scene: Scene) -> str:
+    """The text with a value at a place; see `_found`. A vector that is missing is as in the scene."""
     node, missing = _found(yaml.compose(text, Loader=yaml.SafeLoader), place, with_merged)
     if not missing:
         begin, end = node.start_mark.index, _end_of(node)
         return text[:begin] + _flow(value) + text[end:]
     content: Any = value
+    is_alone = not any(isinstance(step, int) for step in place[:-1])  # Vectors of entries are 0.
+    usual = value_at(scene, dotted(place[:-1])) if is_alone and isinstance(place[-1], int) else (0.0,) * 3
     for step in reversed(missing[1:]):
-        content = {step: content} if isinstance(step, str) else [content if k == step else 0.0
+        content = {step: content} if isinstance(step, str) else [content if k == step else usual[k]
                                                                   for k in range(3)]  # fmt: skip
     added = f"{missing[0]}: {_flow(content)}"
     if node.flow_style:

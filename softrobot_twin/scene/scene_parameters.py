@@ -3,6 +3,9 @@
 A key is the path of a value, such as ``body.material.young_modulus`` or ``cables[0].points[2][1]``.
 An entry of a list has its place or its name: ``cables[0].rate`` is ``cables.north.rate``. A ``*``
 stands for any number of letters, so ``cables.*.rate`` is the rate of each cable.
+
+Numbers can be tied to one another (`tied`): ``beams[0].points[0][0]#`` moves all copies of a repeated
+entry as its pattern turns them, and ``+-servo_1.offset+servo_2.offset`` two numbers oppositely.
 """
 
 from __future__ import annotations
@@ -16,7 +19,7 @@ from pydantic import ValidationError
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene.entry import Entry, values_below
-from softrobot_twin.scene.patterns import as_written
+from softrobot_twin.scene.patterns import as_written, expand_patterns
 from softrobot_twin.scene.refusal_messages import (
     dotted,
     nearest,
@@ -27,6 +30,12 @@ from softrobot_twin.scene.refusal_messages import (
 from softrobot_twin.scene.schema import Scene
 
 _KEY = re.compile(r"[^.\[\]]+(?:\[\d+\])*(?:\.[^.\[\]]+(?:\[\d+\])*)*")
+_TIED = re.compile(r"([+-]*)(.+)")
+COPIES = "#"
+"""At the end of a key: with all copies of the repeated entry."""
+BY_SHARE = frozenset({"Pa", "kg/m³", "N", "N/m", "N m/rad"})
+"""Units of numbers above zero by their nature: tied ones keep their ratios."""
+_SHIFT, _LEAST_SHARE = 1.0e-3, 1.0e-9
 # A preset gives these: where one of them has another value, the preset is no more what is asked for.
 _OF_PRESET = ("law", "constants", "young_modulus")
 
@@ -81,13 +90,13 @@ class Parameter(NamedTuple):
 
 
 class JointParameter(NamedTuple):
-    """Several numbers of a scene that change together, by one number that is 0 at first.
+    """Several numbers of a scene that change together, by one number.
 
     Attributes:
         key: Its name.
         unit: Unit of the number.
         numbers: What it changes.
-        first: Their values at first, each in its unit.
+        first: Their values where the number is 0, each in its unit.
         shares: By how much each changes by one unit.
     """
 
@@ -150,6 +159,74 @@ def parameters(scene: Scene, *keys: str) -> tuple[Parameter, ...]:
     return tuple(found.values())
 
 
+def tied(scene: Scene, key: str) -> tuple[Parameter | JointParameter, ...]:
+    """Handles of numbers, of which a key may tie several to one.
+
+    Args:
+        scene: The scene.
+        key: As in `parameters`; with ``#`` at its end each number moves with those of the other copies
+            of its repeated entry. Keys that are joined by ``+`` are one number; signs before them, such
+            as ``+-``, say in which direction each moves, and begin again after the last.
+
+    Raises:
+        SceneError: No number has such a key.
+    """
+    match = _TIED.fullmatch(key)
+    signs, own = match.groups() if match else ("", key)
+    if not signs and "+" not in own:
+        return _with_copies(scene, own.removesuffix(COPIES)) if own.endswith(COPIES) else parameters(scene, own)
+    joined = [one for part in own.split("+") for one in tied(scene, part)]
+    numbers, shares = list[Parameter](), list[float]()
+    for place, one in enumerate(joined):
+        sign = -1.0 if signs and signs[place % len(signs)] == "-" else 1.0
+        numbers += [one] if isinstance(one, Parameter) else one.numbers
+        shares += [sign] if isinstance(one, Parameter) else [sign * share for share in one.shares]
+    return (_joint(scene, key, numbers, shares),)
+
+
+def _joint(scene: Scene, key: str, numbers: list[Parameter], shares: list[float]) -> JointParameter:
+    """Numbers that move together: by their shares, or in proportion to what they are."""
+    first = tuple(one.read(scene) for one in numbers)
+    if numbers[0].unit in BY_SHARE and first[0] > 0.0 and min(shares) > 0.0:
+        return JointParameter(key, numbers[0].unit, tuple(numbers), (0.0,) * len(first),
+                              tuple(value / first[0] for value in first))  # fmt: skip
+    return JointParameter(key, numbers[0].unit, tuple(numbers), first, tuple(shares))
+
+
+def _with_copies(scene: Scene, key: str) -> tuple[JointParameter, ...]:
+    """The numbers of a key, each with those of the other copies of its entry."""
+    written = {one: as_written(scene.source.mapping, _steps(one.key))[0] for one in parameters(scene)}
+    found = dict[tuple, JointParameter]()
+    for place in dict.fromkeys(written[one] for one in parameters(scene, key)):
+        first = next(one for one, own in written.items() if own == place)
+        others = [one for one, own in written.items() if own[: len(place) - 1] == place[:-1]]
+        ends = [_expanded(scene, first, place, shift) for shift in (0.0, _SHIFT)]
+        shares = {one: (_moved(ends[1], one) - _moved(ends[0], one)) / _SHIFT for one in others}
+        own = {one: round(share, 9) for one, share in shares.items() if abs(share) > _LEAST_SHARE}
+        joint, value = _joint(scene, f"{first.key}{COPIES}", list(own), list(own.values())), first.read(scene)
+        # The number is that of the first copy.
+        found[place] = joint if not any(joint.first) else joint._replace(first=tuple(
+            begin - share * value for begin, share in zip(joint.first, joint.shares, strict=True)))  # fmt: skip
+    return tuple(found.values())
+
+
+def _expanded(scene: Scene, first: Parameter, written: tuple, shift: float) -> Any:
+    """The copies of a scene's entries where a number of its file is shifted."""
+    place, value = _steps(first.key), first.read(scene) + shift
+    if not isinstance(place[-1], int):
+        return expand_patterns(_with(scene.source.written, written, value, None), Scene)
+    numbers = list(value_at(scene, dotted(place[:-1])))  # The file may leave out the vector.
+    numbers[place[-1]] = value
+    return expand_patterns(_with(scene.source.written, written[:-1], numbers, None), Scene)
+
+
+def _moved(expanded: Any, one: Parameter) -> float:
+    """A number of the copies; 0 where these leave it out."""
+    for step in _steps(one.key):
+        expanded = _below(expanded, step)
+    return float(expanded or 0.0) if isinstance(expanded, int | float) else 0.0
+
+
 def value_at(scene: Scene, key: str) -> Any:
     """The value at a key of a scene.
 
@@ -166,17 +243,17 @@ def value_at(scene: Scene, key: str) -> Any:
     return value
 
 
-def full_key(scene: Scene, key: str) -> str:
-    """A key with the places of entries in place of their names, such as ``cables[0].rate``.
+def full_keys(scene: Scene, key: str) -> list[str]:
+    """Keys with the places of entries in place of their names, such as ``cables[0].rate``.
 
     Args:
         scene: The scene.
-        key: The key, such as ``cables.north.rate``.
+        key: The key, such as ``cables.north.rate``; of several numbers with ``*``.
 
     Raises:
         SceneError: The scene has no such key.
     """
-    return dotted(_place(scene, key))
+    return [dotted(place) for place in _all_places(scene, key)]
 
 
 def changed_scene(scene: Scene, changes: Mapping[str, Any]) -> Scene:
@@ -213,7 +290,8 @@ def with_values(values: Any, scene: Scene, changes: Mapping[str, Any]) -> Any:
         SceneError: There is no such key.
     """
     for key, value in changes.items():
-        values = _with(values, _place(scene, key), value, scene)
+        for place in _all_places(scene, key):
+            values = _with(values, place, value, scene)
     return values
 
 
@@ -230,6 +308,12 @@ def _place(scene: Scene, key: str) -> tuple:
         raise _no_key(scene, key, "", "is no key of a scene, such as body.material.young_modulus "
                       "or cables[0].tension")
     return found[0]
+
+
+def _all_places(scene: Scene, key: str) -> list[tuple]:
+    """Where a key is in a scene, or where its ``*`` means several entries."""
+    steps = _steps(key) if "*" in key else ()
+    return (list(_places(scene, steps)) if steps else []) or [_place(scene, key)]
 
 
 def _places(scene: Scene, steps: tuple) -> Iterator[tuple]:

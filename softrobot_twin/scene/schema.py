@@ -140,6 +140,9 @@ class Marker(Entry):
     """Where it is at rest."""
 
 
+_Scale = Annotated[float, unit("", gt=0.5, lt=2.0)]
+
+
 class MarkerFrame(Entry):
     """Frame of the cameras that measure the markers."""
 
@@ -147,11 +150,13 @@ class MarkerFrame(Entry):
     """Its origin, in the frame of the robot."""
     rotation: Angles = (0.0, 0.0, 0.0)
     """Angles about the robot's axes."""
+    scale: Annotated[tuple[_Scale, _Scale, _Scale], unit("")] = (1.0, 1.0, 1.0)
+    """What the cameras measure of a unit length along each of their axes."""
 
     @property
     def is_usual(self) -> bool:
         """Whether the cameras measure in the frame of the robot."""
-        return not any((*self.position, *self.rotation))
+        return not any((*self.position, *self.rotation)) and self.scale == (1.0, 1.0, 1.0)
 
     def of_robot(self, points: np.ndarray) -> np.ndarray:
         """Measured points in the frame of the robot [m], shape (..., 3).
@@ -159,7 +164,7 @@ class MarkerFrame(Entry):
         Args:
             points: In the frame of the cameras [m], shape (..., 3).
         """
-        return points if self.is_usual else points @ self._turn.T + self.position
+        return points if self.is_usual else points / self.scale @ self._turn.T + self.position
 
     def of_cameras(self, points: np.ndarray) -> np.ndarray:
         """Points in the frame of the cameras, the inverse of `of_robot`.
@@ -167,7 +172,12 @@ class MarkerFrame(Entry):
         Args:
             points: In the frame of the robot [m], shape (..., 3).
         """
-        return points if self.is_usual else (points - self.position) @ self._turn
+        return points if self.is_usual else (points - self.position) @ self.to_cameras
+
+    @property
+    def to_cameras(self) -> np.ndarray:
+        """What a vector of the robot is multiplied with from the right, shape (3, 3)."""
+        return self._turn * self.scale
 
     @property
     def _turn(self) -> np.ndarray:

@@ -79,7 +79,7 @@ from softrobot_twin.simulation.runs.input_tables import (
 from softrobot_twin.simulation.runs.run_columns import RunColumns, RunRow
 from softrobot_twin.simulation.sensitivities import Sensitivities
 from softrobot_twin.study import direct_run
-from softrobot_twin.study.calibration import Calibration, calibrate
+from softrobot_twin.study.calibration import Calibration, Given, calibrate
 from softrobot_twin.study.calibration_report import measured_poses
 from softrobot_twin.study.design import DesignModel, Objective
 from softrobot_twin.study.direct_run import DEFAULT_RATE, run_commands
@@ -472,7 +472,7 @@ class Robot:
             self.scene, variables_of(self.scene, parameters), poses_of(self.scene, commands))
 
     def calibrate(
-        self, data: Any, fit: Iterable[str] = (), known: Mapping[str, float] | None = None,
+        self, data: Any, fit: Iterable[str] = (), known: Mapping[str, Given] | None = None,
         check: Any = (),
     ) -> Calibration:  # fmt: skip
         """Fits numbers of its scene to what was measured at rest; the robot stays as it is.
@@ -480,11 +480,10 @@ class Robot:
         Args:
             data: A recorded run (.mcap), a table (.csv, a `pandas.DataFrame` or a dict) with setpoints,
                 markers such as ``marker_4_x_m``, and efforts, or a list of these or of `RestPose`.
-            fit: Keys of the numbers, see `parameters`; those joined by ``+`` change together. None for
-                moduli, regulators, zeros of motors and winches and places of cables, as far as the data
-                tell them.
-            known: Standard deviations of what is known before by keys, in their units; as shares of
-                moduli, stiffnesses and densities.
+            fit: Keys of the numbers, see `softrobot_twin.scene.scene_parameters.tied`. None for those that
+                lower the error of poses held back.
+            known: What is known before by keys: standard deviations in their units, as shares of moduli,
+                stiffnesses and densities; or a value and its deviation.
             check: Data that judge the result, in place of every fourth pose.
 
         Returns:

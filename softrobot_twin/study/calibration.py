@@ -17,7 +17,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 from scipy.linalg import qr
@@ -27,25 +27,41 @@ from softrobot_twin.errors import NamedError, SceneError
 from softrobot_twin.control.rest_watch import RestPose
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.scene_parameters import (
+    COPIES,
     JointParameter,
     Parameter,
     changed_scene,
     parameters,
+    tied,
 )
 from softrobot_twin.scene.schema import MarkerFrame
 from softrobot_twin.simulation import Simulation, Touched
 from softrobot_twin.simulation.build import build_terms
 from softrobot_twin.simulation.sensitivities import Loads
 from softrobot_twin.study.equilibrium import WAY, FollowedPoses, bring_to_rest
+from softrobot_twin.study.residual_analysis import (
+    Hysteresis,
+    Linear,
+    Reach,
+    Step,
+    faulty,
+    hysteresis,
+    reach_of,
+    selected,
+)
 
-RELATIVE = {"Pa": 0.3, "kg/m³": 0.3, "N": 0.7, "N/m": 0.7}
+RELATIVE = {"Pa": 0.3, "kg/m³": 0.3, "N": 0.7, "N/m": 0.7, "N m/rad": 0.7}
 """What is known before of what is above zero, by its unit: a standard deviation as a share."""
 KNOWN = {"rad": 0.1, "": 0.1}
 """The same of other numbers, in their unit."""
 KNOWN_LENGTHS, KNOWN_PLACE = 0.02, 0.1
 """Of lengths, and of the place of the cameras, as shares of the robot's size."""
+KNOWN_SCALE = 0.01
+"""Of what cameras measure of a unit length."""
 KNOWN_PRESSURE = 0.02
 """Of the zero of a pressure, as a share of a large one."""
+UNUSUAL = 2.0
+"""A number that is further from what is known before stands for another error of the model."""
 MOST = 4.0
 """A number stays within so many standard deviations of what is known before."""
 SOFT = 3.0
@@ -68,6 +84,9 @@ a point."""
 WEIGHTS = tuple(LIGHT * one * ten for ten in (1, 10, 100) for one in (1.0, 2.0, 5.0))
 EFFORT_NOISE = 0.01
 """Noise of efforts that were not measured yet, as a share of the largest."""
+MEASUREMENTS_A_NUMBER = 3
+"""Candidates are as many numbers as have so many measurements each."""
+_FAULT_ROUNDS = 3
 EACH_HELD_BACK = 4
 """One of so many poses is held back."""
 _ROUNDS, _REWEIGHTED = 40, 50
@@ -83,9 +102,13 @@ cut off there."""
 NO_ROBOT = ("control", "effectors", "observer", "solver")
 """Sections without numbers of the robot: where the model looks, and how it is used."""
 _PLACE = re.compile(r"markers\[(\d+)\]\.point\[(\d)\]")
-_FRAME = re.compile(r"marker_frame\.(position|rotation)\[(\d)\]")
+FRAME_NUMBERS = ("position", "rotation", "scale")
+_FRAME = re.compile(rf"marker_frame\.({'|'.join(FRAME_NUMBERS)})\[(\d)\]")
 _ZERO = re.compile(r"(cables|hinge_motors)\[(\d+)\]\.offset")
+_LINE = re.compile(r"(.*), line (\d+)")
 _REGULATOR = re.compile(r"cavities\[(\d+)\]\.pressure_(gain|offset)")
+_SPECIAL = re.compile("|".join(re.sub(r"\((?!\?)", "(?:", one.pattern)
+                               for one in (_PLACE, _FRAME, _ZERO, _REGULATOR)))  # fmt: skip
 POINTS = MARKERS, EFFECTORS = "markers", "effectors"
 OBSERVED = 1.5
 """By so much more than markers are off do deviations of forces cover the model's own error; see
@@ -101,15 +124,17 @@ class Unknown(NamedTuple):
 
     Attributes:
         parameter: Its handle; of equal moduli that change together that of all.
-        start: Its value before.
+        start: Its value before, or what was measured otherwise.
         known: Standard deviation of what is known before, in its unit; as a share where relative.
         is_relative: Whether its logarithm is fitted, because it is above zero by its nature.
+        is_given: Whether it was measured otherwise: then the data need not tell it.
     """
 
     parameter: Parameter | JointParameter
     start: float
     known: float
     is_relative: bool
+    is_given: bool = False
 
     def value(self, z: float) -> float:
         """The number by its scaled distance from the start.
@@ -135,11 +160,26 @@ class Measurements(NamedTuple):
         values: [m], [N], ..., shape (n,).
         kinds: What each is, such as ``markers`` or ``tension``, shape (n,).
         poses: Index of the pose of each, shape (n,).
+        axes: What each measures within its kind: the axis of points; None for none, shape (n,).
     """
 
     values: np.ndarray
     kinds: np.ndarray
     poses: np.ndarray
+    axes: np.ndarray | None = None
+
+    def alike(self, residuals: np.ndarray) -> float:
+        """How many points of a pose count as one: the variance of sums of their residuals over that of
+        independent ones. Points of a body that a camera sees displaced as a whole are one.
+
+        Args:
+            residuals: Over their noise, shape (n,).
+        """
+        own = np.isin(self.kinds, POINTS)
+        if self.axes is None or not own.any():
+            return 1.0
+        sums = np.bincount(3 * self.poses[own] + self.axes[own], residuals[own])
+        return max(1.0, float(np.sum(sums**2) / max(np.sum(residuals[own] ** 2), 1.0e-12)))
 
 
 class Prediction(NamedTuple):
@@ -211,11 +251,12 @@ class RestModel:
             SceneError: The robot has no statics.
         """
         self._keys, self._scene = list(keys), scene
+        self._numbers, self._shares = _apart_where_special(self._keys)
         self._followed = FollowedPoses(scene, self._keys, scene_of_points)
         self.size = self.simulation.model.nodes.finite_size
         self._misfits: dict[int, float] = {}
         self._layout = None
-        if any(_PLACE.fullmatch(one.key) for one in self._keys):
+        if any(_PLACE.fullmatch(one.key) for one in self._numbers):
             mounted = self.simulation.mounted
             self._layout = build_terms(self.simulation.scene, mounted and mounted.positions).layout
         self._take_poses(poses)
@@ -230,7 +271,8 @@ class RestModel:
         self.measured = Measurements(
             np.concatenate([np.empty(0), *(v[m] for v, m in zip(parts, self._masks, strict=True))]),
             np.concatenate([kinds[:0], *(kinds[mask] for mask in self._masks)]),
-            np.repeat(np.arange(len(parts)), [mask.sum() for mask in self._masks]))
+            np.repeat(np.arange(len(parts)), [mask.sum() for mask in self._masks]),
+            np.concatenate([np.empty(0, int), *(np.arange(len(mask))[mask] % 3 for mask in self._masks)]))
 
     def of(self, poses: Sequence[RestPose]) -> RestModel:
         """The model at other poses, which knows where this one rested at those that both have.
@@ -241,6 +283,16 @@ class RestModel:
         found = copy(self)
         found._take_poses(poses)
         return found
+
+    @property
+    def begin(self) -> Scene:
+        """The scene that it was built with."""
+        return self._followed.begin
+
+    @property
+    def marker_count(self) -> int:
+        """Number of markers, which come before the effectors."""
+        return len(self._scene.markers)
 
     @property
     def at(self) -> np.ndarray:
@@ -259,6 +311,18 @@ class RestModel:
         follows = ~actuators.is_effort_driven & ~actuators.is_moved
         return (np.array([*points, *(kind.effort.word for kind in actuators.kinds)]),
                 np.concatenate([np.ones(len(points), bool), follows]))
+
+    def point_errors(self, off: np.ndarray) -> np.ndarray:
+        """Errors of the points, NaN of those that were not measured, shape (pose_count, point_count, 3).
+
+        Args:
+            off: Predicted less measured, in the order of `measured`.
+        """
+        count = len(self._scene.markers) + len(self._scene.effectors)
+        found = np.full((len(self.poses), len(self._kinds()[0])), np.nan)
+        for index, mask in enumerate(self._masks):
+            found[index, mask] = off[self.measured.poses == index]
+        return found[:, : 3 * count].reshape(-1, count, 3)
 
     def predict(self, numbers: np.ndarray, with_jacobian: bool) -> Prediction:
         """What is measured at the poses, NaN at those where the model does not come to rest, and at all where
@@ -325,12 +389,13 @@ class RestModel:
 
     def _jacobian(self, index: int, pose: RestPose) -> np.ndarray:
         """Derivatives of all numbers of a pose, where the simulation rests."""
-        own = self._followed.tangent
-        place_of = [_PLACE.fullmatch(one.key) for one in self._keys]
-        loads = [self._loads(one, pose) for one in self._keys]
-        found = own.of_loads(self._keys, loads)
+        place_of = [_PLACE.fullmatch(one.key) for one in self._numbers]
+        loads = [self._loads(one, pose) for one in self._numbers]
+        found = self._followed.tangent.of_loads(self._numbers, loads)
         if self.distances[index] == self._misfits[id(pose)]:
-            self._followed.keep(id(pose), self.simulation.state, found)
+            self._followed.keep(id(pose), self.simulation.state, found._replace(
+                parameters=tuple(self._keys), effectors=found.effectors @ self._shares,
+                efforts=found.efforts @ self._shares, moves=found.moves @ self._shares))  # fmt: skip
         points, count = found.effectors, len(self._scene.markers)
         if any(place_of):
             gradients = self._gradients()
@@ -340,21 +405,21 @@ class RestModel:
                     points[marker, :, column] += gradients[marker, :, axis]
         frame = self._scene.marker_frame
         places = self.simulation.effector_positions()[:count]
-        markers = np.einsum("ij,kip->kjp", _turn(frame), points[:count])
+        markers = np.einsum("ij,kip->kjp", frame.to_cameras, points[:count])
         by_frame = frame_derivative(frame, places)
-        for column, one in enumerate(self._keys):
+        for column, one in enumerate(self._numbers):
             if match := _FRAME.fullmatch(one.key):
-                first = 0 if match[1] == "position" else 3
+                first = FRAME_NUMBERS.index(match[1]) * 3
                 markers[:, :, column] += by_frame[:, :, first + int(match[2])]
-        width = len(self._keys)
+        width = len(self._numbers)
         return np.concatenate([markers.reshape(-1, width), points[count:].reshape(-1, width),
-                               self._told(found.efforts)])  # fmt: skip
+                               self._told(found.efforts)]) @ self._shares  # fmt: skip
 
     def _told(self, efforts: np.ndarray) -> np.ndarray:
         """Derivatives of what is told of the efforts, by those of the efforts, same shape."""
         actuators, state = self.simulation.actuators, self.simulation.state
         told = efforts / actuators.effort_gains[:, None]
-        for column, one in enumerate(self._keys):
+        for column, one in enumerate(self._numbers):
             if match := _REGULATOR.fullmatch(one.key):
                 place = actuators.of_section("cavities").start + int(match[1])
                 gain = actuators.effort_gains[place]
@@ -398,38 +463,55 @@ class RestModel:
         return found
 
 
+def _apart_where_special(
+    keys: Sequence[Parameter | JointParameter],
+) -> tuple[list[Parameter | JointParameter], np.ndarray]:
+    """Numbers whose derivatives are taken, and the share of each in each key, shape (n, key_count).
+
+    Numbers that are no term of the model have derivatives of their own, also where they are tied.
+    """
+    found, parts = dict[str, Parameter | JointParameter](), []
+    for one in keys:
+        own: list[tuple[Parameter | JointParameter, float]] = [(one, 1.0)]
+        if isinstance(one, JointParameter) and any(_SPECIAL.fullmatch(number.key) for number in one.numbers):
+            own = list(zip(one.numbers, one.shares, strict=True))
+        found |= {number.key: number for number, _ in own}
+        parts.append({number.key: share for number, share in own})
+    shares = np.array([[own.get(key, 0.0) for own in parts] for key in found]).reshape(len(found), len(parts))
+    return list(found.values()), shares
+
+
 def _stacked(markers: np.ndarray, effectors: np.ndarray, efforts: np.ndarray) -> np.ndarray:
     return np.concatenate([np.ravel(markers), np.ravel(effectors), efforts])
-
-
-def _turn(frame: MarkerFrame) -> np.ndarray:
-    return MarkerFrame(rotation=frame.rotation).of_robot(np.eye(3)).T
 
 
 def _turn_about(axis: int, frame: MarkerFrame) -> np.ndarray:
     angles = [0.0, 0.0, 0.0]
     angles[axis] = frame.rotation[axis]
-    return _turn(MarkerFrame(rotation=(angles[0], angles[1], angles[2])))
+    return MarkerFrame(rotation=(angles[0], angles[1], angles[2])).to_cameras
 
 
 def frame_derivative(frame: MarkerFrame, points: np.ndarray) -> np.ndarray:
-    """Derivatives of points in the frame of the cameras by position and angles of that frame.
+    """Derivatives of points in the frame of the cameras by position, angles and scales of that frame.
 
     Args:
         frame: The frame.
         points: In the frame of the robot [m], shape (n, 3).
 
     Returns:
-        Shape (n, 3, 6); by the position first.
+        Shape (n, 3, 9); by the position first, by the scales last.
     """
     # R turns about x, then y, then z: each angle turns about its axis as those after it have turned it.
     x, y, z = (_turn_about(axis, frame) for axis in range(3))
     R, from_origin = z @ y @ x, points - np.array(frame.position)
     axes = (z @ y @ np.eye(3)[0], z @ np.eye(3)[1], np.eye(3)[2])
-    found = np.empty((len(points), 3, 6))
+    found = np.zeros((len(points), 3, 9))
     found[:, :, :3] = -R.T
     for k, axis in enumerate(axes):
         found[:, :, 3 + k] = -np.cross(axis, from_origin) @ R
+    found[:, :, :6] *= np.array(frame.scale)[:, None]
+    for k in range(3):
+        found[:, k, 6 + k] = from_origin @ R[:, k]
     return found
 
 
@@ -444,9 +526,10 @@ class Estimate(NamedTuple):
         z: Their scaled distances from the start, shape (p,).
         covariance: Of z, shape (p, p).
         noise: Standard deviation of each kind of measurement, in its unit.
-        jacobian: Of the measurements over their noise, by z, shape (n, p).
-        residuals: Predicted less measured, over the noise, shape (n,).
+        jacobian: Of the measurements over their noise (`scale_of`), by z, shape (n, p).
+        residuals: Predicted less measured, over the same, shape (n,).
         freedom: Degrees of freedom of the variances of z, shape (p,).
+        alike: How many points of a pose count as one; see `Measurements.alike`.
     """
 
     unknowns: tuple[Unknown, ...]
@@ -456,6 +539,7 @@ class Estimate(NamedTuple):
     jacobian: np.ndarray
     residuals: np.ndarray
     freedom: np.ndarray
+    alike: float = 1.0
 
     @property
     def values(self) -> np.ndarray:
@@ -488,7 +572,41 @@ class Estimate(NamedTuple):
         return Estimate(
             tuple(self.unknowns[i] for i in kept), self.z[kept] + moved,
             self.covariance[np.ix_(kept, kept)], self.noise, J, self.residuals - others + J @ moved,
-            self.freedom[kept])
+            self.freedom[kept], self.alike)
+
+    def noise_of(self, kinds: np.ndarray) -> np.ndarray:
+        """Noise of measurements by their kinds, NaN of kinds that the fit did not have.
+
+        Args:
+            kinds: Shape (n,).
+        """
+        return np.array([self.noise.get(kind, np.nan) for kind in kinds])
+
+    def scale_of(self, kinds: np.ndarray) -> np.ndarray:
+        """Noise of measurements that weighs the points of a pose as what they tell together.
+
+        Args:
+            kinds: Shape (n,).
+        """
+        return _scales(kinds, self.noise, self.alike)
+
+    def linear(self, poses: np.ndarray) -> Linear:
+        """The fit as a linear model, in which residuals of outliers weigh less.
+
+        Args:
+            poses: Of the measurements, see `Measurements`.
+        """
+        root = (1.0 + (self.residuals / SOFT) ** 2) ** -0.25
+        return Linear(root * self.residuals, root[:, None] * self.jacobian, self.z, poses)
+
+    def of(self, places: Sequence[int], wide: Estimate) -> Estimate:
+        """The estimate with the variances that its numbers have where others are not known either.
+
+        Args:
+            places: Indices of its numbers among those of the other estimate.
+            wide: An estimate with more numbers.
+        """
+        return self._replace(covariance=wide.covariance[np.ix_(places, places)], freedom=wide.freedom[list(places)])
 
     def at_bounds(self) -> list[str]:
         """Keys of the numbers that went as far as they may."""
@@ -516,11 +634,11 @@ def estimate(model: Model, measured: Measurements, unknowns: Sequence[Unknown]) 
     here, radius, is_here = scaled.at(z, True), 1.0, True
     if not np.isfinite(here.values).all():
         raise CalibrationError("data", "the model does not come to rest at a pose")
-    noise = _noise(here.values - measured.values, measured, count)
+    noise, alike = _noise(here.values - measured.values, measured, count), 1.0
     for _ in range(_ROUNDS):
         linear = _Linear(z, here)
-        to, after = _polished(linear, measured, noise, radius)
-        per, told = np.array([after[kind] for kind in measured.kinds]), linear.at(to)
+        to, after, alike_there = _polished(linear, measured, noise, radius)
+        per, told = _scales(measured.kinds, after, alike_there), linear.at(to)
         now, promised = (_cost((values - measured.values) / per, at) for values, at in
                          ((here.values, z), (told, to)))  # fmt: skip
         if now - promised < _NO_GAIN:
@@ -533,13 +651,13 @@ def estimate(model: Model, measured: Measurements, unknowns: Sequence[Unknown]) 
             if not is_here:
                 here, is_here = scaled.at(z, True), True
             continue
-        z, noise = to, after
+        z, noise, alike = to, after, alike_there
         if gain > _GOOD_GAIN:
             radius = max(radius, 2.0 * np.abs(step).max())
         here, is_here = here._replace(values=there), False
         if gain < _GOOD_GAIN and now - promised > _LARGE_GAIN:
             here, is_here = scaled.at(z, True), True
-    per = np.array([noise[kind] for kind in measured.kinds])
+    per = _scales(measured.kinds, noise, alike)
     residuals, J = (here.values - measured.values) / per, here.jacobian / per[:, None]
     soft = 1.0 + (residuals / SOFT) ** 2
     # Information of an estimate with pulls ψ: (Σ ψ')² / Σ ψ², by which normal noise loses 1 %.
@@ -549,8 +667,8 @@ def estimate(model: Model, measured: Measurements, unknowns: Sequence[Unknown]) 
     # and one of what is known before.
     variances = np.diag(covariance)
     of_data = np.maximum(variances - np.sum(covariance**2, axis=1), 1.0e-12 * variances)
-    freedom = max(1, len(residuals) - count) * (variances / of_data) ** 2
-    return Estimate(tuple(unknowns), z, covariance, noise, J, residuals, freedom)
+    freedom = max(1, len(residuals) / alike - count) * (variances / of_data) ** 2
+    return Estimate(tuple(unknowns), z, covariance, noise, J, residuals, freedom, alike)
 
 
 def _cost(residuals: np.ndarray, z: np.ndarray) -> float:
@@ -558,16 +676,23 @@ def _cost(residuals: np.ndarray, z: np.ndarray) -> float:
     return float(np.sum(2.0 * SOFT**2 * (np.sqrt(1.0 + (residuals / SOFT) ** 2) - 1.0)) + z @ z)
 
 
+def _scales(kinds: np.ndarray, noise: Mapping[str, float], alike: float) -> np.ndarray:
+    """Noise of measurements of these kinds, that of points as if as many as are alike were one."""
+    return np.array([noise[kind] for kind in kinds]) * np.where(np.isin(kinds, POINTS), np.sqrt(alike), 1.0)
+
+
 def _polished(
     linear: _Linear, measured: Measurements, noise: dict[str, float], radius: float
-) -> tuple[np.ndarray, dict[str, float]]:
-    """The minimum of a linear model near its origin, with the noise that follows from its residuals."""
+) -> tuple[np.ndarray, dict[str, float], float]:
+    """The minimum of a linear model near its origin, with the noise that follows from its residuals, and how
+    many points are alike."""
     z, count = linear.origin, len(linear.origin)
     low, high = np.maximum(z - radius, -MOST), np.minimum(z + radius, MOST)
     for _ in range(_REWEIGHTED):
         off = linear.at(z) - measured.values
         before, noise = noise, _noise(off, measured, count)
-        per = np.array([noise[kind] for kind in measured.kinds])
+        alike = measured.alike(np.clip(off / _scales(measured.kinds, noise, 1.0), -SOFT, SOFT))
+        per = _scales(measured.kinds, noise, alike)
         root = (1.0 + (off / per / SOFT) ** 2) ** -0.25
         A = np.concatenate([linear.jacobian * (root / per)[:, None], np.eye(count)])
         b = A @ z - np.concatenate([root * off / per, z])
@@ -579,7 +704,7 @@ def _polished(
         if np.abs(z - moved).max(initial=0.0) < 1.0e-6 and all(
                 abs(noise[kind] / before[kind] - 1.0) < 1.0e-3 for kind in noise):  # fmt: skip
             break
-    return z, noise
+    return z, noise, alike
 
 
 class _Scaled:
@@ -635,16 +760,25 @@ def _noise(residuals: np.ndarray, measured: Measurements, count: int) -> dict[st
 # --- what the data tell --------------------------------------------------------------------------
 
 
-def not_told(jacobian: np.ndarray, least: float = TOLD) -> list[tuple[int, ...]]:
+def not_told(
+    jacobian: np.ndarray, least: float = TOLD, given: Sequence[int] = ()
+) -> list[tuple[int, ...]]:
     """Numbers that the data cannot tell, in groups that they cannot tell apart.
 
     Args:
         jacobian: See `Estimate`.
         least: See `TOLD`.
+        given: Indices of numbers that were measured otherwise, which are in no group.
 
     Returns:
         Indices of the numbers of each group.
     """
+    if len(given):
+        others = np.delete(np.arange(jacobian.shape[1]), given)
+        # What is left of each column where the given numbers take, within what is known of them, their part.
+        J = np.vstack([jacobian, np.eye(jacobian.shape[1])[list(given)]])
+        left = J[:, others] - J[:, given] @ np.linalg.lstsq(J[:, given], J[:, others], rcond=None)[0]
+        return [tuple(int(others[i]) for i in group) for group in not_told(left, least)]
     _, singular, V = np.linalg.svd(jacobian, full_matrices=True)
     singular = np.concatenate([singular, np.zeros(len(V) - len(singular))])
     weak = V[singular < least]
@@ -728,6 +862,9 @@ class Calibration(NamedTuple):
         start: The scene before.
         poses: The poses of the fit.
         joint: The estimate with the numbers that are not told.
+        steps: What each number brought that was chosen without keys, the first first.
+        reach: How errors grow outside of the poses of the fit.
+        hysteresis: See there; None where there is none.
     """
 
     scene: Scene
@@ -739,6 +876,9 @@ class Calibration(NamedTuple):
     start: Scene
     poses: tuple[RestPose, ...]
     joint: Estimate
+    steps: tuple[tuple[str, Step], ...]
+    reach: Reach
+    hysteresis: Hysteresis | None
 
     @property
     def values(self) -> dict[str, float]:
@@ -762,6 +902,11 @@ class Calibration(NamedTuple):
         return OBSERVED * float(np.sqrt(max(0.0, after**2 - 3.0 * noise**2)))
 
     @property
+    def unusual(self) -> list[Unknown]:
+        """Numbers that are further from what is known before than `UNUSUAL` deviations."""
+        return [one for one, z in zip(self.estimate.unknowns, self.estimate.z, strict=True) if abs(z) > UNUSUAL]
+
+    @property
     def is_accepted(self) -> bool:
         """Whether there are numbers that the data tell apart, and they are better than those before."""
         are_apart = all(len(group) == 1 for group in self.not_told)
@@ -771,7 +916,8 @@ class Calibration(NamedTuple):
 def usual_keys(scene: Scene) -> list[list[str]]:
     """Keys of what differs most often between a robot and its scene, the first first, in groups.
 
-    Moduli, gains and zeros of regulators, zeros of motors, where cables run, and zeros of winches.
+    Moduli, gains and zeros of regulators, zeros of motors, where cables, beams and what is mounted are,
+    zeros of winches, where markers are glued, and the cameras.
 
     Args:
         scene: The scene.
@@ -780,7 +926,12 @@ def usual_keys(scene: Scene) -> list[list[str]]:
     kinds = [r".*\.young_modulus"]
     kinds += [rf"cavities\[{index}\]\.pressure_(gain|offset)" for index, cavity in
               enumerate(scene.cavities) if cavity.control == "pressure"]  # fmt: skip
-    found = [[key for key in known if re.fullmatch(kind, key)] for kind in (*kinds, r"hinge_motors.*\.offset")]
+    found = [[key for key in known if re.fullmatch(kind, key)] for kind in kinds]
+    for kind in (r"hinge_motors.*\.(offset|stiffness)", r"beams.*\.arcs\[\d+\]\.angle",
+                 r"beams\[\d+\]\.points\[0\]\[\d\]", r"beams.*\.through\[\d\]",
+                 r"mounting.*\.translation\[\d\]"):  # fmt: skip
+        found += _by_copies(scene, [key for key in known if re.fullmatch(kind, key)])
+    found.append([key for key in known if re.fullmatch(r"hinge_motors.*\.offset", key)])
     for index, cable in enumerate(scene.cables):
         # A cable through several points runs beside its place as a whole.
         places = [f"cables[{index}].points.*"]
@@ -788,11 +939,25 @@ def usual_keys(scene: Scene) -> list[list[str]]:
             places.append(f"cables[{index}].pull_point")
         found += [["+".join(f"{place}[{axis}]" for place in places)] for axis in range(3)]
     found.append([key for key in known if re.fullmatch(r"cables.*\.offset", key)])
+    if scene.markers:
+        found += [[f"+markers.*.point[{axis}]"] for axis in range(3)]
+        found.append([key for key in known if _FRAME.fullmatch(key)])
     return [keys for keys in found if keys]
 
 
+def _by_copies(scene: Scene, keys: list[str]) -> list[list[str]]:
+    """Keys of the numbers of repeated entries, each with its copies; the others are left out."""
+    found = {one.key: len(one.numbers) for key in keys for one in tied(scene, f"{key}{COPIES}")
+             if isinstance(one, JointParameter)}  # fmt: skip
+    return [[key] for key, count in found.items() if count > 1]
+
+
+Given: TypeAlias = float | tuple[float, float]
+"""What is known of a number: its standard deviation, or what was measured otherwise with its deviation."""
+
+
 def unknowns_of(
-    scene: Scene, keys: Sequence[str], known: Mapping[str, float] | None = None
+    scene: Scene, keys: Sequence[str], known: Mapping[str, Given] | None = None
 ) -> tuple[Unknown, ...]:
     """Numbers of a scene that shall be fitted, with what is known of them before.
 
@@ -800,9 +965,10 @@ def unknowns_of(
 
     Args:
         scene: The scene.
-        keys: See `softrobot_twin.scene.scene_parameters.parameters`; none for `usual_keys`. What several
-            keys name that are joined by ``+`` changes together, by the same amount.
-        known: Standard deviations by keys, in their units; as shares of numbers above zero by nature.
+        keys: See `softrobot_twin.scene.scene_parameters.tied`; none for `usual_keys`, beside those of
+            `known` that were measured.
+        known: What is known by keys: deviations in the unit of the number, as shares of numbers above
+            zero by nature; or a value and its deviation, both in the unit.
 
     Raises:
         SceneError: No number has such a key.
@@ -810,24 +976,30 @@ def unknowns_of(
     """
     simulation = Simulation(scene, with_warnings=False)
     size = simulation.model.nodes.finite_size
-    given = {one.key: value for key, value in (known or {}).items()
-             for one in parameters(scene, key)}  # fmt: skip
+    given, measured = dict[str, tuple[str, Given]](), list[list[str]]()
+    for key, value in (known or {}).items():
+        given |= {one.key: (key, value) for one in _together(scene, [key])}
+        measured += [[key]] if isinstance(value, tuple) else []
     efforts = simulation.actuators.effort_scale[simulation.actuators.of_section("cavities")]
     found = dict[str, Parameter | JointParameter]()
-    for own in [[key] for key in keys] or usual_keys(scene):
+    for own in [[key] for key in keys] or measured + usual_keys(scene):
         found |= {one.key: one for one in _together(scene, own)}
-    return tuple(_unknown(scene, one, size, efforts, given) for one in found.values())
+    for one, (key, _) in given.items():
+        if keys and one not in found:
+            raise CalibrationError(key, "is known, but is none of the numbers that are fitted")
+    return tuple(_unknown(scene, one, size, efforts, given.get(one.key, ("", None))[1])
+                 for one in found.values())  # fmt: skip
 
 
 def _together(scene: Scene, keys: Sequence[str]) -> Iterator[Parameter | JointParameter]:
-    """Numbers, of which equal moduli are one, and those that are joined by ``+``."""
-    if "+" in keys[0]:
-        joined = parameters(scene, *keys[0].split("+"))
-        first = tuple(one.read(scene) for one in joined)
-        yield JointParameter(keys[0], joined[0].unit, joined, first, (1.0,) * len(joined))
+    """Numbers, of which equal moduli are one, and those that are tied."""
+    if "+" in keys[0] or keys[0].endswith(COPIES):
+        yield from tied(scene, keys[0])
         return
     alike: dict[object, list[Parameter]] = {}
     for one in parameters(scene, *keys):
+        if one.key.startswith("marker_frame.scale") and keys[0] == "marker_frame":
+            continue  # A camera is scaled by its maker: a scale is asked for by name.
         is_modulus = one.key.endswith("young_modulus")
         alike.setdefault(one.read(scene) if is_modulus else one.key, []).append(one)
     for own in alike.values():
@@ -838,7 +1010,7 @@ def _together(scene: Scene, keys: Sequence[str]) -> Iterator[Parameter | JointPa
 
 
 def _unknown(
-    scene: Scene, one: Parameter | JointParameter, size: float, efforts: np.ndarray, given: Mapping[str, float]
+    scene: Scene, one: Parameter | JointParameter, size: float, efforts: np.ndarray, given: Given | None
 ) -> Unknown:
     """A number with what is known of it before."""
     start, unit, match = one.read(scene), one.unit, _REGULATOR.fullmatch(one.key)
@@ -849,27 +1021,34 @@ def _unknown(
     is_relative = unit in RELATIVE and match is None
     if is_relative and start <= 0.0:
         raise CalibrationError(one.key, f"is {start:g} {unit}: give it a first value above zero")
+    if isinstance(given, tuple):
+        value, deviation = given
+        if is_relative and value <= 0.0:
+            raise CalibrationError(one.key, f"is known as {value:g} {unit}, but is above zero")
+        return Unknown(one, value, deviation / value if is_relative else deviation, is_relative, True)
     length = KNOWN_PLACE if one.key.startswith("marker_frame") else KNOWN_LENGTHS
     if is_relative:
         usual = RELATIVE[unit]
     elif match is not None and unit:
         usual = KNOWN_PRESSURE * float(efforts[int(match[1])])
+    elif one.key.startswith("marker_frame.scale"):
+        usual = KNOWN_SCALE
     else:
         usual = length * size if unit == "m" else KNOWN.get(unit, 0.1 * abs(start) or 1.0)
-    return Unknown(one, start, float(given.get(one.key, usual)), is_relative)
+    return Unknown(one, start, usual if given is None else float(given), is_relative)
 
 
 def calibrate(
     scene: Scene, poses: Sequence[RestPose], keys: Sequence[str],
-    known: Mapping[str, float] | None = None, check: Sequence[RestPose] = (),
+    known: Mapping[str, Given] | None = None, check: Sequence[RestPose] = (),
 ) -> Calibration:  # fmt: skip
     """Fits numbers of a scene to what was measured at rest, and tries them at poses held back.
 
     Args:
         scene: The scene.
         poses: The poses.
-        keys: Keys of the numbers, see `unknowns_of`. Without any, those that the data do not tell beside
-            the others stay as they were.
+        keys: Keys of the numbers, see `unknowns_of`. Without any, those are fitted that lower the error of
+            poses held back.
         known: See `unknowns_of`.
         check: Poses that judge, in place of every fourth one.
 
@@ -887,26 +1066,171 @@ def calibrate(
                                f"needed: {'; '.join(aside) or 'no more were recorded'}")
     held = judges or used[EACH_HELD_BACK - 1 :: EACH_HELD_BACK] or used[-1:]
     own = [pose for pose in used if not any(pose is one for one in held)]
-    found = estimate(at := model.of(own), at.measured, unknowns)
-    groups, left = not_told(found.jacobian), list[str]()
     if not keys:
-        chosen = told_beside_others(found.jacobian)
-        left = [one.parameter.key for i, one in enumerate(unknowns) if i not in chosen]
-        groups = []
-    if left:
-        unknowns = tuple(unknowns[i] for i in chosen)
-        handles = [one.parameter for one in unknowns]
-        model = RestModel(scene, handles, used)
-        found = estimate(at := model.of(own), at.measured, unknowns)
-    kept = found.without([group[0] for group in groups if len(group) == 1])
+        # The first ones are known from elsewhere, or differ most often.
+        unknowns = unknowns[: max(1, len(model.of(own).measured.values) // MEASUREMENTS_A_NUMBER)]
+        model = RestModel(scene, [one.parameter for one in unknowns], [*used, *judges])
+    fit = _fitted(model, own, unknowns, bool(keys), aside)
+    kept = fit.found.without(fit.unused)
     numbers = dict[str, float]()
     for one, value in zip(kept.unknowns, kept.values, strict=True):
         numbers |= one.parameter.changes(float(value))
     fitted = changed_scene(scene, numbers)
-    keys_of = tuple(tuple(handles[i].key for i in group) for group in groups)
-    keys_of += tuple((key,) for key in left)
-    return Calibration(fitted, kept, validated(model.of(held), found, fitted), keys_of, len(own),
-                       tuple(aside), scene, tuple(own), found)  # fmt: skip
+    reach = reach_of(fit.found.linear(fit.model.measured.poses), np.array([one.setpoints for one in fit.poses]))
+    held, off = _judged(model, fit, fitted, held, aside)
+    return Calibration(
+        fitted, kept, validated(model.of(held), fit.wide, fitted, reach), fit.not_told, len(fit.poses),
+        tuple(aside), scene, tuple(fit.poses), fit.found, fit.steps, reach,
+        hysteresis(*_in_order(used, off)))  # fmt: skip
+
+
+class _Fit(NamedTuple):
+    """A fit, before it is judged.
+
+    Attributes:
+        found: The estimate.
+        wide: That of all candidates, by which predictions vary; the estimate where keys are given.
+        unused: Indices of the numbers of the estimate that stay as they were.
+        not_told: See `Calibration`.
+        steps: See there.
+        poses: The poses without faulty points.
+        model: Of these.
+    """
+
+    found: Estimate
+    wide: Estimate
+    unused: list[int]
+    not_told: tuple[tuple[str, ...], ...]
+    steps: tuple[tuple[str, Step], ...]
+    poses: list[RestPose]
+    model: RestModel
+
+
+def _fitted(
+    model: RestModel, own: list[RestPose], unknowns: tuple[Unknown, ...], has_keys: bool, aside: list[str]
+) -> _Fit:
+    """Fits all numbers, or those of them that lower the error of poses that are held back."""
+    found, own, at = _without_faults(model, own, unknowns, aside)
+    keys, given = [one.parameter.key for one in unknowns], [i for i, one in enumerate(unknowns) if one.is_given]
+    if has_keys:
+        groups = not_told(found.jacobian, given=given)
+        unused = [group[0] for group in groups if len(group) == 1]
+        return _Fit(found, found, unused, tuple(tuple(keys[i] for i in one) for one in groups), (), own, at)
+    points = np.isin(at.measured.kinds, POINTS)
+    steps = selected(found.linear(at.measured.poses), given, points if points.any() else None)
+    chosen, wide = sorted(one.number for one in steps), found
+    left = tuple((key,) for i, key in enumerate(keys) if i not in chosen)
+    told = tuple((keys[one.number], one) for one in steps)
+    if not chosen:
+        return _Fit(found, wide, list(range(len(keys))), left, told, own, at)
+    if left:
+        some = tuple(unknowns[i] for i in chosen)
+        small = RestModel(model.begin, [one.parameter for one in some], own)
+        found = estimate(small, small.measured, some).of(chosen, wide)
+    return _Fit(found, wide, [], left, told, own, at)
+
+
+def _without_faults(
+    model: RestModel, poses: list[RestPose], unknowns: tuple[Unknown, ...], aside: list[str]
+) -> tuple[Estimate, list[RestPose], RestModel]:
+    """The estimate by the poses without faulty points, these poses, and their model."""
+    for _ in range(_FAULT_ROUNDS):
+        found = estimate(at := model.of(poses), at.measured, unknowns)
+        left, words = _cleaned(at, poses, found.residuals * found.scale_of(at.measured.kinds))
+        if not words:
+            break
+        aside += words
+        poses = left
+    return found, poses, at
+
+
+def _cleaned(
+    model: RestModel, poses: list[RestPose], off: np.ndarray, least: float = 0.0
+) -> tuple[list[RestPose], list[str]]:
+    """Poses without their faulty points, and what was left out."""
+    errors = model.point_errors(off)
+    found, count = faulty(errors, least), model.marker_count
+    if not found.any():
+        return poses, []
+    kept, whole, words = [], dict[int, np.ndarray](), []
+    for index, (pose, bad, error) in enumerate(zip(poses, found, errors, strict=True)):
+        if not bad.any():
+            kept.append(pose)
+            continue
+        mean = -np.mean(error[bad], axis=0)
+        if bad[np.isfinite(error[:, 0])].all():
+            whole[index] = mean
+            continue
+        names = ", ".join(model.simulation.effector_names[i].strip("_").replace("_", " ") for i in np.flatnonzero(bad))
+        words.append(f"{pose.origin}: {names} {_off_in_words(mean)}")
+        markers, effectors = pose.markers.copy(), pose.effectors.copy()
+        markers[bad[:count]], effectors[bad[count:]] = np.nan, np.nan
+        kept.append(pose._replace(markers=markers, effectors=effectors))
+    return kept, words + _rows_in_words(poses, whole)
+
+
+def _rows_in_words(poses: list[RestPose], off: Mapping[int, np.ndarray]) -> list[str]:
+    """Faulty rows; those that follow one another in one file are one."""
+    blocks: list[list[int]] = []
+    for index in off:
+        name, line = _line(poses[index])
+        if blocks:
+            before = _line(poses[blocks[-1][-1]])
+            is_next = line and before == (name, line - 1)
+            alike = np.linalg.norm(off[index] - off[blocks[-1][-1]]) < 0.5 * np.linalg.norm(off[index])
+            if is_next and alike:
+                blocks[-1].append(index)
+                continue
+        blocks.append([index])
+    words = []
+    for block in blocks:
+        name, first = poses[block[0]].origin, _line(poses[block[-1]])[1]
+        lines = name if len(block) == 1 else f"{name.replace('line', 'lines')} to {first}"
+        words.append(f"{lines}: {_off_in_words(np.mean([off[index] for index in block], axis=0))}")
+    return words
+
+
+def _line(pose: RestPose) -> tuple[str, int]:
+    """File and line that a pose is from; 0 without one."""
+    match = _LINE.fullmatch(pose.origin)
+    return (match[1], int(match[2])) if match else (pose.origin, 0)
+
+
+def _off_in_words(off: np.ndarray) -> str:
+    """How far a measurement is from where the model is."""
+    x, y, z = 1e3 * off
+    return f"measured {1e3 * np.linalg.norm(off):.1f} mm off (x {x:+.1f}, y {y:+.1f}, z {z:+.1f})"
+
+
+def _judged(
+    model: RestModel, fit: _Fit, fitted: Scene, held: list[RestPose], aside: list[str]
+) -> tuple[list[RestPose], dict[int, tuple[np.ndarray, np.ndarray]]]:
+    """The poses that judge without faulty points; and mean error and mean place of the points of all poses."""
+    judge = model.of(held)
+    values = np.array([one.parameter.read(fitted) for one in fit.wide.unknowns])
+    off = judge.predict(values, False).values - judge.measured.values
+    errors = fit.model.point_errors(fit.found.residuals * fit.found.scale_of(fit.model.measured.kinds))
+    usual = np.linalg.norm(errors, axis=2)
+    least = float(np.nanmedian(usual)) if np.isfinite(usual).any() else 0.0
+    both = [*zip(fit.poses, errors, strict=True), *zip(held, judge.point_errors(off), strict=True)]
+    means = {id(pose.setpoints): (_mean(error), _mean(np.concatenate([pose.markers, pose.effectors])))
+             for pose, error in both}  # fmt: skip
+    left, words = _cleaned(judge, held, off, least)
+    aside += words
+    return left or held, means
+
+
+def _mean(points: np.ndarray) -> np.ndarray:
+    seen = points[np.isfinite(points).all(axis=1)]
+    return seen.mean(axis=0) if len(seen) else np.full(3, np.nan)
+
+
+def _in_order(
+    used: list[RestPose], means: Mapping[int, tuple[np.ndarray, np.ndarray]]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Errors and places of the poses that were not left out, in the order in which they were driven."""
+    own = [means[id(pose.setpoints)] for pose in used if id(pose.setpoints) in means]
+    return np.array([one for one, _ in own]).reshape(-1, 3), np.array([one for _, one in own]).reshape(-1, 3)
 
 
 def _usable(model: RestModel) -> tuple[list[RestPose], list[str]]:
@@ -942,17 +1266,20 @@ class Forecast(NamedTuple):
     distances: np.ndarray
 
 
-def forecast(model: RestModel, joint: Estimate, scene: Scene) -> Forecast:
+def forecast(model: RestModel, joint: Estimate, scene: Scene, reach: Reach | None = None) -> Forecast:
     """Predicts what is measured at poses, with 95 % intervals.
 
     Args:
         model: Of these poses and of the numbers of the estimate; it begins where it rested before.
         joint: The estimate, with the numbers that were not told.
         scene: Has the numbers to predict with.
+        reach: How errors grow outside of the poses of the fit; None where they do not.
     """
     at = np.array([one.parameter.read(scene) for one in joint.unknowns])
     found = model.predict(at, True)
-    noise = np.array([joint.noise.get(kind, np.nan) for kind in model.measured.kinds])
+    noise = joint.noise_of(model.measured.kinds)
+    if reach is not None and len(model.poses):
+        noise *= reach.factors(np.array([pose.setpoints for pose in model.poses]))[model.measured.poses]
     by_known = found.jacobian * [
         one.known * (value if one.is_relative else 1.0) for one, value in zip(joint.unknowns, at)]
     spread = np.einsum("ki,ij,kj->k", by_known, joint.covariance, by_known)
@@ -960,7 +1287,7 @@ def forecast(model: RestModel, joint: Estimate, scene: Scene) -> Forecast:
                     model.distances)
 
 
-def validated(model: RestModel, joint: Estimate, after: Scene) -> Validation:
+def validated(model: RestModel, joint: Estimate, after: Scene, reach: Reach | None = None) -> Validation:
     """Compares a scene with another one by what was measured at poses.
 
     Where a pose has several shapes the second scene is in that of the first.
@@ -969,11 +1296,12 @@ def validated(model: RestModel, joint: Estimate, after: Scene) -> Validation:
         model: Of the poses, the first scene and the numbers of the estimate.
         joint: See `forecast`.
         after: The second scene.
+        reach: See `forecast`.
     """
-    start = np.array([one.start for one in joint.unknowns])
+    start = np.array([one.parameter.read(model.begin) for one in joint.unknowns])
     off = [model.predict(start, False).values - model.measured.values]
     distances = [model.distances]
-    told = forecast(model, joint, after)
+    told = forecast(model, joint, after, reach)
     kinds = {kind: model.measured.kinds == kind for kind in dict.fromkeys(model.measured.kinds.tolist())}
     errors = [{kind: float(np.sqrt(np.mean(one[own] ** 2) * (3 if kind in POINTS else 1)))
                for kind, own in kinds.items()} for one in (*off, told.off)]  # fmt: skip

@@ -11,17 +11,20 @@ from typing import Any
 import numpy as np
 
 from softrobot_twin.control.rest_watch import RestPose
-from softrobot_twin.record.rest_poses import read_poses
+from softrobot_twin.record.rest_poses import Axes, read_poses
 from softrobot_twin.record.run_description import files_named
 from softrobot_twin.scene import load_scene
 from softrobot_twin.scene.loading import changes_of
-from softrobot_twin.scene.scene_parameters import full_key
+from softrobot_twin.scene.scene_parameters import full_keys
 from softrobot_twin.scene.scene_editing import EditedValue, edited_text
 from softrobot_twin.simulation import Simulation
+from softrobot_twin.simulation.mounting import MountingError
 from softrobot_twin.study.calibration import (
     POINTS,
+    UNUSUAL,
     Calibration,
     CalibrationError,
+    Given,
     Suggestion,
     Unknown,
     calibrate,
@@ -32,6 +35,8 @@ from softrobot_twin.study.output_file import output_file
 from softrobot_twin.study.terminal import console, print_apart, table, terminal_status, warn
 
 NOT_BETTER = 1
+FARTHER, LEAST_INSIDE = 1.5, 0.85
+"""Errors outside of the poses that grow by more, and shares inside intervals that are less, are warned of."""
 DIGITS = 6
 """Digits of a number in a scene file."""
 
@@ -57,7 +62,7 @@ def measured_poses(data: Any, simulation: Simulation) -> tuple[list[RestPose], l
 def calibrate_scene(
     path: Path, data: Sequence[Path], fit: Sequence[str], known: Sequence[str] = (),
     output: Path | None = None, picture: Path | None = None, suggest: bool = False,
-    check: Sequence[Path] = (),
+    check: Sequence[Path] = (), axes: str = "x,y,z", backwards: Sequence[str] = (),
 ) -> int:  # fmt: skip
     """Calibrates a scene, prints what was found, and writes another scene where it is better.
 
@@ -70,6 +75,8 @@ def calibrate_scene(
         picture: Picture to write; None for none.
         suggest: Whether to tell what should be measured next.
         check: Files that judge in place of every fourth pose.
+        axes: See `Axes.read`; of tables.
+        backwards: See there.
 
     Returns:
         Exit code: 1 where no scene was written.
@@ -77,20 +84,20 @@ def calibrate_scene(
     Raises:
         SoftRobotTwinError: The scene or the data cannot be used.
     """
-    scene = load_scene(path)
+    scene, read_as = load_scene(path), Axes.read(axes, backwards)
     with terminal_status("reading what was measured"):
         simulation = Simulation(scene, with_warnings=False)
-        poses, words = read_poses(data, simulation)
-        judges, more = read_poses(check, simulation)
+        poses, words = read_poses(data, simulation, read_as)
+        judges, more = read_poses(check, simulation, read_as)
     for sentence in words + more:
         print(sentence)
     with terminal_status("fitting"):
         found = calibrate(scene, poses, fit, _known(known), judges)
     print_apart(*tables(found))
     for sentence in found.set_aside:
+        warn(f"left out: {sentence}")
+    for sentence in doubts(found):
         warn(sentence)
-    for key in found.estimate.at_bounds():
-        warn(f"{key} went as far as it may; --known {key}=DEVIATION lets it go further")
     advice: tuple[Suggestion, ...] = ()
     if suggest or (fit and found.not_told):
         with terminal_status("looking for what would tell more"):
@@ -99,10 +106,12 @@ def calibrate_scene(
         for group in found.not_told:
             warn(refusal(group, found, advice))
     elif found.not_told:
-        warn(f"as they were, because the data do not tell them beside the others: "
-             f"{', '.join(key for (key,) in found.not_told)}")
+        print(f"as they were, because they bring nothing at poses held back: "
+              f"{', '.join(key for (key,) in found.not_told)}")
     if suggest:
         print_advice(found, advice, simulation.actuator_names)
+    if found.hysteresis is not None:
+        print(hysteresis_in_words(found))
     if picture is not None:
         draw(found, picture)
         print(f"wrote {picture}")
@@ -111,23 +120,54 @@ def calibrate_scene(
     if not found.is_accepted:
         print(f"no scene is written: {why_not(found)}")
         return NOT_BETTER
+    if scene.mounting:
+        try:
+            Simulation(found.scene, with_warnings=False)
+        except MountingError as error:
+            print(f"no scene is written: with these numbers it cannot be mounted: {error}")
+            return NOT_BETTER
     written = output or path.with_name(f"{path.stem}_calibrated.yaml")
     write_scene(found, path, written, ", ".join(one.name for one in data))
     print(f"wrote {written}")
     return 0
 
 
-def _known(texts: Iterable[str]) -> dict[str, float]:
-    found = {}
+def _known(texts: Iterable[str]) -> dict[str, Given]:
+    found = dict[str, Given]()
     for text in texts:
-        key, _, number = text.partition("=")
+        key, _, said = text.partition("=")
+        value, sign, deviation = said.replace("±", "+-").rpartition("+-")
         try:
-            found[key] = float(number)
+            numbers = float(value or "0"), float(deviation)
         except ValueError:
-            found[key] = np.nan
-        if not 0.0 < found[key] < np.inf:
-            raise CalibrationError(f"--known {text}", "must be KEY=DEVIATION, a number above zero")
+            numbers = np.nan, np.nan
+        if not (np.isfinite(numbers[0]) and 0.0 < numbers[1] < np.inf):
+            raise CalibrationError(f"--known {text}", "must be KEY=DEVIATION or KEY=VALUE±DEVIATION, with a "
+                                   "deviation above zero")  # fmt: skip
+        found[key] = numbers if sign else numbers[1]
     return found
+
+
+def doubts(found: Calibration) -> list[str]:
+    """What a person should know before the numbers are trusted.
+
+    Args:
+        found: The calibration.
+    """
+    told = [f"{key} went as far as it may; --known {key}=DEVIATION lets it go further"
+            for key in found.estimate.at_bounds()]  # fmt: skip
+    for one in found.unusual:
+        if one.parameter.key not in found.estimate.at_bounds():
+            told.append(f"{one.parameter.key} is more than {UNUSUAL:g} deviations from what is known "
+                        f"({deviation_in_words(one, one.known)}): it may stand for another error of the model")
+    if found.reach.factor > FARTHER:
+        told.append(f"outside of the measured poses the error is expected to be {found.reach.factor:.1f} times as "
+                    "large: measure where the robot shall work")  # fmt: skip
+    for kind, share in found.validation.inside.items():
+        if share < LEAST_INSIDE:
+            told.append(f"only {share:.0%} of the {kind} that were held back lie inside their 95 % intervals: at "
+                        "other places the error is larger than promised")  # fmt: skip
+    return told
 
 
 def why_not(found: Calibration) -> str:
@@ -157,7 +197,7 @@ def tables(found: Calibration) -> list:
     numbers = table(
         f"{found.start.name}: numbers by {found.pose_count} poses", "key", "before", "after",
         "95 % interval", "unit",
-        rows=([one.parameter.key, f"{one.start:.6g}", f"{value:.6g}", f"{low:.6g} to {high:.6g}",
+        rows=([one.parameter.key, f"{one.parameter.read(found.start):.6g}", f"{value:.6g}", f"{low:.6g} to {high:.6g}",
                one.parameter.unit]
               for one, value, (low, high) in zip(estimate.unknowns, estimate.values,
                                                  estimate.intervals, strict=True)))  # fmt: skip
@@ -168,7 +208,36 @@ def tables(found: Calibration) -> list:
                *([_of_kind(kind, estimate.noise[kind]), f"{held.inside[kind]:.0%}"]
                  if kind in held.inside else ["", ""])]
               for kind in held.before))  # fmt: skip
-    return [numbers, kinds]
+    return [*_steps(found), numbers, kinds]
+
+
+def _steps(found: Calibration) -> list:
+    """What each number brought that was chosen, where points were measured."""
+    noise = next((found.estimate.noise[kind] for kind in POINTS if kind in found.estimate.noise), None)
+    if not found.steps or noise is None:
+        return []
+    estimate = found.estimate
+    values = {one.parameter.key: f"{value:.3g} ± {0.5 * (high - low) / 1.96:.2g} {one.parameter.unit}"
+              for one, value, (low, high) in zip(estimate.unknowns, estimate.values, estimate.intervals,
+                                                 strict=True)}  # fmt: skip
+    in_mm = 1e3 * np.sqrt(3.0 * found.estimate.alike) * noise
+    rows = ([key, values[key], f"{in_mm * (one.after - one.before):+.2f} mm", f"{in_mm * one.after:.2f} mm"]
+            for key, one in found.steps)  # fmt: skip
+    return [table("what each number brings at poses that are held back", "key", "value", "brings", "error", rows=rows)]
+
+
+def hysteresis_in_words(found: Calibration) -> str:
+    """The part of the error that depends on the direction of motion; empty without one.
+
+    Args:
+        found: The calibration.
+    """
+    if found.hysteresis is None:
+        return ""
+    told = [f"±{1e3 * abs(value):.2f} mm along {'xyz'[row]} by the direction along {'xyz'[column]}"
+            for (row, column), value in np.ndenumerate(found.hysteresis.amplitudes) if value]  # fmt: skip
+    before, after = (1e3 * np.sqrt(np.sum(one**2)) for one in (found.hysteresis.before, found.hysteresis.after))
+    return f"hysteresis: {', '.join(told)}; without it poses are off by {after:.2f} mm in place of {before:.2f} mm"
 
 
 def _of_kind(kind: str, value: float) -> str:
@@ -269,8 +338,8 @@ def write_scene(found: Calibration, path: Path, written: Path, data: str) -> Non
         numbers["observer.systematic_error"] = EditedValue(
             float(f"{found.systematic_error:.2g}"), f"calibrated {day} by {data}: by poses held back")
     for key, value in changes_of(path).items():
-        if (place := full_key(scene, key)) not in numbers:
-            numbers[place] = EditedValue(value, "as it was set for the calibration")
+        for place in full_keys(scene, key):
+            numbers.setdefault(place, EditedValue(value, "as it was set for the calibration"))
     text = edited_text(scene.path.read_text(encoding="utf-8-sig"), scene, numbers)
     if written.resolve().parent != scene.path.resolve().parent:
         for name in dict.fromkeys(files_named(scene)):

@@ -150,6 +150,7 @@ class FollowedPoses:
     A pose begins where it rested with the numbers before, moved by its derivatives where these are known.
 
     Attributes:
+        begin: The scene with the first values.
         scene: With the present values.
         simulation: Of what is simulated in its place.
         tangent: Its sensitivities.
@@ -167,7 +168,7 @@ class FollowedPoses:
             numbers: What changes.
             simulated: Gives the scene that is simulated in place of one with the numbers.
         """
-        self._begin, self._numbers, self._simulated = scene, tuple(numbers), simulated
+        self.begin, self._numbers, self._simulated = scene, tuple(numbers), simulated
         self.values = np.array([one.read(scene) for one in numbers])
         self._near: dict[Hashable, _Near] = {}
         self._build(scene, None)
@@ -198,7 +199,7 @@ class FollowedPoses:
         changes = dict[str, float]()
         for one, value in zip(self._numbers, values, strict=True):
             changes |= one.changes(float(value))
-        return changed_scene(self._begin, changes)
+        return changed_scene(self.begin, changes)
 
     def take(self, values: np.ndarray) -> None:
         """Builds the simulation with these values, unless it has them.

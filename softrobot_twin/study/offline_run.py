@@ -9,10 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.simulation import Command, Simulation
+from softrobot_twin.simulation import Command, Simulation, Status, StepResult
 from softrobot_twin.simulation.runs.input_tables import TargetTable, read_targets
 from softrobot_twin.simulation.runs.run_columns import RunColumns, RunRow
 from softrobot_twin.simulation.scene_warnings import unlikely_commands
+from softrobot_twin.simulation.step.step_report import ITERATIONS
 from softrobot_twin.study.explain import print_mesh_error, print_reduction_errors
 from softrobot_twin.study.output_file import csv_output
 from softrobot_twin.study.run_summary import BAD_END, RunSummary
@@ -25,8 +26,12 @@ from softrobot_twin.study.scene_picture import (
 from softrobot_twin.study.terminal import console, table, terminal_status, tracked, warn
 
 
-def run(simulation: Simulation, table: TargetTable, settle: int = 0,
-        columns: RunColumns | None = None) -> Iterator[RunRow]:
+MORE_ITERATIONS = 60
+"""Linearizations of a row that does not come into balance with those of the scene."""
+
+
+def run(simulation: Simulation, table: TargetTable, settle: int = 0, columns: RunColumns | None = None,
+        again: MoreIterations | None = None) -> Iterator[RunRow]:
     """Runs every row once, in order, from the simulation's present state.
 
     Args:
@@ -34,15 +39,60 @@ def run(simulation: Simulation, table: TargetTable, settle: int = 0,
         table: Rows to run.
         settle: Number of times the first row is run before the recording.
         columns: Those of the file, see `columns_of`; None to make them.
+        again: Steps the simulation; None to make it.
 
     Yields:
         One row for each row of the table.
     """
-    columns = columns or columns_of(simulation, table)
+    columns, again = columns or columns_of(simulation, table), again or MoreIterations(simulation)
     for _ in range(settle):
         simulation.step(table.command(0))
     for index, (time, command) in enumerate(zip(table.times, commands_of(table))):
-        yield columns.row(index, float(time), simulation.step(command), command)
+        yield columns.row(index, float(time), again.step(command), command)
+
+
+class MoreIterations:
+    """Steps a simulation, and repeats a step with more linearizations where these were too few.
+
+    Attributes:
+        repeated: How many steps were repeated, and came into balance.
+    """
+
+    def __init__(self, simulation: Simulation):
+        """Keeps the simulation.
+
+        Args:
+            simulation: What is stepped.
+        """
+        self._simulation, self.repeated = simulation, 0
+        self._other: Simulation | None = None
+
+    def step(self, command: Command) -> StepResult:
+        """See `Simulation.step`; what a step that is repeated took is its second time.
+
+        Args:
+            command: The command.
+        """
+        own, before = self._simulation, self._simulation.state
+        result = own.step(command)
+        if result.status is not Status.NOT_CONVERGED or ITERATIONS not in result.report.active_limits:
+            return result
+        if self._other is None:
+            more = max(MORE_ITERATIONS, 10 * own.scene.solver.newton_iterations)
+            self._other = Simulation(own.scene.changed(solver={"newton_iterations": more}), with_warnings=False,
+                                     mounted=own.mounted)  # fmt: skip
+        self._other.take_over(own, before)
+        better = self._other.step(command)
+        if better.status is Status.NOT_CONVERGED or better.status.is_failure:
+            return result
+        self.repeated += 1
+        own.take_over(self._other)
+        return better
+
+    def lines(self) -> list[tuple[str, str]]:
+        """How many steps were repeated, as names and values to print."""
+        told = ("repeated", f"{self.repeated} rows, with up to {MORE_ITERATIONS} linearizations")
+        return [told] if self.repeated else []
 
 
 def commands_of(table: TargetTable) -> Iterator[Command]:
@@ -217,7 +267,7 @@ def simulate(scene: Path, targets: Path, output: Path, settle: int = 0,
         is_last = picture is not None and row.step == len(effector_path) - 1
         return [take_snapshot(simulation, None, name, goal, effector_path)] if is_last else []
 
-    columns = columns_of(simulation, rows)
+    columns, again = columns_of(simulation, rows), MoreIterations(simulation)
     return run_and_report(
-        simulation, run(simulation, rows, settle, columns), columns, len(effector_path), "offline", output, summary,
-        picture and Picture(picture), shots)
+        simulation, run(simulation, rows, settle, columns, again), columns, len(effector_path), "offline", output,
+        summary, picture and Picture(picture), shots, again.lines)

@@ -1,7 +1,7 @@
 """Runs without commands, and the values that they record besides actuators and effectors.
 
 Bodies sag under gravity and fall while actuators hold. `BodyReadouts` gives displacement
-and centre of mass of bodies, displacement and nodes of beams, positions of masses and markers, and
+and centre of mass of bodies, displacement and nodes of beams, positions of masses, and
 energies.
 """
 
@@ -30,7 +30,7 @@ def no_commands(simulation: Simulation, seconds: float) -> CommandTable:
 
 
 class BodyReadouts:
-    """Reads deformable bodies, beams, point masses, markers and energies.
+    """Reads deformable bodies, beams, point masses and energies.
 
     A run with commands does not record these.
     """
@@ -80,8 +80,6 @@ class BodyReadouts:
         masses = [f"{entry.name}_{index}" for entry in self._masses
                   for index in range(len(entry.points))]  # fmt: skip
         yield _places(masses), positions[self._mass_nodes]
-        markers = [f"marker_{number}" for number in simulation.marker_ids]
-        yield _places(markers), simulation.marker_positions()
         yield ["elastic_energy_J"], sum(term.energy(positions) for term in forces)
         displacement = simulation.model.nodes.displacement(self._rest, positions)
         # A rotation about the centre of mass does not change the potential energy.

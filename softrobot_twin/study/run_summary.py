@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from softrobot_twin.simulation import Simulation, Status
+from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Simulation, Status
 from softrobot_twin.simulation.building.actuator_kinds import ActuatorKind, Quantity
 from softrobot_twin.simulation.runs.run_columns import RunRow, pair_names, rigid_poses
 from softrobot_twin.study.length_units import SHOWN
@@ -40,6 +40,7 @@ class RunSummary:
         sampled_range: Largest share of the range of reduced bodies.
         failed: Number of rows without a solution.
         last_status: Status of the last row.
+        is_followed: Whether the actuators are in the last row where they were commanded.
     """
 
     def __init__(self, simulation: Simulation, hold: tuple[float, float] = (math.nan, math.nan),
@@ -64,7 +65,7 @@ class RunSummary:
         self._values: dict[str, list] = {name: [] for name in (*_OF_ROW, *_OF_RESULT, *_OF_REPORT)}
         self._limits: Counter[str] = Counter()
         self.statuses: Counter[str] = Counter()
-        self.last_status = ""
+        self.last_status, self.is_followed = "", True
         self.sampled_range, self.failed = 0.0, 0
 
     def add(self, row: RunRow) -> None:
@@ -80,16 +81,18 @@ class RunSummary:
         self._limits.update(list(dict.fromkeys(report.active_limits)))
         self.sampled_range = max(self.sampled_range, report.sampled_range)
         self.last_status = row.result.status.value
+        is_given = isinstance(row.command, CommandSetpoints | CommandEfforts)
+        self.is_followed = not (is_given and row.result.status is Status.SATURATED)
         self.statuses[self.last_status] += 1
         self.failed += row.result.status.is_failure
 
     @property
     def exit_code(self) -> int:
         """Exit code of the run: 1 where a row has no solution, `BAD_END` where the last row's state
-        is not in balance or inside out, else 0."""
+        is not in balance or inside out, or its actuators are not where they were commanded, else 0."""
         if self.failed:
             return 1
-        return BAD_END if self.last_status in _BAD_ENDS else 0
+        return BAD_END if self.last_status in _BAD_ENDS or not self.is_followed else 0
 
     def _series(self, field: str) -> np.ndarray:
         """A field of all rows; empty where it is None."""

@@ -187,9 +187,10 @@ def write_report(path: Path, report: dict) -> None:
 
 
 _RUN_COLOURS = {"open_loop": "#d95f02", "closed_loop": "#1b6ca8", "direct": "#1b6ca8",
-                "quasi_static": "#d95f02", "dynamic": "#1b6ca8"}
+                "quasi_static": "#d95f02", "dynamic": "#1b6ca8", "before": "#d95f02", "after": "#1b6ca8"}
 _RUN_LABELS = {"open_loop": "open loop", "closed_loop": "closed loop", "direct": "commands",
-               "quasi_static": "as if it stood", "dynamic": "by prediction"}
+               "quasi_static": "as if it stood", "dynamic": "by prediction",
+               "before": "before the calibration", "after": "after it"}
 _TARGET_COLOUR = "#222222"
 _TWIN_COLOUR = "#7fa87f"
 _ACTUATOR_COLOURS = ("#1b6ca8", "#d95f02", "#3a8f5c", "#a03b76",

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.control.rest_watch import MOST_POSES, RestPose, RestWatch, Sample
-from softrobot_twin.record.rest_poses import poses_of_run, poses_of_table
+from softrobot_twin.record.rest_poses import Axes, AxesError, poses_of_run, poses_of_table
 from softrobot_twin.scene import load_scene
 from softrobot_twin.scene.scene_parameters import changed_scene
 from softrobot_twin.simulation import Simulation
@@ -152,3 +152,23 @@ def test_what_is_kept_of_a_long_run_is_bounded(simulation):
             watch.add(Sample(2.0 * number + time, command, pose))
     watch.end()
     assert len(watch.found) == 2 and watch.dropped["it repeats an earlier pose"] == 2 * MOST_POSES - 2
+
+
+def test_a_table_with_other_axes_and_signs_is_read_in_the_frame_of_the_scene():
+    emio = Simulation(load_scene(ROOT / "config/scenes/emio.yaml"))
+    table = {f"servo_{k}_angle_rad": [0.1 * k] for k in (1, 2, 3, 4)}
+    table |= {f"marker_0_{axis}_m": [value] for axis, value in zip("xyz", (0.01, 0.02, 0.03), strict=True)}
+    (pose,), _ = poses_of_table(table, emio, Axes.read("z,x,y", ["servo_2", "servo_4"]))
+    assert pose.markers[0] == pytest.approx([0.03, 0.01, 0.02])
+    assert pose.setpoints == pytest.approx([0.1, -0.2, 0.3, -0.4])
+    (pose,), _ = poses_of_table(table, emio, Axes.read("-y,x,z"))
+    assert pose.markers[0] == pytest.approx([-0.02, 0.01, 0.03])
+    with pytest.raises(AxesError, match="servo_5: is no actuator of the scene"):
+        poses_of_table(table, emio, Axes.read("x,y,z", ["servo_5"]))
+
+
+@pytest.mark.parametrize("words, reason", [("x,y", "once each"), ("x,y,y", "once each"), ("y,x,z", "left-handed"),
+                                           ("-x,y,z", "left-handed"), ("", "once each")])  # fmt: skip
+def test_axes_that_are_no_frame_are_refused(words, reason):
+    with pytest.raises(AxesError, match=reason):
+        Axes.read(words)

@@ -7,7 +7,7 @@ import pytest
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene import load_scene
 from softrobot_twin.scene.loading import read_changes
-from softrobot_twin.scene.scene_parameters import changed_scene, parameters, value_at
+from softrobot_twin.scene.scene_parameters import changed_scene, parameters, tied, value_at
 from softrobot_twin.shared_files import ScenePath
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
@@ -48,6 +48,35 @@ def test_names_and_patterns_stand_for_places(finger):
         "body.material.young_modulus"}  # fmt: skip
 
 
+def test_a_star_sets_all_that_it_means():
+    emio = load_scene(CONFIG / "scenes" / "emio.yaml", read_changes(["hinge_motors.*.offset=0.1", "beams.strip_*.elements=6"]))
+    assert [one.offset for one in emio.hinge_motors] == [0.1] * 4
+    assert [one.elements for one in emio.beams] == [6] * 4
+
+
+def test_copies_move_as_their_pattern_turns_them():
+    emio = load_scene(CONFIG / "scenes" / "emio.yaml")
+    (clamp,) = tied(emio, "beams[0].points[0][0]#")
+    places = [beam.points[0] for beam in clamp.set(emio, 0.011).beams]
+    assert places == [(0.011, 0.0, -0.022), (0.0, 0.011, -0.022), (-0.011, 0.0, -0.022), (0.0, -0.011, -0.022)]
+    (zero,) = tied(emio, "hinge_motors.*.offset#")  # The file leaves it out.
+    assert [one.offset for one in zero.set(emio, 0.05).hinge_motors] == [0.05] * 4
+    modulus, *_ = tied(emio, "beams[2].material.young_modulus#")
+    assert modulus.read(emio) == 35e6
+    assert {one.material.young_modulus for one in modulus.set(emio, 30e6).beams} == {30e6}
+
+
+def test_signs_before_keys_tie_numbers_oppositely():
+    emio = load_scene(CONFIG / "scenes" / "emio.yaml")
+    for key in ("+-hinge_motors.*.offset", "+-" + "+".join(f"hinge_motors[{i}].offset" for i in range(4))):
+        (zero,) = tied(emio, key)
+        assert [one.offset for one in zero.set(emio, 0.05).hinge_motors] == [0.05, -0.05, 0.05, -0.05]
+    (pair,) = tied(emio, "+-beams[0].points[0][0]#+hinge_motors[0].offset")
+    assert [round(share) for share in pair.shares] == [1, 1, -1, -1, -1]
+    with pytest.raises(SceneError, match="is no"):
+        tied(emio, "+-hinge_motors.*.offst")
+
+
 def test_sections_that_the_file_leaves_out_can_be_given(finger):
     changed = changed_scene(finger, {"body.damping": {"mass": 0.3}, "solver.newton_iterations": 7})
     assert changed.body.damping.mass == 0.3 and changed.solver.newton_iterations == 7
@@ -81,7 +110,7 @@ def test_a_preset_gives_way_to_a_constant_of_its_law(finger):
     ("body.material.density=-2", r"finger.yaml:\d+: body.material.density = -2 kg/m³: must be"),
     ("body.material.density={", "is not YAML"),
     ("body..density=1", "is no key of a scene"),
-    ("cables.*.rate=1", "is no key of a scene"),
+    ("cables.x*.rate=1", "is no key of a scene"),
 ])  # fmt: skip
 def test_a_change_that_cannot_be_made_is_refused_with_its_key(finger, change, words):
     with pytest.raises(SceneError, match=words):

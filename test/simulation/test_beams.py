@@ -567,3 +567,55 @@ def test_the_surface_of_a_cone_narrows_to_its_end(simulate):
     places = points.positions(simulation.state.positions)
     radii = np.linalg.norm(places[:, 1:], axis=1)
     np.testing.assert_allclose(radii[:-2], RADIUS * (1.0 - 0.75 * places[:-2, 0]), atol=1e-9)
+
+
+# --- arcs -----------------------------------------------------------------------------------------
+
+
+def curled(at, angle=1.2, radius=0.3, elements=8, **entries):
+    """A rod along x that goes on as an arc upwards at one end, where it is clamped."""
+    arc = {"at": at, "radius": radius, "angle": angle, "towards": [0, 0, 1], "elements": elements}
+    return rod(arcs=[arc], fixed=[at], **entries)
+
+
+@pytest.mark.parametrize("at", ["start", "end"])
+def test_an_arc_goes_on_without_a_corner_and_rests_as_it_is_drawn(simulate, at):
+    simulation = simulate(gravity=[0.0, 0.0, 0.0], beams=[curled(at)])
+    before = nodes_of(simulation)
+    assert simulation.step(Hold()).status is Status.OK
+    np.testing.assert_allclose(nodes_of(simulation), before, atol=1e-9)
+    beam, inner = simulation.model.beams[0], {"start": 0, "end": -1}[at]
+    assert beam.lengths.sum() == pytest.approx(1.0 + 0.3 * 1.2)
+    x = {"start": -0.3 * np.sin(1.2), "end": 1.0 + 0.3 * np.sin(1.2)}[at]
+    np.testing.assert_allclose(before[inner], [x, 0.0, 0.3 * (1.0 - np.cos(1.2))], atol=1e-12)
+    np.testing.assert_allclose(beam.places[beam.point_nodes], [[0, 0, 0], [1, 0, 0]], atol=1e-12)
+    turned = {"start": [np.cos(1.2), 0, -np.sin(1.2)], "end": [np.cos(1.2), 0, np.sin(1.2)]}[at]
+    np.testing.assert_allclose(beam.axes[inner][:, 0], turned, atol=1e-12)
+
+
+@pytest.mark.parametrize("at", ["start", "end"])
+def test_a_force_at_the_tip_bends_an_arc_as_castigliano_says(simulate, at):
+    """δ = F/EI (L³/3 + ∫ (L + R sin θ)² R dθ) of the moments on the straight rod and on the arc."""
+    force, L, R, angle = 1e-3 * RIGIDITY, 1.0, 0.3, 1.2
+    simulation = simulate(
+        gravity=[0, 0, -10.0], rigid_bodies=[weight(force, (float(at == "start"), 0, 0))],
+        beams=[curled(at, density=1e-9, joined=[{"at": {"start": "end", "end": "start"}[at], "to": "weight"}])],
+        solver={"newton_iterations": 60, "residual_tolerance": 1e-11},
+    )  # fmt: skip
+    tip = -1 if at == "start" else 0
+    before = nodes_of(simulation)[tip]
+    assert simulation.step(Hold()).status is Status.OK
+    theta = np.linspace(0.0, angle, 2001)
+    moments = np.trapezoid((L + R * np.sin(theta)) ** 2 * R, theta)
+    sag = force / RIGIDITY * (L**3 / 3.0 + moments)
+    assert before[2] - nodes_of(simulation)[tip][2] == pytest.approx(sag, rel=2e-3)
+
+
+@pytest.mark.parametrize("arcs, message", [
+    ([{"towards": [1, 0, 0]}], r"arcs\[0\].towards.*lies along the axis of rod"),
+    ([{}, {}], "two arcs at one end"), ([{"radius": 0.0}], "radius.*above"), ([{"angle": 7.0}], "angle.*below"),
+])  # fmt: skip
+def test_arcs_that_are_none_are_refused(simulate, arcs, message):
+    usual = {"at": "end", "radius": 0.1, "angle": 0.5, "towards": [0, 0, 1]}
+    with pytest.raises(SceneError, match=message):
+        simulate(beams=[rod(arcs=[usual | one for one in arcs])])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import trapezoid
 
+from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.beam_masses import BeamWeight
 from softrobot_twin.mechanics.beams import Beams
 from softrobot_twin.mechanics.rotation import quaternion_from_rotation, rotation_from_vector
@@ -124,6 +125,21 @@ def test_the_torque_of_a_turned_beam_is_that_of_beam_theory(scene, far, factor):
     exact = factor * BENDING / LENGTH * angle
     exact *= (softer / (1.0 + shear)) if factor == 4.0 else 1.0 / softer
     assert result.efforts[0] == pytest.approx(exact, rel=2e-3)
+
+
+def test_a_servo_that_yields_leaves_the_angle_open_by_its_torque(scene):
+    """Two springs in series: the servo, and the beam that is clamped at its other end."""
+    stiff, soft = (scene(strip(joined=[hinge("start")], fixed=["end"]), hinge_motors=[motor() | own])
+                   for own in ({}, {"stiffness": 0.5}))  # fmt: skip
+    (held,), (left,) = (turn(one, 0.01).efforts for one in (stiff, soft))
+    k = held / 0.01
+    assert left == pytest.approx(0.01 / (1.0 / k + 1.0 / 0.5), rel=1e-3)
+    term = soft.model.actuators.terms[0]
+    angle = float(term.angles(soft.state.positions)[0])
+    assert angle == pytest.approx(0.01 - left / 0.5, rel=1e-6) and angle < 0.99 * 0.01
+    assert not hasattr(stiff.model.actuators.terms[0], "compliance")
+    with pytest.raises(SceneError, match="stiffness"):
+        scene(strip(joined=[hinge("start")], fixed=["end"]), hinge_motors=[motor() | {"stiffness": 0.0}])
 
 
 def test_a_beam_of_one_element_may_be_on_joints_at_both_ends(scene):

@@ -13,7 +13,7 @@ from softrobot_twin.control.rest_watch import RestPose
 from softrobot_twin.errors import NamedError
 from softrobot_twin.scene import load_scene, scene_from_mapping
 from softrobot_twin.scene.loading import read_changes
-from softrobot_twin.scene.scene_parameters import changed_scene, parameters, value_at
+from softrobot_twin.scene.scene_parameters import changed_scene, parameters, tied, value_at
 from softrobot_twin.scripting import build
 from softrobot_twin.study.calibration import (
     MARKERS,
@@ -127,8 +127,9 @@ def assert_derivatives(scene, poses, keys, share=1e-3):
     ("markers.*.point",), ("cables[0].points[1]", "cables[0].pull_point"),
 ])  # fmt: skip
 def test_derivatives_are_those_of_differences(bar, keys):
-    turned = changed_scene(bar, {"marker_frame.rotation": [0.3, -0.2, 0.4],
-                                 "marker_frame.position": [0.01, 0.02, 0.03]})  # fmt: skip
+    turned = changed_scene(bar, {
+        "marker_frame.rotation": [0.3, -0.2, 0.4], "marker_frame.position": [0.01, 0.02, 0.03],
+        "marker_frame.scale": [1.01, 0.98, 1.02]})  # fmt: skip
     poses = poses_at(bar, np.array([[0.004, 0.001, 0.002], [0.002, 0.005, 0.003]]), [0.0, 0.05])
     assert_derivatives(turned, poses, keys)
 
@@ -165,6 +166,34 @@ def test_derivatives_by_the_zero_of_a_hinge_are_those_of_differences():
     pose = RestPose(np.array([0.1, -0.05, 0.02, 0.07]), np.zeros((4, 3)), np.full((1, 3), np.nan),
                     np.zeros(4), np.zeros((0, 3)))  # fmt: skip
     assert_derivatives(scene, [pose], ("hinge_motors.*.offset",))
+
+
+def test_derivatives_by_an_arc_and_by_what_servos_yield_are_those_of_differences():
+    scene = load_scene(SCENES / "emio.yaml")
+    arcs = [{"at": "end", "radius": 0.0225, "angle": 0.35, "towards": [0, 0, 1]}]
+    scene = changed_scene(scene, {"beams.*.arcs": arcs, "hinge_motors.*.stiffness": 5.0})
+    handles = [one for key in ("beams.*.arcs[0].angle#", "hinge_motors.*.stiffness#", "mounting[0].bodies[0].translation[0]#")
+               for one in tied(scene, key)]  # fmt: skip
+    pose = RestPose(np.array([0.3, -0.2, 0.4, 0.1]), np.zeros((4, 3)), np.full((1, 3), np.nan), np.zeros(4), np.zeros((0, 3)))
+    model = RestModel(scene, handles, [pose])
+    values = np.array([one.read(scene) for one in handles])
+    own = model.predict(values, True).jacobian
+    assert not model.lost
+    for column, step in enumerate(np.diag([1e-3, 0.05, 1e-4][: len(handles)])):
+        ends = [model.predict(values + sign * step, False).values for sign in (1.0, -1.0)]
+        differences = (ends[0] - ends[1]) / (2.0 * step[column])
+        assert np.abs(own[:, column] - differences).max() < 2e-3 * np.abs(differences).max(), handles[column].key
+
+
+def test_derivatives_by_tied_numbers_are_those_of_differences(bar):
+    keys = ["+-+cables.*.offset", "+markers.*.point[0]", "+-cables[0].pull_point[1]+cables[1].axial_stiffness"]
+    handles = [one for key in keys for one in tied(bar, key)]
+    model = RestModel(bar, handles, poses_at(bar, np.array([[0.004, 0.003, 0.002]])))
+    own = model.predict(np.zeros(3), True).jacobian
+    for column, step in enumerate(np.diag([2e-5, 2e-5, 2e-5])):
+        ends = [model.predict(sign * step, False).values for sign in (1.0, -1.0)]
+        differences = (ends[0] - ends[1]) / (2.0 * step[column])
+        assert np.abs(own[:, column] - differences).max() < 1e-3 * np.abs(differences).max()
 
 
 # --- what is found -------------------------------------------------------------------------------
@@ -305,13 +334,33 @@ def test_what_a_suggestion_promises_comes_true(bar, random):
     weight = -float(best.poses[0].forces[-1, 2])
     again = poses_at(bar, np.array([RestModel(bar, [], []).simulation.rest_setpoints - pose.setpoints
                                     for pose in best.poses]), np.full(len(best.poses), weight), False)
-    model = RestModel(bar, parameters(bar, *keys), [*found.poses, *measured(truth, again, 1.0, random)])
-    now = estimate(model, model.measured, unknowns_of(bar, keys))
+    unknowns = unknowns_of(bar, keys)
+    model = RestModel(bar, [one.parameter for one in unknowns], [*found.poses, *measured(truth, again, 1.0, random)])
+    now = estimate(model, model.measured, unknowns)
     by_noise = now.noise[MARKERS] / found.joint.noise[MARKERS]
     got = now.deviations[own] / by_noise
     assert got < 0.8 * found.joint.deviations[own]
     # It is promised at numbers that are not known well yet, where other cables may be slack.
     assert best.deviations[own] / 3.0 < got < 3.0 * best.deviations[own]
+
+
+def test_a_number_that_was_measured_otherwise_tells_those_beside_it(bar, random):
+    stiff = changed_scene(bar, {f"cables[{i}].axial_stiffness": None for i in range(3)})
+    truth = changed_scene(stiff, {E: 2.6e5, DENSITY: 1100.0})
+    poses = measured(truth, poses_at(stiff, drawn(random, 8), None, False), 0.2, random)
+    found = calibrate(stiff, poses, [E, DENSITY], {DENSITY: (1100.0, 11.0)})
+    assert found.is_accepted and not found.not_told
+    assert found.values[E] == pytest.approx(2.6e5, rel=0.05)
+    assert found.values[DENSITY] == pytest.approx(1100.0, abs=33.0)
+    # Without keys it is among the numbers, too.
+    assert DENSITY in calibrate(stiff, poses, [], {DENSITY: (1100.0, 11.0)}).values
+
+
+def test_what_is_known_of_numbers_that_are_not_fitted_is_refused(bar):
+    with pytest.raises(CalibrationError, match="density: is known, but is none of the numbers"):
+        unknowns_of(bar, [E], {DENSITY: 10.0})
+    with pytest.raises(CalibrationError, match="is above zero"):
+        unknowns_of(bar, [DENSITY], {DENSITY: (-3.0, 10.0)})
 
 
 # --- what is not accepted ------------------------------------------------------------------------
@@ -436,6 +485,32 @@ def test_the_command_writes_a_scene_that_keeps_its_text(files, capsys):
     text = written.read_text()
     assert text.startswith("# A bar with a comment.") and "# Pa, of the data sheet; calibrated" in text
     assert "poses.csv" in text
+
+
+def test_faulty_rows_are_named_and_left_out(files, capsys):
+    scene, table = files
+    head, *rows = table.read_text().split("\n")
+    numbers = np.array([[float(word) for word in row.split(",")] for row in rows] * 2)
+    numbers[12:15, [2, 5]] += 0.004
+    table.write_text("\n".join([head, *(",".join(map(repr, row.tolist())) for row in numbers)]))
+    assert run(scene, "--data", table, "--fit", E, "cables.*.offset") == 0
+    told = capsys.readouterr()
+    assert re.search(r"left out: poses.csv, lines 14 to 16: measured 4.\d mm off \(x .0.\d, y .4.\d", told.err)
+    assert load_scene(scene.with_name("bar_calibrated.yaml")).body.material.young_modulus == pytest.approx(2.5e5, rel=0.05)
+
+
+def test_without_keys_the_command_tells_what_each_number_brings(files, capsys):
+    scene, table = files
+    assert run(scene, "--data", table, "--known", f"{DENSITY}=1070±10") == 0
+    told = capsys.readouterr().out
+    assert "what each number brings" in told and re.search(rf"{E} +2\.\d+e\+05 ± \S+ Pa +-\d", told)
+    assert DENSITY in told and "bring nothing" in told
+
+
+@pytest.mark.parametrize("known", ["body.material.density=", f"{E}=1e5±", f"{E}=1e5±-3", f"{E}=±0", "density"])
+def test_what_is_known_is_refused_where_it_is_no_number(files, known):
+    with pytest.raises(CalibrationError, match="--known"):
+        run(files[0], "--data", files[1], "--fit", E, "--known", known)
 
 
 @pytest.mark.parametrize("section", ["observer: {}", "observer: {systematic_error: 0.3}  # guessed"])

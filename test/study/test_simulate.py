@@ -1,9 +1,12 @@
 """``simulate`` as a command: its files and its errors."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from softrobot_twin.simulation import Simulation
+from softrobot_twin.record.rest_poses import poses_of_table
+from softrobot_twin.simulation import CommandSetpoints, Simulation
 from softrobot_twin.simulation.runs.input_tables import read_targets
 from softrobot_twin.study.offline_run import commands_of, unlikely_warning
 from test.builder import builder
@@ -139,3 +142,32 @@ def test_a_run_of_a_reduced_body_ends_with_its_errors(tmp_path, half_trained, ca
         assert 0.0 <= float(row["body_reduction_error_m"]) < 1e-3
     far = [f"{0.2 * k},{0.03 * k / 10},0,{0.132 - 0.012 * k / 10}" for k in range(11)]
     assert "the run left the range of the training" in run(*far)[1]
+
+
+EMIO = Path(__file__).resolve().parents[2] / "config" / "scenes" / "emio.yaml"
+LARGE = """time_s,servo_1_angle_rad,servo_2_angle_rad,servo_3_angle_rad,servo_4_angle_rad
+1,0.6,0.6,-0.3,0.2
+2,-0.6,0.9,0.9,0.2
+3,{last},0.2,0.9,0.2
+"""
+
+
+@pytest.mark.parametrize("last, code, status", [(0.3, 0, "ok"), (2.6, 3, "saturated")])
+def test_large_moves_of_a_row_come_into_balance_and_a_limit_that_stops_the_last_one_is_an_exit_code(
+    tmp_path, call, last, code, status
+):
+    commands, run = tmp_path / "commands.csv", tmp_path / "run.csv"
+    commands.write_text(LARGE.format(last=last))
+    done = call("simulate", EMIO, "--targets", commands, "--output", run)
+    assert done.code == code and "repeated" in done.output
+    rows = rows_of(run)
+    assert [row["status"] for row in rows] == ["ok", "ok", status]
+    assert max(float(row["residual_N"]) for row in rows) < 1e-4
+    # The row stands where small moves lead, and its markers are what a calibration reads.
+    simulation = Simulation.from_scene_file(EMIO)
+    for share in np.linspace(0.05, 1.0, 20):
+        simulation.step(CommandSetpoints(share * np.array([0.6, 0.6, -0.3, 0.2]), 1.0))
+    np.testing.assert_allclose(tip_of(rows[0]), simulation.effector_positions()[0], atol=1e-6)
+    table = {name: [float(row[name]) for row in rows] for name in rows[0] if name.endswith(("_rad", "_m")) and name[:5] in ("servo", "marke")}
+    poses, _ = poses_of_table({k: v for k, v in table.items() if "servo_1_" not in k or "angle" in k}, simulation)
+    np.testing.assert_allclose(poses[0].markers, simulation.marker_positions(), atol=1e-6)

@@ -20,6 +20,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry.connected_pieces import connected_pieces
@@ -31,7 +32,7 @@ from softrobot_twin.mechanics.hinged_frames import WORLD as WORLD_FRAME
 from softrobot_twin.mechanics.hinged_frames import Hinges
 from softrobot_twin.mechanics.rigid_bodies import RigidFrames
 from softrobot_twin.scene import Scene
-from softrobot_twin.scene.body_entries import Beam, BeamJoint, CrossSection
+from softrobot_twin.scene.body_entries import Beam, BeamArc, BeamJoint, CrossSection
 from softrobot_twin.scene.references import is_pattern, matching
 
 # Nodes of beams that are joined lie in the same place, within this share of the beam's length.
@@ -143,7 +144,8 @@ class BeamBody:
         element_axes: Those at both ends of each element, which differ at corners, shape
             (element_count, 2, 3, 3).
         lengths: Length of each element at rest, along its curve [m], shape (element_count,).
-        point_nodes: Node at each point of the entry, shape (point_count,).
+        point_nodes: Node at each point of the entry, shape (point_count,); beyond the first and the last
+            may lie those of an arc.
         carriers: What its nodes move with; None until the frames are numbered.
     """
 
@@ -207,9 +209,8 @@ class BeamBody:
         Args:
             at: ``start``, ``end``, or the number of a point of the entry.
         """
-        if at == "start":
-            return 0
-        return int(self.point_nodes[-1 if at == "end" else at])
+        ends = {"start": 0, "end": self.node_count - 1}
+        return ends[at] if isinstance(at, str) else int(self.point_nodes[at])
 
     @property
     def is_round(self) -> bool:
@@ -435,9 +436,44 @@ def build_beam(entry: Beam, index: int, scene: Scene) -> BeamBody:
         element_axes = np.repeat(of_elements[:, None], 2, axis=1)
         axes = np.concatenate([of_elements, of_elements[-1:]])
     section = build_section(entry.section, entry.material.poisson_ratio)
-    return BeamBody(
+    body = BeamBody(
         entry, index, section, places, axes, element_axes, lengths, point_nodes.astype(np.int64)
     )
+    for k, arc in enumerate(entry.arcs):
+        body = _with_arc(body, arc, scene, f"{body.key}.arcs[{k}].towards")
+    return body
+
+
+def _with_arc(beam: BeamBody, arc: BeamArc, scene: Scene, key: str) -> BeamBody:
+    """A beam with an arc at one of its ends.
+
+    Raises:
+        SceneError: The centre lies along the axis.
+    """
+    is_end = arc.at == "end"
+    place, axes = (beam.places[-1], beam.axes[-1]) if is_end else (beam.places[0], beam.axes[0])
+    outwards = axes[:, 0] if is_end else -axes[:, 0]
+    towards = np.array(arc.towards) / np.linalg.norm(arc.towards)
+    across = towards - (towards @ outwards) * outwards
+    if np.linalg.norm(across) < LEAST_SINE:
+        raise scene.error(key, list(arc.towards), f"lies along the axis of {beam.name}: it must point across")
+    across /= np.linalg.norm(across)
+    turns = Rotation.from_rotvec(np.outer(
+        np.arange(arc.elements + 1) / arc.elements * arc.angle, np.cross(outwards, across))).as_matrix()
+    from_centre = turns @ (-arc.radius * across)
+    places, nodes = place + arc.radius * across + from_centre, turns @ axes
+    lengths = np.full(arc.elements, arc.radius * arc.angle / arc.elements)
+    of_elements = np.stack([nodes[:-1], nodes[1:]], axis=1)
+    if is_end:
+        return replace(beam, places=np.concatenate([beam.places, places[1:]]),
+                       axes=np.concatenate([beam.axes, nodes[1:]]),
+                       element_axes=np.concatenate([beam.element_axes, of_elements]),
+                       lengths=np.concatenate([beam.lengths, lengths]))  # fmt: skip
+    return replace(beam, places=np.concatenate([places[:0:-1], beam.places]),
+                   axes=np.concatenate([nodes[:0:-1], beam.axes]),
+                   element_axes=np.concatenate([of_elements[::-1, ::-1], beam.element_axes]),
+                   lengths=np.concatenate([lengths, beam.lengths]),
+                   point_nodes=beam.point_nodes + arc.elements)  # fmt: skip
 
 
 def _elements_of_spans(lengths: np.ndarray, count: int) -> np.ndarray:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from softrobot_twin.constraints.hinge_angle import HingeAngles
+from softrobot_twin.constraints.hinge_angle import HingeAngles, YieldingHingeAngles
 from softrobot_twin.scene.actuator_entries import HingeMotor
 from softrobot_twin.simulation.building.actuator_kinds import ActuatorGroup, ActuatorKind, Quantity
 from softrobot_twin.simulation.building.beam_bodies import BeamBody
@@ -40,7 +40,9 @@ class HingeMotorActuator(ActuatorKind):
         _check_driven_once(layout, entries, hinges)
         ranges = np.array([motor.angle for motor in entries])
         bending = [_bending(layout.body_named(motor.beam)) for motor in entries]
-        term = HingeAngles(layout.hinged, hinges, ranges, bending)
+        yielding = [np.inf if motor.stiffness is None else motor.stiffness for motor in entries]
+        term = (HingeAngles(layout.hinged, hinges, ranges, bending) if np.isinf(yielding).all()
+                else YieldingHingeAngles(layout.hinged, hinges, ranges, bending, yielding))  # fmt: skip
         radii = layout.hinged.hinges.radii[term.hinges]
         return ActuatorGroup(
             self, tuple(motor.name for motor in entries), term, None,
@@ -69,7 +71,8 @@ class HingeMotorActuator(ActuatorKind):
     def details(self, entry: HingeMotor, group: ActuatorGroup, index: int) -> str:
         """See `ActuatorKind.details`."""
         zero = f", zero error {entry.offset:.6g} rad" if entry.offset else ""
-        return f"turns {entry.beam} at its {entry.at}{zero}"
+        yields = f", yields, {entry.stiffness:.6g} N m/rad" if entry.stiffness else ""
+        return f"turns {entry.beam} at its {entry.at}{zero}{yields}"
 
 
 def _bending(beam: BeamBody) -> float:

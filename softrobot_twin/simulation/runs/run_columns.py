@@ -203,6 +203,7 @@ class RunColumns:
             self._of_bodies(),
             *(cells for kind in dict.fromkeys(one.objects for one in channels())
               if kind != "effector_names" for cells in self._of_channels(kind)),
+            self._of_markers(),
             Cells(observed, lambda row: map(float, row.observed)),
             *self._of_contacts(), *self._of_steps(),
         ]  # fmt: skip
@@ -239,6 +240,13 @@ class RunColumns:
         names = [body_name(name, simulation.effector_names) for name in simulation.rigid_names]
         poses = [(*position_columns(name), *quaternion_columns(name)) for name in names]
         return Cells(sum(poses, ()), lambda row: row.rigid_poses.ravel())
+
+    def _of_markers(self) -> Cells:
+        """Where the cameras see the markers, as `calibrate` reads them."""
+        simulation = self._simulation
+        frame, names = simulation.scene.marker_frame, [f"marker_{one}" for one in simulation.marker_ids]
+        return Cells([axis for name in names for axis in position_columns(name)],
+                     lambda row: frame.of_cameras(simulation.marker_positions()).ravel())  # fmt: skip
 
     def _of_contacts(self) -> Iterator[Cells]:
         if not self._pairs:
