@@ -611,7 +611,7 @@ class ActuatorNames:
 class ActuatorInput(Input):
     """The newest setpoint or effort of every actuator; a message must name each of them once.
 
-    It is used for direct commands and for measurements of a device. Slides accept setpoints but no
+    It is used for measurements of a device. Slides accept setpoints but no
     efforts: a message with efforts only may omit them or give NaN for them, and they keep their
     position. A message may omit cavities whose pressure is commanded: these keep the pressure that
     was last given, by a message or by `put`. A message with setpoints may likewise omit cables that
@@ -756,6 +756,31 @@ def replaced(
     values = np.full(count, np.nan) if values is None else values.copy()
     values[place] = value
     return values
+
+
+class DirectActuatorInput(ActuatorInput):
+    """Setpoints or efforts of direct commands; a message names one actuator or more.
+
+    Actuators that it does not name keep what earlier messages of the same kind gave them, or hold.
+
+    Attributes:
+        setpoints: See `ActuatorInput`; NaN where none was given.
+        efforts: See `ActuatorInput`; NaN where none was given.
+    """
+
+    def _keep(
+        self, order: NameOrder, setpoints: np.ndarray, efforts: np.ndarray, time: float
+    ) -> None:
+        before = self.setpoints, self.efforts
+        super()._keep(order, setpoints, efforts, time)
+        self.setpoints, self.efforts = (
+            newest if newest is None or kept is None
+            else np.where(order.named | ~np.isnan(newest), newest, kept)
+            for newest, kept in zip((self.setpoints, self.efforts), before, strict=True)
+        )  # fmt: skip
+
+    def _names_fit(self, order: NameOrder, setpoints: np.ndarray, efforts: np.ndarray) -> bool:
+        return bool(order.named.any())
 
 
 class SelectedActuatorInput(ActuatorInput):

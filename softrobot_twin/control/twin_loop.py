@@ -24,6 +24,7 @@ from softrobot_twin.control.force_observer import ForceObserver
 from softrobot_twin.control.guidance import Guidance
 from softrobot_twin.control.inputs import (
     ActuatorInput,
+    DirectActuatorInput,
     ActuatorNames,
     AngleInput,
     ChannelInput,
@@ -296,7 +297,7 @@ def inputs_of(
                                simulation.scene.marker_frame.of_robot),
         "device": device}  # fmt: skip
     if mode is Mode.DIRECT:
-        commands = made["direct"] = ActuatorInput(known, settings)
+        commands = made["direct"] = DirectActuatorInput(known, settings)
     else:
         commands = made["selected"] = SelectedActuatorInput(known, settings)
         made["targets"] = TargetInput(len(simulation.effector_names), velocity_effector, frame_id,
@@ -941,10 +942,7 @@ class TwinLoop:
         if direct.setpoints is not None:
             wanted = np.where(np.isnan(direct.setpoints), present, direct.setpoints)
             return CommandSetpoints(wanted, *time)
-        actuators = self.simulation.actuators
-        is_omitted = np.isnan(direct.efforts) & actuators.is_effort_driven
-        told = np.where(is_omitted, present, direct.efforts)
-        return CommandEfforts(actuators.efforts(told), *time)
+        return CommandEfforts(self.simulation.actuators.efforts(direct.efforts), *time)
 
     def _step(
         self, command, touched: list, reach_time: float, cause: str

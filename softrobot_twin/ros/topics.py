@@ -217,8 +217,9 @@ TWIN_TOPICS = _by_name(
           "`frame_id` and `variance` are not used", "measured_pressures.accept"),
     Topic("~/command/cables", IN, JointState, NEWEST, "m, N",
           "setpoints in `position` or efforts in `effort`, by names of actuators or "
-          "motors, as in `~/cables`. In `mode: direct` all but cavities under pressure are "
-          "named. In `mode: inverse` the others are optimised; an empty message commands none",
+          "motors, as in `~/cables`. In `mode: direct` the others go where earlier messages of the "
+          "same kind told them, or hold. In `mode: inverse` the others are optimised; an empty "
+          "message commands none",
           "commands.accept"),
     Topic("~/command/angles", IN, JointState, NEWEST, "rad",
           "in `position`, by names of cables or motors with pulleys; the other "
@@ -367,8 +368,8 @@ TARGET_TOPICS = _by_name(
     _of_twin("target_stiffness/<effector>", OUT, NEWEST,
              "wanted stiffness, NaN along the other axes; with `target_stiffness`"),
     _of_twin("command/cables", OUT, NEWEST,
-             "setpoint of `target_actuator`; with `target_commands` or `target_beginning` those of all "
-             "actuators"),
+             "setpoint of `target_actuator`; with `target_commands` or `target_beginning` those of the "
+             "actuators with columns"),
     _of_twin("command/pose/<guided body>", OUT, NEWEST,
              "pose of a guided body; with `target_commands` or `target_beginning` that has columns of "
              "it"),

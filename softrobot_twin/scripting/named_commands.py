@@ -115,7 +115,7 @@ def setpoints(values: Mapping[str, Any] | None = None, /, **named: Any) -> Setpo
 
 
 def efforts(values: Mapping[str, Any] | None = None, /, **named: Any) -> Efforts:
-    """Efforts of actuators: tensions, pressures, torques. The others keep theirs.
+    """Efforts of actuators: tensions, pressures, torques. The others hold their setpoints.
 
     Args:
         values: The same as the keywords, as a mapping.
@@ -283,9 +283,9 @@ class CommandReader:
         return wanted
 
     def _efforts(self, values: Mapping[str, Numbers]) -> np.ndarray:
-        """Efforts, the present ones where none is given; NaN for what takes none."""
-        actuators, state = self._simulation.actuators, self._simulation.state
-        told = np.where(actuators.takes_efforts, actuators.told_efforts(state.efforts), np.nan)
+        """Efforts, NaN where none is given."""
+        actuators = self._simulation.actuators
+        told = np.full(actuators.count, np.nan)
         for place, number in self._driven(values, "efforts", self.effort_names):
             told[place] = number
         return actuators.efforts(told)

@@ -48,12 +48,11 @@ class FollowTargets:
 
 @dataclass(frozen=True)
 class CommandSetpoints:
-    """Direct step: every actuator moves to a setpoint (eq. 16); a cable becomes slack, it never
-    pushes.
+    """Direct step: actuators move to setpoints (eq. 16); a cable becomes slack, it never pushes.
 
     Attributes:
         setpoints: Commanded lengths of cables, pull point to last point, and positions of slides
-            [m], shape (actuator_count,).
+            [m], shape (actuator_count,); NaN for actuators that hold.
         time_step: Time since the last step [s].
         reach_time: See `FollowTargets`.
     """
@@ -65,11 +64,11 @@ class CommandSetpoints:
 
 @dataclass(frozen=True)
 class CommandEfforts:
-    """Direct step: every actuator acts with an effort, such as a cable's tension.
+    """Direct step: actuators act with efforts, such as a cable's tension.
 
     Attributes:
-        efforts: Commanded tensions of cables [N], shape (actuator_count,); NaN for slides, which
-            are held.
+        efforts: Commanded tensions of cables [N], shape (actuator_count,); NaN for actuators that
+            hold their setpoints, as slides do.
         time_step: Time since the last step [s].
         reach_time: See `FollowTargets`.
     """

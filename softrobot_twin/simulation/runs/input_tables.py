@@ -4,7 +4,7 @@ A targets file has one row per step, with targets of effectors, setpoints or eff
 commands file has rows at increasing times, with commands of actuators and guided bodies that are
 interpolated. A table may mix lengths of cables with pressures of cavities: all columns are
 setpoints if each is what that actuator's setpoint holds, and efforts if each is that actuator's
-effort.
+effort. Actuators without a column hold their setpoints.
 
 Both have the columns of `table_columns`. What a run wrote can be given back as either: the columns
 that drove it are read, the others are results and are left out. Targets files with the names of
@@ -349,7 +349,7 @@ class TargetTable:
         values: Effector targets [m], shape (row_count, effector_count, 3), NaN for an effector
             that the file does not name; or setpoints or efforts of the actuators, such as lengths
             [m], pressures [Pa] or tensions [N], shape (row_count, actuator_count), NaN for those
-            that take no efforts.
+            that hold.
         orientations: Wanted turns of effectors from rest as unit quaternions (x, y, z, w), shape
             (row_count, effector_count, 4), NaN where the file gives none; None in a file without.
         stiffness: Wanted stiffnesses of effectors [N/m], shape (row_count, effector_count, 3), NaN
@@ -456,8 +456,6 @@ def read_targets(source: Path | str | Mapping, simulation: Simulation) -> Target
         _refuse_column(columns, simulation)
     if kind == HOLD:
         raise TableFileError(columns.source, f"the header names nothing to drive besides {TIME}", 1)
-    if kind != TARGETS:
-        _refuse_undriven(columns, simulation, kind, values)
     return TargetTable(kind, times, _time_steps(times), *wanted, columns.notes)
 
 
@@ -754,7 +752,7 @@ class CommandTable:
         kind: ``setpoints``, ``efforts``, or ``hold`` where no actuator is driven.
         times: Times of the rows [s], shape (row_count,).
         values: Setpoints or efforts of the actuators, such as lengths [m], pressures [Pa] or
-            tensions [N], shape (row_count, actuator_count); NaN for those that take no efforts.
+            tensions [N], shape (row_count, actuator_count); NaN for those that hold.
         poses: Poses of the driven guided bodies, by name.
         is_constant: For each row but the last, whether nothing changes until the next,
             shape (row_count - 1,).
@@ -819,7 +817,7 @@ def read_commands(source: Path | str | Mapping, simulation: Simulation) -> Comma
 
     Raises:
         TableFileError: The file cannot be read, names something unknown, mixes setpoints with
-            efforts, drives an actuator twice or not at all, or contains a value that is not a
+            efforts, drives an actuator twice, or contains a value that is not a
             finite number, a time that does not increase, or a quaternion that is not of unit length.
     """
     columns = open_columns(source, _EXAMPLE)
@@ -831,7 +829,6 @@ def read_commands(source: Path | str | Mapping, simulation: Simulation) -> Comma
         columns.begin_earlier()
     times = columns.times()
     kind, values = _actuator_values(columns, simulation)
-    _refuse_undriven(columns, simulation, kind, values)
     poses = _poses(columns, simulation, times)
     touches = _touches(columns, simulation)
     if columns.left:
@@ -884,20 +881,6 @@ def _actuator_values(columns: Columns, simulation: Simulation) -> tuple[str, np.
         path, meanings, "actuators are driven by setpoint or by effort, all in the same way"
         f"{_setpoint_columns(actuators.kind_of)}")
     return commanded, actuators.efforts(values) if commanded == EFFORTS else values
-
-
-def _refuse_undriven(
-    columns: Columns, simulation: Simulation, commanded: str, values: np.ndarray
-) -> None:
-    """Refuses a table that leaves an actuator without a command: any value would be a guess."""
-    actuators = simulation.actuators
-    for index, name in enumerate(actuators.names):
-        if np.isnan(values[:, index]).any() and (
-            commanded != EFFORTS or actuators.takes_efforts[index]
-        ):
-            raise TableFileError(
-                columns.source, f"does not drive {name}: a direct run drives every actuator; valid "
-                "columns are " + _known(simulation), 1)
 
 
 def _refuse_motors(columns: Columns, simulation: Simulation) -> None:

@@ -4,14 +4,14 @@ A command is read once, at the beginning of a step. From there on the step asks 
 of four:
 
     goal        asks for                  is solved by                          is met where
-    setpoints   drives of all actuators   drives within the bounds              drives are near them
-    efforts     efforts of all actuators  the nearest efforts within bounds     efforts are near them
+    setpoints   drives of actuators       drives within the bounds              drives are near them
+    efforts     efforts of actuators      the nearest efforts within bounds     efforts are near them
     targets     places of effectors       the inverse problem                   no effector misses more
                                                                                 than the tolerance
     hold        that actuators stay       their drives at the beginning         always
 
 A drive is what the setpoint of an actuator holds: a displacement, or the effort of what is
-effort-driven; see `Actuators.drives`.
+effort-driven; see `Actuators.drives`. Actuators without a command hold their drives.
 """
 
 from __future__ import annotations
@@ -241,16 +241,24 @@ class HoldGoal(Goal):
         return ()
 
 
+def _refuse_nothing(name: str, values: np.ndarray) -> None:
+    """Refuse values that command none of some actuators: a failed computation gives NaN for all."""
+    if values.size and np.isnan(values).all():
+        raise CommandError(name, f"holds {np.nan} for all actuators: Hold keeps them where they are")
+
+
 class SetpointGoal(Goal):
-    """All actuators move to setpoints, as far as the bounds let them."""
+    """Actuators move to setpoints, as far as the bounds let them; those without one hold theirs."""
 
     driven_by, needs_held = SETPOINTS, False
 
     def __init__(self, command: Command, state: State, goals: Goals):
         """See `Goal`."""
         super().__init__(command, state, goals)
-        setpoints = fitting("setpoints", command.setpoints, self.drives.shape, False)
-        self.wanted = self._model.actuators.drives(setpoints)
+        setpoints = fitting("setpoints", command.setpoints, self.drives.shape, True)
+        _refuse_nothing("setpoints", setpoints)
+        wanted = self._model.actuators.drives(setpoints)
+        self.wanted = np.where(np.isnan(setpoints), self.drives, wanted)
 
     def solve(self, linear, held, rows) -> tuple[Actuation, Actuation | None]:
         """See `Goal`."""
@@ -263,16 +271,17 @@ class SetpointGoal(Goal):
 
 
 class EffortGoal(Goal):
-    """All actuators act with given efforts, as far as the bounds let them."""
+    """Actuators act with given efforts, as far as the bounds let them; the others hold their drives."""
 
     driven_by, held = EFFORTS, None
 
     def __init__(self, command: Command, state: State, goals: Goals):
         """See `Goal`."""
         super().__init__(command, state, goals)
-        self.wanted = fitting("efforts", command.efforts, self.drives.shape, True)
-        if np.isnan(self.wanted[self._model.actuators.takes_efforts]).any():
-            raise CommandError("efforts", f"holds {np.nan}")
+        efforts = fitting("efforts", command.efforts, self.drives.shape, True)
+        _refuse_nothing("efforts", efforts[self._model.actuators.takes_efforts])
+        keeps_effort = np.isnan(efforts) & self._limits.is_effort_driven
+        self.wanted = np.where(keeps_effort, self.drives, efforts)
 
     def solve(self, linear, held, rows) -> tuple[Actuation, Actuation]:
         """See `Goal`."""
