@@ -22,7 +22,7 @@ from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import MarkerArray
 
-from softrobot_twin.simulation.channels import Channel
+from softrobot_twin.simulation.channels import Channel, measured, registered
 
 RELIABLE, BEST_EFFORT = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT
 
@@ -299,7 +299,7 @@ def _of_twin(name: str, direction: Direction, quality: QoSProfile, meaning: str)
 
 
 def channel_topic(channel: Channel) -> Topic:
-    """The topic by which the twin publishes a channel that was added from outside.
+    """The topic by which the twin publishes a channel that `register_channel` knows.
 
     Args:
         channel: The channel.
@@ -376,5 +376,6 @@ TARGET_TOPICS = _by_name(
 )  # fmt: skip
 """Topics of the target, by name."""
 
-NODES = {"twin": TWIN_TOPICS, "device": DEVICE_TOPICS, "target": TARGET_TOPICS}
+_CHANNELS = _by_name(*map(channel_topic, registered()), *map(measured_topic, measured()))
+NODES = {"twin": TWIN_TOPICS | _CHANNELS, "device": DEVICE_TOPICS, "target": TARGET_TOPICS}
 """Topics by name of each node."""

@@ -73,7 +73,7 @@ from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.apparent_compliance import EffectorCompliance
 from softrobot_twin.simulation.appearance import Pose
 from softrobot_twin.simulation.building.table_columns import column
-from softrobot_twin.simulation.channels import BUILT_IN, from_outside, measured
+from softrobot_twin.simulation.channels import BUILT_IN, registered, measured
 
 if TYPE_CHECKING:
     from softrobot_twin.ros.run_recording import RunRecording
@@ -204,12 +204,12 @@ that has the last one."""
 
 
 def _of_channels(simulation: Simulation) -> Iterator[Output]:
-    """What is published of channels, also of those that were added from outside."""
+    """What is published of channels, also of those that are registered."""
     known = {one.name: one for one in BUILT_IN}
     shown = [(TOPICS[topic], make, [known[name] for name in names])
              for topic, (make, *names) in _OF_CHANNELS.items()]
     shown += [(channel_topic(one), lambda values, header, parts=one.parts: cables_message(
-        parts, values, (), header), [one]) for one in from_outside()]  # fmt: skip
+        parts, values, (), header), [one]) for one in registered()]  # fmt: skip
     for topic, make, told in shown:
         yield Output(topic, told[-1].names(simulation), make,
                      lambda tick, told=told: rows_of(*(one.read(tick.result) for one in told)),

@@ -28,7 +28,7 @@ def check_names(scene) -> None:
     for kind, sections in (
         (f"{', '.join(nouns)} or motor" if nouns else "motor", (*scene.actuator_entries, "motors")),
         ("sealed cavity", ("sealed_cavities",)), ("effector", ("effectors",)),
-        ("touch", ("touches",)), ("marker id", ("markers",)),
+        ("touch", ("touches",)), ("reaction", ("reactions",)), ("marker id", ("markers",)),
         ("body or obstacle", ("deformables", "rigid_bodies", "mass_springs", "beams", "obstacles")),
         ("spring", ("springs", "tubes", "fibres")),
     ):  # fmt: skip
@@ -67,6 +67,12 @@ def check_references(scene) -> None:
         for key, entry in scene.keyed(section):
             name = f"marker {entry.id}" if section == "markers" else entry.name
             check_carrier(f"{key}.{word}", name, getattr(entry, word), deformable, others)
+    for key, entry in scene.keyed("reactions"):
+        what = f"reaction {entry.name}"
+        check_known(f"{key}.of", f"{what} is of", entry.of, deformable + framed + masses)
+        if entry.attached_to is not None:
+            check_known(f"{key}.of", f"{what} is at an attachment, and is of", entry.of, deformable)
+            check_known(f"{key}.attached_to", f"{what} is at", entry.attached_to, rigid)
     touches = [touch.name for touch in scene.touches]
     for index, force in enumerate(scene.observer.forces if scene.observer else ()):
         key, what = f"observer.forces[{index}]", f"force {force.name}"

@@ -259,6 +259,23 @@ class Touch(PointsOnBody):
     """A greater measured force is refused."""
 
 
+class Reaction(Entry):
+    """The force and torque by which something holds a part, as a load cell there shows them."""
+
+    placed: ClassVar[dict[str, str]] = {"about": "point"}
+
+    name: Name
+    """Its name."""
+    of: Name
+    """A body, beam or mass-spring body, for its fixed nodes, or a guided or fixed rigid body, for all
+    that acts on it but its own weight."""
+    attached_to: Name | None = None
+    """A rigid body, for the nodes that are attached to it in place of fixed ones."""
+    about: Vector | None = None
+    """Point in the world that the torque is taken about; by default the mean of what is held,
+    or the origin of a rigid body."""
+
+
 class ObservedForce(Entry):
     """A force that is found from markers."""
 
@@ -395,6 +412,7 @@ class Scene(Entry):
     hinge_motors: tuple[HingeMotor, ...] = ()
     effectors: tuple[Effector, ...] = ()
     touches: tuple[Touch, ...] = ()
+    reactions: tuple[Reaction, ...] = ()
     markers: tuple[Marker, ...] = ()
     marker_frame: MarkerFrame = MarkerFrame()
     observer: Observer | None = None

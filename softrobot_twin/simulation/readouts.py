@@ -58,6 +58,7 @@ class Readouts:
             it.
         marker_ids: Ids of the markers, shape (marker_count,).
         touch_names: Names of the touches, in the order of all their arrays.
+        reaction_names: Names of the reactions, likewise.
         observed_names: Names of the forces that an observer looks for, likewise.
         observed_with_torque: Whether each comes with a torque.
         rigid_names: Names of the rigid bodies, in the order of all their arrays.
@@ -100,6 +101,7 @@ class Readouts:
         self.scene_stiffness = stiffness_of_scene(self.scene)
         self.marker_ids, self.effector_markers = model.marker_ids, model.effector_markers
         self.touch_names = tuple(touch.name for touch in self.scene.touches)
+        self.reaction_names = tuple(reaction.name for reaction in self.scene.reactions)
         places = () if (observed := observed_term(model)) is None else observed.places
         self.observed_names = tuple(place.name for place in places)
         self.observed_with_torque = tuple(place.is_wrench for place in places)

@@ -91,6 +91,14 @@ def force_terms(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
     Raises:
         SceneError: An entry does not fit.
     """
+    yield from static_terms(layout, notes)
+    if layout.scene.integration != "quasi_static":
+        _check_resisted(layout)
+        yield from _motion_terms(layout)
+
+
+def static_terms(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
+    """The force terms without inertia and damping of masses; see `force_terms`."""
     scene = layout.scene
     for body in layout.bodies:
         if body.vertebrae is None:
@@ -116,9 +124,6 @@ def force_terms(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
         yield _sealed_gas(layout, notes)
     if any(scene.gravity) and any(cavity.liquid_density for cavity in scene.cavities):
         yield _liquid_filling(layout)
-    if scene.integration != "quasi_static":
-        _check_resisted(layout)
-        yield from _motion_terms(layout)
 
 
 def _touch_loads(layout: Layout, notes: list[str]) -> TouchLoads:
@@ -408,6 +413,28 @@ def _lumped_elements(layout: Layout, body: Body) -> np.ndarray | None:
 
 def _motion_terms(layout: Layout) -> Iterator[ForceTerm]:
     """Inertia in dynamic scenes, and damping."""
+    yield from body_motion_terms(layout)
+    free = [part for part in (*layout.rigid, *layout.vertebrae) if part.is_free]
+    inertia = None
+    if free:
+        masses, inertias, rates = (
+            np.array([getattr(part, field) for part in free])
+            for field in ("mass", "inertia", "damping")
+        )
+        inertia = RigidInertia(layout.frames, masses, inertias)
+        yield inertia
+        if rates.any():
+            yield RigidDamping(layout.frames, masses, inertias, rates)
+    if layout.beams:
+        yield _on_frames(BeamInertia(_beam_elements(layout)[1], layout.frames, inertia), layout)
+
+
+def body_motion_terms(layout: Layout) -> Iterator[ForceTerm]:
+    """Inertia and damping of deformable bodies and point masses.
+
+    Args:
+        layout: The bodies.
+    """
     dynamic = layout.scene.integration == "dynamic"
     unknowns = layout.nodes.free_node_count
     # The mass of attached nodes is added to their free rigid body.
@@ -436,19 +463,6 @@ def _motion_terms(layout: Layout) -> Iterator[ForceTerm]:
         moving = free_index[nodes] >= 0
         masses = np.broadcast_to(entry.masses, len(nodes))[moving]
         yield LumpedInertia(nodes[moving], free_index[nodes[moving]], masses)
-    free = [part for part in (*layout.rigid, *layout.vertebrae) if part.is_free]
-    inertia = None
-    if free:
-        masses, inertias, rates = (
-            np.array([getattr(part, field) for part in free])
-            for field in ("mass", "inertia", "damping")
-        )
-        inertia = RigidInertia(layout.frames, masses, inertias)
-        yield inertia
-        if rates.any():
-            yield RigidDamping(layout.frames, masses, inertias, rates)
-    if layout.beams:
-        yield _on_frames(BeamInertia(_beam_elements(layout)[1], layout.frames, inertia), layout)
 
 
 def check_masses_held(layout: Layout) -> None:

@@ -100,6 +100,24 @@ def torque_columns(name: str) -> tuple[str, ...]:
     return tuple(f"{name}_torque_{axis}_N_m" for axis in AXES)
 
 
+def reaction_columns(name: str) -> tuple[str, ...]:
+    """Columns of a reaction force [N], such as ``base_reaction_x_N``.
+
+    Args:
+        name: Name of the reaction.
+    """
+    return tuple(f"{name}_reaction_{axis}_N" for axis in AXES)
+
+
+def reaction_torque_columns(name: str) -> tuple[str, ...]:
+    """Columns of a reaction torque [N m], such as ``base_reaction_torque_x_Nm``.
+
+    Args:
+        name: Name of the reaction.
+    """
+    return tuple(f"{name}_reaction_torque_{axis}_Nm" for axis in AXES)
+
+
 def place_columns(name: str) -> tuple[str, ...]:
     """Columns of where an observed force acts [m], such as ``tip_place_x_m``.
 
