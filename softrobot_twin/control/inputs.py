@@ -410,6 +410,59 @@ class StiffnessInput(Input):
         return None
 
 
+class SensorTargetInput(Input):
+    """Wanted values of sensors with a weight, which stay until a message gives others.
+
+    Args:
+        are_wanted: Whether each sensor has a weight, by its name.
+        frame_id: The only frame in which they are accepted.
+        settings: Timeouts.
+
+    Attributes:
+        wanted: Value of each sensor in its unit, NaN where free, shape (sensor_count,).
+    """
+
+    def __init__(self, are_wanted: Mapping[str, bool], frame_id: str, settings: LoopSettings):
+        self._are_wanted, self._names = are_wanted, list(are_wanted)
+        super().__init__(settings, frame_id)
+
+    def reset(self) -> None:
+        """Forgets all messages; the counts stay."""
+        super().reset()
+        self.wanted = np.full(len(self._names), np.nan)
+
+    @property
+    def is_given(self) -> bool:
+        """Whether anything is wanted."""
+        return bool(np.isfinite(self.wanted).any())
+
+    @latched
+    def accept(self, names: Sequence[str], values, others, arrival: Arrival) -> Refusal | None:
+        """Checks wanted values and keeps them; sensors that are not named keep theirs.
+
+        Args:
+            names: Names of sensors with a weight.
+            values: Value of each, NaN to leave it free, shape (name_count,).
+            others: Numbers of another meaning, of which there must be none.
+            arrival: Header and time of arrival of the message.
+
+        Returns:
+            The reason to refuse it, or None.
+        """
+        if len(others):
+            return Refusal.WRONG_FIELDS
+        if not all(self._are_wanted.get(name) for name in names) or len(set(names)) < len(names):
+            return Refusal.WRONG_NAMES
+        if len(values) != len(names):
+            return Refusal.WRONG_SIZE
+        if np.isinf(values).any():
+            return Refusal.NOT_FINITE
+        wanted = self.wanted.copy()
+        wanted[[self._names.index(name) for name in names]] = values
+        self.wanted = wanted
+        return None
+
+
 # --- markers -------------------------------------------------------------------------------------
 
 

@@ -32,6 +32,7 @@ from softrobot_twin.control.inputs import (
     Misfit,
     PoseInput,
     SelectedActuatorInput,
+    SensorTargetInput,
     StiffnessInput,
     TargetInput,
     TargetReading,
@@ -307,6 +308,8 @@ def inputs_of(
     if mode is Mode.INVERSE and any(simulation.stiff_effectors):
         made["stiffness"] = StiffnessInput(
             simulation.scene_stiffness, simulation.stiff_effectors, frame_id, settings)
+    if mode is Mode.INVERSE and any(simulation.wanted_sensors.values()):
+        made["sensors"] = SensorTargetInput(simulation.wanted_sensors, frame_id, settings)
     if pulleys.count:
         made["angles"] = AngleInput(pulleys, commands, settings, False)
         made["measured_angles"] = AngleInput(pulleys, device, settings, True)
@@ -357,6 +360,7 @@ class TwinLoop:
     targets: TargetInput | None = None
     poses: PoseInput | None = None
     stiffness: StiffnessInput | None = None
+    sensors: SensorTargetInput | None = None
     angles: AngleInput | None = None
     measured_angles: AngleInput | None = None
     pressures: PressureInput | None = None
@@ -848,10 +852,10 @@ class TwinLoop:
         return Activity.FOLLOWING if is_led else Activity.COMMANDED, ""
 
     def _is_led(self, reading: TargetReading) -> bool:
-        """Whether there are targets, of places or of stiffness."""
-        has_stiffness = self.stiffness is not None and self.stiffness.is_given
+        """Whether there are targets, of places, stiffness or sensors."""
+        has_others = any(one is not None and one.is_given for one in (self.stiffness, self.sensors))
         return self.mode is Mode.INVERSE and (
-            has_stiffness or any(map(math.isfinite, reading.targets.flat))
+            has_others or any(map(math.isfinite, reading.targets.flat))
         )
 
     def _loss(self, now: float, measured: np.ndarray) -> str:
@@ -927,6 +931,7 @@ class TwinLoop:
             return FollowTargets(
                 aims.aims, time.step, self.selected.setpoints, aims.turns, stiffness,
                 time.reach, aims.is_approaching,
+                None if self.sensors is None else self.sensors.wanted,
             )
         if activity is Activity.COMMANDED:
             return self._direct_command(time)

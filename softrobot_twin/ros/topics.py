@@ -194,6 +194,9 @@ TWIN_TOPICS = _by_name(
     Topic("~/target_stiffness/<effector>", IN, Vector3Stamped, NEWEST, "N/m",
           "along x, y, z, NaN where free; replaces `stiffness.target` until `~/reset` "
           "or `~/enable`", "stiffness.accept"),
+    Topic("~/target_sensors", IN, JointState, NEWEST, "m, rad, m³, Pa",
+          "of sensors with a `weight`, by their names: wanted values in `position`, NaN where free; "
+          "the others keep theirs until `~/reset` or `~/enable`", "sensors.accept"),
     Topic("~/target_velocity", IN, Twist, NEWEST, "m/s, rad/s",
           "integrated, limited in speed and workspace, stopped after "
           "`velocity_timeout`; the angular part turns an effector with `orientation`",

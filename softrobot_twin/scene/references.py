@@ -26,7 +26,7 @@ def check_names(scene) -> None:
                       "mass_springs")
     nouns = dict.fromkeys(e.noun for entries in scene.actuator_entries.values() for e in entries)
     for kind, sections in (
-        (f"{', '.join(nouns)} or motor" if nouns else "motor", (*scene.actuator_entries, "motors")),
+        (f"{', '.join((*nouns, 'motor'))} or sensor", (*scene.actuator_entries, "motors", "sensors")),
         ("sealed cavity", ("sealed_cavities",)), ("effector", ("effectors",)),
         ("touch", ("touches",)), ("reaction", ("reactions",)), ("marker id", ("markers",)),
         ("body or obstacle", ("deformables", "rigid_bodies", "mass_springs", "beams", "obstacles")),
@@ -57,7 +57,7 @@ def check_references(scene) -> None:
         [entry.name for entry in getattr(scene, section)] for section in sections
     )
     framed = rigid + beams
-    for section in (*scene.actuator_entries, "sealed_cavities"):
+    for section in (*scene.actuator_entries, "sealed_cavities", "sensors"):
         for key, entry in scene.keyed(section):
             entry.check_references(scene, key)
     for section, word, others in (

@@ -46,6 +46,7 @@ from softrobot_twin.scene.entry import (
 from softrobot_twin.scene.mounting_entries import MountingStage, check_mounting
 from softrobot_twin.scene.patterns import Source
 from softrobot_twin.scene.references import check_names, check_references
+from softrobot_twin.scene.sensor_entries import Sensor
 from softrobot_twin.scene.words import number
 from softrobot_twin.solvers import FACTORIZATIONS
 
@@ -413,6 +414,7 @@ class Scene(Entry):
     effectors: tuple[Effector, ...] = ()
     touches: tuple[Touch, ...] = ()
     reactions: tuple[Reaction, ...] = ()
+    sensors: tuple[Sensor, ...] = ()
     markers: tuple[Marker, ...] = ()
     marker_frame: MarkerFrame = MarkerFrame()
     observer: Observer | None = None

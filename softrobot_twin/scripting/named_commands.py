@@ -90,6 +90,7 @@ def targets(positions: Mapping[str, Any] | None = None, /, **named: Any) -> Targ
             - ``tip=[x, y, z]``: position of the effector ``tip`` [m];
             - ``tip_quaternion=[qx, qy, qz, qw]``: its turn from rest, if it asks for orientation;
             - ``tip_stiffness_N_per_m=[kx, ky, kz]``: its stiffness, None along a free axis;
+            - ``spine_length_m=0.1``: a sensor with a weight, by its column;
             - ``north_shortening_m=0.01`` and all names of `setpoints`: an actuator that is
               commanded while the others are optimised around it;
             - the columns of a targets file, such as ``tip_x_m=0.0``, in place of a list.
@@ -247,8 +248,9 @@ class CommandReader:
         """Names of effectors that `targets` takes, each with what else it asks for."""
         simulation = self._simulation
         asked = {part: channel.are_asked(simulation) for part, channel in _PARTS.items()}
-        return tuple(f"{name}{part}" for name, place in self._effectors.items()
-                     for part in _PARTS if asked[part][place])  # fmt: skip
+        names = [f"{name}{part}" for name, place in self._effectors.items()
+                 for part in _PARTS if asked[part][place]]  # fmt: skip
+        return *names, *simulation.sensor_columns
 
     def read(self, command: NamedCommand | Command, time_step: float) -> Command:
         """The command as arrays of the scene.
@@ -335,6 +337,9 @@ class CommandReader:
 
     def _targets(self, values: Mapping[str, Numbers], time_step: float) -> FollowTargets:
         simulation, count = self._simulation, len(self._effectors)
+        columns = simulation.sensor_columns
+        sensors = np.array([one_number(own, values[own]) if own in values else np.nan for own in columns])
+        values = {name: numbers for name, numbers in values.items() if name not in columns}
         whole, commanded = self._gathered(values)
         positions, turns, stiffness = wanted = [
             np.full((count, channel.width), np.nan) for channel in WANTED]
@@ -355,6 +360,7 @@ class CommandReader:
             # An effector that the command does not name keeps the stiffness that the scene asks.
             np.where(np.isfinite(stiffness).any(axis=1)[:, None], stiffness,
                      simulation.scene_stiffness) if np.isfinite(stiffness).any() else None,
+            sensors=sensors if np.isfinite(sensors).any() else None,
         )  # fmt: skip
 
     def _gathered(

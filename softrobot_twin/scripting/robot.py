@@ -727,6 +727,7 @@ class Robot:
         columns = open_columns(source, TARGETS_EXAMPLE)
         names = [name for effector in self.effector_names
                  for name in (*position_columns(effector), f"{effector}.x")]
+        names += self.simulation.sensor_columns
         return columns.is_output or "t" in columns or any(name in columns for name in names)
 
     def _run_alone(self, steps: int | None, seconds: float | None, rate: float) -> Table:

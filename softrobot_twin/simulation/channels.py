@@ -11,13 +11,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from itertools import starmap
 from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
 
+from softrobot_twin.simulation.building.actuator_kinds import Quantity
+from softrobot_twin.simulation.building.sensor_kinds import ANGLE, LENGTH, PRESSURE, VOLUME
 from softrobot_twin.simulation.building.table_columns import (
     AXES,
+    column,
     displacement_columns,
     force_columns,
     force_deviation_columns,
@@ -170,11 +174,23 @@ BUILT_IN = (
 
 _OTHERS = ("angles", "cables", "pressures")
 """Names of quantities whose measurements have messages of their own."""
+
+
+def _of_sensors(quantity: Quantity, most: float) -> Channel:
+    """What the sensors of one quantity show, and what is measured of them."""
+    return Channel(
+        f"sensor_{quantity.word}s", quantity.unit, f"{quantity.word}_sensors", (quantity.word,),
+        lambda name: (column(name, quantity),),
+        lambda result: result.state.memory.get(f"sensors.{quantity.word}"), most=most,
+    )  # fmt: skip
+
+
 _REGISTERED: list[Channel] = [
     Channel("reaction_forces", "N", "reaction_names", AXES, reaction_columns,
             _remembered("reactions.wrenches")),
     Channel("reaction_torques", "N m", "reaction_names", AXES, reaction_torque_columns,
             _remembered("reactions.wrenches", 3)),
+    *starmap(_of_sensors, ((LENGTH, 1e3), (ANGLE, 1e3), (VOLUME, 1e3), (PRESSURE, 1e9))),
 ]  # fmt: skip
 
 

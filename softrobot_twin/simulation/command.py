@@ -33,6 +33,9 @@ class FollowTargets:
             is free, as for effectors that ask for no stiffness, shape (effector_count, 3). None:
             those of the scene.
         reach_time: Time in which the actuators may move at their rates [s]; None: `time_step`.
+        sensors: Wanted value of each sensor in its unit, NaN where it is free, as for sensors without
+            a weight, in the order of `Simulation.sensor_names`, shape (sensor_count,). None: all are
+            free.
         is_on_way: Whether the targets lie on the way to others, which are further away: where they are
             missed, no nearer pose is sought.
     """
@@ -44,6 +47,7 @@ class FollowTargets:
     stiffness: np.ndarray | None = None
     reach_time: float | None = None
     is_on_way: bool = False
+    sensors: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

@@ -199,7 +199,7 @@ def _limit_by_pulleys(
 
 def _path(layout: Layout, key: str, cable: Cable, notes: list[str]) -> CablePath:
     """A cable's path, carried by its bodies; a note names the points where it folds back."""
-    path = _carried_path(layout, cable, key, notes)
+    path = cable_path(layout, key, cable, notes)
     for fold in folds(path.positions(layout.nodes.rest_positions)):
         where = "pull_point" if fold == 0 else f"points[{fold - 1}]"
         notes.append(
@@ -209,7 +209,15 @@ def _path(layout: Layout, key: str, cable: Cable, notes: list[str]) -> CablePath
     return path
 
 
-def _carried_path(layout: Layout, cable: Cable, key: str, notes: list[str]) -> CablePath:
+def cable_path(layout: Layout, key: str, cable: Cable, notes: list[str]) -> CablePath:
+    """The path of a cable, carried by its bodies.
+
+    Args:
+        layout: The bodies.
+        key: Key of the cable's entry.
+        cable: The entry.
+        notes: List to which a warning for each snapped point is appended.
+    """
     bodies = layout.bodies_of(cable)
 
     def carried(points, place: str):

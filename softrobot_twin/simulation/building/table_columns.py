@@ -72,6 +72,16 @@ def target_name(name: str) -> str:
     return f"{name}_target"
 
 
+def target_column(name: str, own: str) -> str:
+    """Column of the target of a sensor beside what it shows, such as ``spine_target_length_m``.
+
+    Args:
+        name: Name of the sensor.
+        own: Column of what it shows.
+    """
+    return target_name(name) + own.removeprefix(name)
+
+
 def force_columns(name: str) -> tuple[str, ...]:
     """Columns of the force of a touch [N], such as ``finger_force_x_N``.
 

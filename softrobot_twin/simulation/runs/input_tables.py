@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import compress
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -46,6 +47,7 @@ from softrobot_twin.simulation.building.table_columns import (
     name_today,
     position_columns,
     quaternion_columns,
+    target_column,
     target_name,
     unit_of,
 )
@@ -354,6 +356,8 @@ class TargetTable:
             (row_count, effector_count, 4), NaN where the file gives none; None in a file without.
         stiffness: Wanted stiffnesses of effectors [N/m], shape (row_count, effector_count, 3), NaN
             where the file gives none; None in a file without.
+        sensors: Wanted values of sensors, each in its unit, shape (row_count, sensor_count), NaN where
+            the file gives none; None in a file without.
         notes: What the user should know about the file.
     """
 
@@ -363,6 +367,7 @@ class TargetTable:
     values: np.ndarray
     orientations: np.ndarray | None = None
     stiffness: np.ndarray | None = None
+    sensors: np.ndarray | None = None
     notes: tuple[str, ...] = ()
 
     def command(self, row: int) -> Command:
@@ -375,7 +380,8 @@ class TargetTable:
         if self.kind == TARGETS:
             turns = None if self.orientations is None else self.orientations[row]
             stiffness = None if self.stiffness is None else self.stiffness[row]
-            return FollowTargets(values, step, None, turns, stiffness)
+            sensors = None if self.sensors is None else self.sensors[row]
+            return FollowTargets(values, step, None, turns, stiffness, sensors=sensors)
         return _OF_ACTUATORS[self.kind](values, step)
 
 
@@ -442,16 +448,22 @@ def read_targets(source: Path | str | Mapping, simulation: Simulation) -> Target
     """
     columns = open_columns(source, TARGETS_EXAMPLE)
     take_old_names(columns, simulation.actuators.kind_of.values())
-    if columns.is_output and not keep_targets(columns, simulation.effector_names):
+    if columns.is_output and not keep_targets(
+        columns, simulation.effector_names, simulation.sensor_columns
+    ):
         _keep_what_drove(columns, simulation)
     times = columns.times()
     kind, values = TARGETS, None
-    if any(own in columns for name in simulation.effector_names for own in _columns_of_targets(name)):
+    if any(own in columns for own in target_columns(simulation)):
         _refuse_partial(columns, simulation.effector_names)
-        wanted = [_targets_of(columns, simulation, channel) for channel in WANTED]
+        places, *others = [_targets_of(columns, simulation, channel) for channel in WANTED]
+        if places is None:
+            places = np.full((len(columns), len(simulation.effector_names), 3), np.nan)
+        names = list(simulation.sensor_columns)
+        wanted = places, *others, columns.pop_given(names, np.nan)
     else:
         kind, values = _actuator_values(columns, simulation)
-        wanted = values, None, None
+        wanted = values, None, None, None
     if columns.left:
         _refuse_column(columns, simulation)
     if kind == HOLD:
@@ -500,21 +512,34 @@ def take_old_names(columns: Columns, kinds: Collection[ActuatorKind] = ()) -> No
                      f"are {renamed}",)
 
 
-def keep_targets(columns: Columns, effectors: Sequence[str]) -> bool:
+def target_columns(simulation: Simulation) -> list[str]:
+    """All columns of targets that a scene may have: those of effectors, then those of sensors.
+
+    Args:
+        simulation: The simulation.
+    """
+    own = [one for name in simulation.effector_names for one in _columns_of_targets(name)]
+    return [*own, *simulation.sensor_columns]
+
+
+def keep_targets(
+    columns: Columns, effectors: Sequence[str], sensors: Mapping[str, str] = MappingProxyType({})
+) -> bool:
     """Leaves of what a run wrote the targets that it followed, as a targets file has them.
 
     Args:
         columns: Those of the run; a run that followed no targets stays as it is.
         effectors: Names of the effectors.
+        sensors: Name of each sensor by its column.
 
     Returns:
         Whether it followed targets.
     """
-    names = {}
+    told = {target_column(name, own): own for own, name in sensors.items()}
+    names = {old: new for old, new in told.items() if old in columns}
     for name in effectors:
-        told = _columns_of_targets(target_name(name))
-        names.update(
-            (old, new) for old, new in zip(told, _columns_of_targets(name)) if old in columns)
+        told = dict(zip(_columns_of_targets(target_name(name)), _columns_of_targets(name)))
+        names.update((old, new) for old, new in told.items() if old in columns)
     if names:
         columns.keep([TIME, *names])
         columns.rename(names)
@@ -648,8 +673,7 @@ def _refuse_column(columns: Columns, simulation: Simulation) -> None:
         raise columns.error(name, f"the scene has no {what} {owner!r}; its {what}s: {listed}")
     today = name_today(name, quantities)
     near = nearest(name, (TIME, *(one.name for one in drives_of(simulation)),
-                          *(one for own in simulation.effector_names
-                            for one in _columns_of_targets(own))))
+                          *target_columns(simulation)))
     use = f"use {today}" if today != name else (
         f"valid are {TIME}, <effector>_x_m, _y_m, _z_m (effectors: "
         f"{', '.join(simulation.effector_names) or 'none'}), {_known_actuators(simulation)}{near}")
