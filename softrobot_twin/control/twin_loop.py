@@ -51,6 +51,7 @@ from softrobot_twin.control.model_history import ModelHistory, Moment
 from softrobot_twin.control.target_correction import (
     EffectorMeasurement,
     Law,
+    SensorCorrection,
     TargetCorrection,
     approach,
     approach_poses,
@@ -394,6 +395,8 @@ class TwinLoop:
         self.correction = TargetCorrection(
             len(simulation.effector_names), simulation.lengths_per_radian)
         self.lead = TargetLead(len(simulation.effector_names))
+        if self.sensors is not None:
+            self._of_sensors = SensorCorrection(simulation.model.sensors.lengths)
         limits = simulation.limits
         self.observer = None if simulation.scene.observer is None else ForceObserver(simulation)
         self.dynamic: DynamicControl | None = None
@@ -588,6 +591,8 @@ class TwinLoop:
         """
         self._forget_commands()
         self.correction.reset()
+        if self.sensors is not None:
+            self._of_sensors.reset()
         if self.use_device:
             self._forget_markers()
         return self._engagement.reset()
@@ -708,7 +713,7 @@ class TwinLoop:
         self._remember(ros_time, predicted, result)
         measured, misfit = self._compare(seen, activity)
         effectors = self.measurement.effectors(result.effector_positions, misfit)
-        self._correct(activity, aims, effectors, measured, result)
+        self._correct(activity, aims, effectors, measured, result, now)
         errors = self.measurement.errors(
             aims.reading.targets, result.effector_positions, effectors
         )
@@ -931,7 +936,7 @@ class TwinLoop:
             return FollowTargets(
                 aims.aims, time.step, self.selected.setpoints, aims.turns, stiffness,
                 time.reach, aims.is_approaching,
-                None if self.sensors is None else self.sensors.wanted,
+                None if self.sensors is None else self.sensors.wanted - self._of_sensors.offsets,
             )
         if activity is Activity.COMMANDED:
             return self._direct_command(time)
@@ -1050,9 +1055,14 @@ class TwinLoop:
             moment = self.observer.moment(markers, result.effector_positions)
         self._history.add(ros_time, result.setpoints, moment)
 
+    def _measured_sensors(self, now: float) -> np.ndarray:
+        """What was measured of the sensors last, NaN where it is too old, shape (sensor_count,)."""
+        own = [one for one in measured() if one.name.startswith("sensor_")]
+        return np.concatenate([self._channels[one.name].read(now)[:, 0] for one in own])
+
     def _correct(
         self, activity: Activity, aims: Aims, effectors: np.ndarray, markers: np.ndarray,
-        result: StepResult,
+        result: StepResult, now: float,
     ) -> None:  # fmt: skip
         """Updates the correction of the targets by the measured effectors and markers [m]."""
         touches, errors, misfit = result.touches, None, None
@@ -1074,6 +1084,10 @@ class TwinLoop:
                 if self.observer is not None:
                     model = self.observer.under_loads(model)
                 misfit = self.measurement.misfit(markers, model)
+        if self.settings.closed_loop and follows and self.sensors is not None:
+            self._of_sensors.follow(
+                self._measured_sensors(now), self.simulation.sensor_readings(),
+                self.settings.correction_limit)
         targets, before = aims.reading.targets, self._aimed
         self._aimed = targets
         stands = targets is before or targets.tobytes() == before.tobytes()

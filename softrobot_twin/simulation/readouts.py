@@ -233,6 +233,11 @@ class Readouts:
         """Predicted positions of the markers [m], shape (marker_count, 3)."""
         return self.model.markers.positions(self.state.positions)
 
+    def sensor_readings(self) -> np.ndarray:
+        """What the sensors show, each in its unit, shape (sensor_count,)."""
+        sensors = self.model.sensors
+        return np.empty(0) if sensors is None else sensors.readings(self.state.positions)
+
     def actuator_paths(self) -> dict[str, np.ndarray]:
         """Lines by which actuators are drawn, by their names [m], each of shape (point_count, 3).
 

@@ -35,6 +35,12 @@ def test_the_finger_reaches_its_three_places(run, tmp_path, capsys):
     assert (tmp_path / "finger.png").stat().st_size > 10_000
 
 
+def test_the_finger_bends_to_the_angles_that_its_sensor_shall_show(run):
+    seen = run("sensors")
+    np.testing.assert_allclose(seen["shown"], seen["angles"], atol=1e-5)  # rad
+    assert (np.diff(seen["string"]) > 0.0).all()
+
+
 def test_the_push_on_the_diamond_is_found(run):
     seen = run("external_force")
     assert seen["forces"][-1] == pytest.approx(seen["PUSH"], abs=0.05)  # N
