@@ -89,7 +89,7 @@ _SHOWN_UNITS = {"m3": "m³", "Pa": "Pa (gauge)"}
 
 
 SERVICES = ("enable", "disable", "reset", "apply", "contest", "give_up", "after_failure",
-            "continue_from")  # fmt: skip
+            "continue_from", "grip")  # fmt: skip
 """Methods by which anything but messages and ticks reaches a loop from outside."""
 MOST_REPEATS = 99
 """Ticks at rest that repeat the outcome of one before, at most: then all of a tick is done again."""
@@ -574,6 +574,21 @@ class TwinLoop:
             reason: Why, for the status.
         """
         self._engagement.give_up(reason)
+
+    def grip(self, name: str, holds: bool) -> tuple[bool, str]:
+        """Tells a grip to hold or to let go, from the next tick on.
+
+        Args:
+            name: Name of the grip.
+            holds: Whether it shall hold.
+
+        Returns:
+            Whether the scene has it, and a sentence that says what happens next.
+        """
+        if name not in self.simulation.grip_names:
+            return False, f"{name} is no grip of this scene"
+        self.simulation.grip(name, holds)
+        return True, f"{name} {'takes hold of what is in its reach' if holds else 'lets go'}"
 
     def disable(self) -> None:
         """Publishes no command from the next tick on."""

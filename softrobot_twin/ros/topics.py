@@ -330,6 +330,7 @@ TWIN_SERVICES = (
     Service("~/reset", Trigger,
             "back to the rest shape, within the rate limits; with a device only the model "
             "returns, and the twin is disabled"),
+    Service("~/grip/<grip>", SetBool, "takes hold of what is in the reach of a grip, or lets go"),
     Service("~/calibrate", Trigger,
             "fits `calibrate_fit` to the poses at rest so far, in another process. It answers "
             "at once; the result is in `/diagnostics`"),

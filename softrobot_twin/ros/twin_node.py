@@ -497,6 +497,8 @@ class TwinNode(TickingNode):
         self.create_service(SetBool, "~/enable", self.enable)
         self.create_service(Trigger, "~/reset", self.reset)
         self.create_service(Trigger, "~/calibrate", self.calibrate)
+        for name in simulation.grip_names:
+            self.create_service(SetBool, f"~/grip/{name}", partial(self.grip, name))
 
     def _listen(self, topic: Topic, key: tuple, name: str) -> Subscription:
         """Receives a topic of the table; see `TickingNode.listen`.
@@ -598,6 +600,20 @@ class TwinNode(TickingNode):
         """
         response.success, response.message = True, self.loop.reset()
         self.get_logger().info(f"reset: {response.message}")
+        return response
+
+    def grip(
+        self, name: str, request: SetBool.Request, response: SetBool.Response
+    ) -> SetBool.Response:
+        """Answers ``~/grip/<grip>``.
+
+        Args:
+            name: The grip.
+            request: Whether it shall hold.
+            response: The answer; is filled.
+        """
+        response.success, response.message = self.loop.grip(name, request.data)
+        self.get_logger().info(f"grip {name}: {response.message}")
         return response
 
     def calibrate(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

@@ -28,7 +28,8 @@ def check_names(scene) -> None:
     for kind, sections in (
         (f"{', '.join((*nouns, 'motor'))} or sensor", (*scene.actuator_entries, "motors", "sensors")),
         ("sealed cavity", ("sealed_cavities",)), ("effector", ("effectors",)),
-        ("touch", ("touches",)), ("reaction", ("reactions",)), ("marker id", ("markers",)),
+        ("touch", ("touches",)), ("reaction", ("reactions",)),
+        ("grip", ("grips",)), ("marker id", ("markers",)),
         ("body or obstacle", ("deformables", "rigid_bodies", "mass_springs", "beams", "obstacles")),
         ("spring", ("springs", "tubes", "fibres")),
     ):  # fmt: skip
@@ -67,6 +68,9 @@ def check_references(scene) -> None:
         for key, entry in scene.keyed(section):
             name = f"marker {entry.id}" if section == "markers" else entry.name
             check_carrier(f"{key}.{word}", name, getattr(entry, word), deformable, others)
+    for key, grip in scene.keyed("grips"):
+        check_carrier(f"{key}.body", grip.name, grip.body, deformable, framed)
+        check_known(f"{key}.holds", f"grip {grip.name} holds", grip.holds, ["world", *rigid])
     for key, entry in scene.keyed("reactions"):
         what = f"reaction {entry.name}"
         check_known(f"{key}.of", f"{what} is of", entry.of, deformable + framed + masses)

@@ -260,6 +260,27 @@ class Touch(PointsOnBody):
     """A greater measured force is refused."""
 
 
+class Grip(Entry):
+    """What may take hold of a rigid body, or of the world, and let go: a cup, a magnet, glue."""
+
+    placed: ClassVar[dict[str, str]] = {"points": "point"}
+
+    name: Name
+    """Its name."""
+    body: Name | None = None
+    """Its body."""
+    points: Annotated[tuple[Vector, ...], Field(min_length=1)]
+    """Places at rest that are held; three that are on no line hold the rotation too."""
+    holds: Name
+    """The rigid body that it may hold, or `world`."""
+    reach: Annotated[OpenNumber, unit("m", ge=0.0)] = math.inf
+    """It takes hold where all points are as near to the rigid body."""
+    stiffness: Annotated[float | None, unit("N/m", gt=0.0)] = None
+    """Of the whole grip; by default ten times that of a block of the body."""
+    force_limit: Annotated[OpenNumber, unit("N", gt=0.0)] = math.inf
+    """It lets go where it bears more."""
+
+
 class Reaction(Entry):
     """The force and torque by which something holds a part, as a load cell there shows them."""
 
@@ -413,6 +434,7 @@ class Scene(Entry):
     hinge_motors: tuple[HingeMotor, ...] = ()
     effectors: tuple[Effector, ...] = ()
     touches: tuple[Touch, ...] = ()
+    grips: tuple[Grip, ...] = ()
     reactions: tuple[Reaction, ...] = ()
     sensors: tuple[Sensor, ...] = ()
     markers: tuple[Marker, ...] = ()

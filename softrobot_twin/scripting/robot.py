@@ -512,6 +512,7 @@ class Robot:
         time_step: float = DEFAULT_TIME_STEP,
         poses: Mapping[str, Any] = NOTHING,
         touches: Mapping[str, Any] = NOTHING,
+        grips: Mapping[str, Any] = NOTHING,
     ) -> Result:
         """Advances by one command.
 
@@ -523,6 +524,7 @@ class Robot:
                 a new pose go on to their last one.
             touches: What is measured of a finger, by name and unit: ``fingertip_force_N``,
                 ``fingertip_displacement_m`` or ``fingertip_place_m``, 3 numbers each.
+            grips: Whether grips shall hold, by name, from this step on; others go on as they were told.
 
         Returns:
             The outcome. Where no solution was found its status says so, and the robot stays.
@@ -534,7 +536,11 @@ class Robot:
         aims = self._reader.poses(poses)
         touched = self._reader.touches(touches)
         self._warn_of_unlikely(asked)
+        for name in (one for one in grips if one not in self.simulation.grip_names):
+            raise unknown(name, "grips:", self.simulation.grip_names)
         self._aim(aims)
+        for name, holds in grips.items():
+            self.simulation.grip(name, holds)
         before = self.simulation.state.positions
         measured: list[Any] = [] if touched is None else [touched]
         if self._observer is not None:

@@ -25,6 +25,7 @@ from softrobot_twin.simulation.building.table_columns import (
     displacement_columns,
     force_columns,
     force_deviation_columns,
+    holds_column,
     place_columns,
     position_columns,
     quaternion_columns,
@@ -190,6 +191,10 @@ _REGISTERED: list[Channel] = [
             _remembered("reactions.wrenches")),
     Channel("reaction_torques", "N m", "reaction_names", AXES, reaction_torque_columns,
             _remembered("reactions.wrenches", 3)),
+    Channel("grip_forces", "N", "grip_names", AXES, force_columns, _remembered("grips.forces")),
+    Channel("grip_holds", "1", "grip_names", ("holds",), lambda name: (holds_column(name),),
+            lambda result: None if (held := result.state.memory.get("grips.holds")) is None
+            else held[:, None]),
     *starmap(_of_sensors, ((LENGTH, 1e3), (ANGLE, 1e3), (VOLUME, 1e3), (PRESSURE, 1e9))),
 ]  # fmt: skip
 

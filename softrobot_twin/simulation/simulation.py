@@ -26,6 +26,7 @@ from softrobot_twin.simulation.command import (
     may_move,
 )
 from softrobot_twin.simulation.effects.effects import step_parts
+from softrobot_twin.simulation.effects.gripping import Gripping
 from softrobot_twin.simulation.mounting import Mounted, branch_notes, mount
 from softrobot_twin.simulation.readouts import Readouts
 from softrobot_twin.simulation.result import Status, StepResult
@@ -203,6 +204,22 @@ class Simulation(Readouts):
     def from_scene_file(cls, path: Path | str) -> Simulation:
         """Read and build a scene file; see `load_scene` and the constructor."""
         return cls(load_scene(path))
+
+    def grip(self, name: str, holds: bool) -> None:
+        """Tell a grip to hold, or to let go, from the next step on.
+
+        Args:
+            name: Name of the grip.
+            holds: Whether it shall hold.
+
+        Raises:
+            CommandError: The scene has no such grip.
+        """
+        part = next((part for part in self.parts if isinstance(part, Gripping)), None)
+        if part is None:
+            raise CommandError(name, "is no grip: this scene has none")
+        part.tell(name, holds)
+        self.kept = None
 
     def reset(self) -> None:
         """Go back to the rest shape. What follows is the same, to the bit, as the first time."""

@@ -5,6 +5,7 @@ import pytest
 import yaml
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
+from std_srvs.srv import SetBool
 
 
 @pytest.fixture
@@ -39,3 +40,20 @@ def test_what_sensors_show_is_published_and_their_targets_are_followed(world, ma
     say(targets, "other", 0.1)
     world.until(lambda: twin.loop.sensors.refusals.by_word() == {"wrong_names": 1})
     assert np.isfinite(reaction[-1].position).all()
+
+
+def test_a_service_tells_a_grip_to_hold(world, make_twin, with_sensors, tmp_path):
+    content = yaml.safe_load(with_sensors.read_text())
+    content["grips"] = [{"name": "hook", "points": [[0.0, 0.0, 0.125]], "holds": "world"}]
+    path = tmp_path / "gripping.yaml"
+    path.write_text(yaml.safe_dump(content))
+    twin = make_twin(scene_file=str(path))
+    held = world.hear(JointState, "/twin/grip_holds/hook", 10)
+    client = world.probe.create_client(SetBool, "/twin/grip/hook")
+    world.until(client.service_is_ready)
+    for holds in (True, False):
+        answer = client.call_async(SetBool.Request(data=holds))
+        world.until(answer.done)
+        assert answer.result().success and "hook" in answer.result().message
+        world.until(lambda: held and held[-1].position[0] == float(holds))
+    assert not twin.loop.grip("nobody", True)[0]

@@ -24,7 +24,7 @@ def robot(oriented=(False, False), stiff=(False, False)):
         limits=SimpleNamespace(slopes=-np.ones(2)), efforts=lambda told: told)
     return SimpleNamespace(
         actuators=actuators, effector_names=EFFECTORS, oriented_effectors=oriented,
-        stiff_effectors=stiff, touch_names=(), scene=SimpleNamespace(motors=(), rigid_bodies=()))
+        stiff_effectors=stiff, touch_names=(), sensor_columns={}, grip_names=(), scene=SimpleNamespace(motors=(), rigid_bodies=()))
 
 
 def read(tmp_path, text, simulation=None):

@@ -20,6 +20,7 @@ from softrobot_twin.mechanics.compression_watch import CompressionWatch
 from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.gravity import Gravity
+from softrobot_twin.mechanics.grips import Grips
 from softrobot_twin.mechanics.hinged_frames import HingeBlocks, HingedTwists
 from softrobot_twin.mechanics.inertia import (
     ConsistentInertia,
@@ -117,6 +118,8 @@ def static_terms(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
         yield from _joint_terms(layout)
     if scene.touches:
         yield _touch_loads(layout, notes)
+    if scene.grips:
+        yield _grips(layout, notes)
     if scene.observer is not None:
         places = tuple(_observed_places(layout, notes))
         yield ObservedLoads(places, layout.nodes.free_node_count)
@@ -141,6 +144,30 @@ def _touch_loads(layout: Layout, notes: list[str]) -> TouchLoads:
     axes = [[axis in touch.directions for axis in "xyz"] for touch in scene.touches]
     points = reduce(BarycentricMapping.followed_by, mappings)
     return TouchLoads(points, np.array(axes), np.array(stiffness), layout.nodes.free_index)
+
+
+def _grips(layout: Layout, notes: list[str]) -> Grips:
+    """All grips of a scene in one term; none holds."""
+    scene, mappings, counts, frames, stiffness = layout.scene, [], [], [], []
+    rigid = {part.name: part.first_node for part in layout.rigid}
+    for key, grip in scene.keyed("grips"):
+        body = layout.body_named(grip.body)
+        if isinstance(body, Body) and (body.vertebrae is not None or body.reduction is not None):
+            raise scene.error(f"{key}.body", body.name, "is reduced: grips on such bodies are not built")
+        if grip.stiffness is None and not isinstance(body, Body):
+            raise scene.error(f"{key}.stiffness", "(nothing)",
+                              f"{body.name} is no deformable body: a stiffness is needed", "N/m")
+        mappings.append(layout.carried(grip.body, grip.points, f"{key}.points", notes))
+        counts.append(len(grip.points))
+        frames.append(rigid.get(grip.holds, -1))
+        whole = grip.stiffness
+        if whole is None:
+            stiffest = max(part.young_modulus for part in body.materials)
+            whole = HELD_STIFFNESS * stiffest * size_of_points(body.mesh.node_positions)
+        stiffness.append(whole / len(grip.points))
+    points = reduce(BarycentricMapping.followed_by, mappings)
+    grips = np.repeat(np.arange(len(counts)), counts)
+    return Grips(points, grips, np.array(frames), np.array(stiffness)[grips], layout.nodes.free_index)
 
 
 def _observed_places(layout: Layout, notes: list[str]) -> Iterator[ObservedPlace]:

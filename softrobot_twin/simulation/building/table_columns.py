@@ -110,6 +110,15 @@ def torque_columns(name: str) -> tuple[str, ...]:
     return tuple(f"{name}_torque_{axis}_N_m" for axis in AXES)
 
 
+def holds_column(name: str) -> str:
+    """Column of what a grip is told, and does: 1 to hold and 0 to let go, such as ``cup_holds``.
+
+    Args:
+        name: Name of the grip.
+    """
+    return f"{name}_holds"
+
+
 def reaction_columns(name: str) -> tuple[str, ...]:
     """Columns of a reaction force [N], such as ``base_reaction_x_N``.
 

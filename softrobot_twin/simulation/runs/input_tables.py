@@ -43,6 +43,7 @@ from softrobot_twin.simulation.building.table_columns import (
     column,
     displacement_columns,
     force_columns,
+    holds_column,
     is_output,
     name_today,
     position_columns,
@@ -568,6 +569,7 @@ def _keep_what_drove(columns: Columns, simulation: Simulation, surroundings: boo
                 names.update(zip(told, columns_of(name), strict=True))
         for name in simulation.touch_names:
             names.update((own, own) for own in force_columns(name))
+        names.update((own, own) for own in map(holds_column, simulation.grip_names))
     columns.keep(names)
     columns.rename(names)
 
@@ -781,6 +783,7 @@ class CommandTable:
         is_constant: For each row but the last, whether nothing changes until the next,
             shape (row_count - 1,).
         touches: Forces or displacements of touches, by name.
+        grips: Whether each driven grip holds, by name, each of shape (row_count,).
     """
 
     kind: str
@@ -789,6 +792,13 @@ class CommandTable:
     poses: Mapping[str, Waypoints]
     is_constant: np.ndarray
     touches: Mapping[str, TouchColumns] = field(default_factory=dict)
+    grips: Mapping[str, np.ndarray] = field(default_factory=dict)
+
+    def held(self, time: float) -> Iterator[tuple[str, bool]]:
+        """What grips are told at a time [s]: that of the last row before it."""
+        row = max(0, int(np.searchsorted(self.times, time, side="right")) - 1)
+        for name, holds in self.grips.items():
+            yield name, bool(holds[row])
 
     def touched(self, time: float, simulation: Simulation) -> Touched | None:
         """Touches at a time [s]; None without any.
@@ -854,20 +864,21 @@ def read_commands(source: Path | str | Mapping, simulation: Simulation) -> Comma
     times = columns.times()
     kind, values = _actuator_values(columns, simulation)
     poses = _poses(columns, simulation, times)
-    touches = _touches(columns, simulation)
+    touches, grips = _touches(columns, simulation), _grips(columns, simulation)
     if columns.left:
         guided = [entry.name for entry in simulation.scene.rigid_bodies]
         near = nearest(columns.left[0], (
             TIME, *(one.name for one in drives_of(simulation)),
             *(one for own in guided for one in position_columns(own) + quaternion_columns(own)),
             *(one for own in simulation.touch_names
-              for one in force_columns(own) + displacement_columns(own))))
+              for one in force_columns(own) + displacement_columns(own)),
+            *map(holds_column, simulation.grip_names)))
         raise columns.error(
             columns.left[0], f"is not a valid column; valid are {_known(simulation)}{near}")
     commanded = [series for name, series in columns.taken.items() if name != TIME]
     changes = np.diff(np.column_stack([np.zeros(len(times)), *commanded]), axis=0)
     is_constant = (changes == 0.0).all(axis=1)
-    return CommandTable(kind, times, values, poses, is_constant, touches)
+    return CommandTable(kind, times, values, poses, is_constant, touches, grips)
 
 
 def _actuator_values(columns: Columns, simulation: Simulation) -> tuple[str, np.ndarray]:
@@ -1028,14 +1039,31 @@ def _touches(columns: Columns, simulation: Simulation) -> dict[str, TouchColumns
     return touches
 
 
+def _grips(columns: Columns, simulation: Simulation) -> dict[str, np.ndarray]:
+    """Takes the columns of grips out; gives whether each holds, in each row."""
+    grips = {}
+    for name in simulation.grip_names:
+        own = holds_column(name)
+        if own in columns:
+            values = columns.pop(own)
+            wrong = np.flatnonzero((values != 0.0) & (values != 1.0))
+            if wrong.size:
+                row = int(wrong[0])
+                raise columns.error(own, "must be 1 to hold or 0 to let go", row, float(values[row]))
+            grips[name] = values > 0.0
+    return grips
+
+
 def _known(simulation: Simulation) -> str:
     """The columns of a commands file that a scene accepts, as text."""
     guided = [entry.name for entry in simulation.scene.rigid_bodies if entry.motion == "guided"]
+    grips = ", ".join(simulation.grip_names)
     touches = (", <touch>_force_x_N, _y_N, _z_N or <touch>_displacement_x_m, _y_m, _z_m (touches: "
                f"{', '.join(simulation.touch_names)})")
     return (f"{_known_actuators(simulation)}, <body>_x_m, _y_m, _z_m and _qx, _qy, _qz, "
             f"_qw (guided bodies: {', '.join(guided) or 'none'})"
-            f"{touches if simulation.touch_names else ''}")
+            f"{touches if simulation.touch_names else ''}"
+            f"{f', <grip>_holds (grips: {grips})' if grips else ''}")
 
 
 def _known_actuators(simulation: Simulation) -> str:
