@@ -44,7 +44,7 @@ GUIDES = {
     "cables": "actuators.md", "cavities": "actuators.md#cavities",
     "sealed_cavities": "actuators.md#cavities", "motors": "actuators.md",
     "slides": "actuators.md", "hinge_motors": "beams.md", "effectors": "effectors.md",
-    "observer": "observer.md", "control": "dynamic_control.md", "mounting": "mounting.md", "touches": "effectors.md#touches", "reactions": "sensors.md", "grips": "sensors.md#grips", "sensors": "sensors.md", "markers": "own_robot.md", "marker_frame": "calibration.md",
+    "observer": "observer.md", "control": "dynamic_control.md", "mounting": "mounting.md", "touches": "effectors.md#touches", "reactions": "sensors.md", "grips": "sensors.md#grips", "moving_base": "on_an_arm.md", "sensors": "sensors.md", "markers": "own_robot.md", "marker_frame": "calibration.md",
     "solver": "accuracy.md",
     "repeat": "own_robot.md#symmetry", "body.vertebrae": "vertebrae.md",
     "body.reduced": "reduced_models.md", "body.material": "materials.md",

@@ -936,6 +936,45 @@ class PoseInput(Input):
         return None
 
 
+class BaseInput(Input):
+    """Where a moving base is, in a frame of the world that the sender chooses.
+
+    Args:
+        settings: Timeouts.
+
+    Attributes:
+        pose: The newest pose; None before the first.
+        time: When the base was there, on the clock of `Arrival.time` [s].
+    """
+
+    def __init__(self, settings: LoopSettings):
+        super().__init__(settings, None)
+
+    def reset(self) -> None:
+        """Forgets what was received; the counts stay."""
+        super().reset()
+        self.pose: Pose | None = None
+        self.time = -math.inf
+
+    @latched
+    def accept(self, position, quaternion, arrival: Arrival) -> Refusal | None:
+        """Checks one message and keeps it.
+
+        Args:
+            position: Origin of the base [m], shape (3,).
+            quaternion: Its rotation (x, y, z, w), shape (4,).
+            arrival: Header and time of arrival of the message.
+
+        Returns:
+            The reason to refuse it, or None.
+        """
+        pose = Pose(np.array(position, dtype=float), quaternion)
+        if refusal := refusal_of_pose(pose):
+            return refusal
+        self.pose, self.time = pose, arrival.time - arrival.age
+        return None
+
+
 # --- angles of pulleys ---------------------------------------------------------------------------
 
 

@@ -27,6 +27,7 @@ from softrobot_twin.control.inputs import (
     DirectActuatorInput,
     ActuatorNames,
     AngleInput,
+    BaseInput,
     ChannelInput,
     MarkerInput,
     Misfit,
@@ -317,6 +318,8 @@ def inputs_of(
     if cavities.names:
         made["pressures"] = PressureInput(cavities, commands, frame_id, settings, False)
         made["measured_pressures"] = PressureInput(cavities, device, None, settings, True)
+    if simulation.base_names:
+        made["measured_base"] = BaseInput(settings)
     if simulation.touch_names:
         made["touches"] = TouchInput(simulation, frame_id, settings)
     for one in measured():
@@ -364,6 +367,7 @@ class TwinLoop:
     sensors: SensorTargetInput | None = None
     angles: AngleInput | None = None
     measured_angles: AngleInput | None = None
+    measured_base: BaseInput | None = None
     pressures: PressureInput | None = None
     measured_pressures: PressureInput | None = None
     touches: TouchInput | None = None
@@ -398,6 +402,7 @@ class TwinLoop:
         if self.sensors is not None:
             self._of_sensors = SensorCorrection(simulation.model.sensors.lengths)
         limits = simulation.limits
+        self._base_seen = -math.inf
         self.observer = None if simulation.scene.observer is None else ForceObserver(simulation)
         self.dynamic: DynamicControl | None = None
         if simulation.scene.control is not None and mode is Mode.INVERSE:
@@ -714,6 +719,8 @@ class TwinLoop:
         if self.dynamic is not None:
             self._measure_motion(accepted, seen, ros_time)
         command = self._command(activity, cause, aims, time, now)
+        if self.measured_base is not None and (pose := self.measured_base.pose) is not None:
+            self._follow_base(pose, now)
         felt = None if self.touches is None else self.touches.read(now)
         touched = [] if felt is None else [felt]
         if self.observer is not None:
@@ -999,6 +1006,14 @@ class TwinLoop:
             simulation.restore(before)
             result = _undone(result, before, passage.command, simulation)
         return result, passage.command, passage.violated
+
+    def _follow_base(self, pose: Pose, now: float) -> None:
+        """Tells the model a pose of its base; one that is too old is told again: the base stands."""
+        is_late = now - self.measured_base.time > self.settings.device_timeout
+        time = now if is_late else self.measured_base.time
+        if time > self._base_seen:
+            self.simulation.move_base(*pose, time)
+            self._base_seen = time
 
     def _observe(self, seen: np.ndarray, activity: Activity, felt: tuple) -> None:
         """Finds the forces that nobody modelled, by the markers that are plausible.

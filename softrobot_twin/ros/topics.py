@@ -218,6 +218,10 @@ TWIN_TOPICS = _by_name(
     Topic("~/measured_pressures/<cavity>", IN, FluidPressure, STREAM, "Pa, absolute",
           "of a cavity under pressure, beside or in place of `~/measured_cables`; "
           "`frame_id` and `variance` are not used", "measured_pressures.accept"),
+    Topic("~/base_pose", IN, PoseStamped, STREAM, "m",
+          "of a scene with `moving_base`: pose of the base in any frame that does not accelerate; its "
+          "acceleration is a load. In place of it `base_frame` names a frame of `/tf`",
+          "measured_base.accept"),
     Topic("~/command/cables", IN, JointState, NEWEST, "m, N",
           "setpoints in `position` or efforts in `effort`, by names of actuators or "
           "motors, as in `~/cables`. In `mode: direct` the others go where earlier messages of the "

@@ -64,7 +64,7 @@ from softrobot_twin.ros.topics import (
     measured_topic,
     open_publisher,
 )
-from softrobot_twin.ros.transforms import TransformOutput
+from softrobot_twin.ros.transforms import BaseFollower, TransformOutput
 from softrobot_twin.ros.view_feed import ViewFeed
 from softrobot_twin.ros.visualization import VisualizationOutput
 from softrobot_twin.scene.loading import load_scene
@@ -497,6 +497,12 @@ class TwinNode(TickingNode):
         self.create_service(SetBool, "~/enable", self.enable)
         self.create_service(Trigger, "~/reset", self.reset)
         self.create_service(Trigger, "~/calibrate", self.calibrate)
+        frame = str(self._values["base_frame"])
+        if frame and loop.measured_base is None:
+            raise ParameterError("base_frame", frame, "", "needs a scene with moving_base")
+        if frame:
+            self._base = BaseFollower(self, frame, lambda place, turn, header: loop.measured_base.accept(
+                place, turn, self.arrival(header)))  # fmt: skip
         for name in simulation.grip_names:
             self.create_service(SetBool, f"~/grip/{name}", partial(self.grip, name))
 

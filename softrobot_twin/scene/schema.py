@@ -260,6 +260,13 @@ class Touch(PointsOnBody):
     """A greater measured force is refused."""
 
 
+class MovingBase(Entry):
+    """The base moves, as on an arm; the scene stays in its frame, and bears its acceleration."""
+
+    most_acceleration: Annotated[float, unit("m/s²", gt=0.0)] = 50.0
+    """What poses tell of more is noise, and is shortened to it."""
+
+
 class Grip(Entry):
     """What may take hold of a rigid body, or of the world, and let go: a cup, a magnet, glue."""
 
@@ -434,6 +441,7 @@ class Scene(Entry):
     hinge_motors: tuple[HingeMotor, ...] = ()
     effectors: tuple[Effector, ...] = ()
     touches: tuple[Touch, ...] = ()
+    moving_base: MovingBase | None = None
     grips: tuple[Grip, ...] = ()
     reactions: tuple[Reaction, ...] = ()
     sensors: tuple[Sensor, ...] = ()

@@ -417,20 +417,7 @@ class CommandReader:
         for name, pose in poses.items():
             if name not in guided:
                 raise unknown(name, "guided bodies:", guided)
-            position, quaternion = pose, None
-            if isinstance(pose, Sequence) and len(pose) == 2:
-                position, quaternion = pose
-            point = np.array(finite_numbers(name, position))
-            if point.shape != (3,):
-                raise CommandError(name, "a pose is a position of 3 numbers [m], or the pair of a "
-                                   "position and a quaternion (qx, qy, qz, qw)")
-            turn = None
-            if quaternion is not None:
-                turn = np.array(finite_numbers(name, quaternion))
-                if turn.shape != (4,) or abs(np.linalg.norm(turn) - 1.0) > NOT_UNIT:
-                    raise CommandError(name, f"{_shown(tuple(turn))} is no quaternion (qx, qy, qz, "
-                                       "qw) of unit length")
-            read[name] = point, turn
+            read[name] = read_pose(name, pose)
         return read
 
     def touches(self, touches: Mapping[str, Any]) -> Touched | None:
@@ -493,6 +480,32 @@ class CommandReader:
                 raise CommandError(f"marker {marker}", f"must be 3 numbers, not {place.size}")
             places[ids.index(marker)] = place
         return places
+
+
+def read_pose(name: str, pose: Any) -> Aim:
+    """Position [m] and quaternion of a pose, None where it gives no rotation.
+
+    Args:
+        name: Whose pose it is.
+        pose: A position, or a pair of position and quaternion.
+
+    Raises:
+        CommandError: It is no pose.
+    """
+    position, quaternion = pose, None
+    if isinstance(pose, Sequence) and len(pose) == 2:
+        position, quaternion = pose
+    point = np.array(finite_numbers(name, position))
+    if point.shape != (3,):
+        raise CommandError(name, "a pose is a position of 3 numbers [m], or the pair of a "
+                           "position and a quaternion (qx, qy, qz, qw)")
+    turn = None
+    if quaternion is not None:
+        turn = np.array(finite_numbers(name, quaternion))
+        if turn.shape != (4,) or abs(np.linalg.norm(turn) - 1.0) > NOT_UNIT:
+            raise CommandError(name, f"{_shown(tuple(turn))} is no quaternion (qx, qy, qz, "
+                               "qw) of unit length")
+    return point, turn
 
 
 def unknown(name: str, known_as: str, known: Sequence[str]) -> CommandError:

@@ -30,6 +30,7 @@ from softrobot_twin.scripting.named_commands import (
     finite_numbers,
     hold,
     one_number,
+    read_pose,
     unknown,
 )
 from softrobot_twin.scripting.named_design import (
@@ -513,6 +514,7 @@ class Robot:
         poses: Mapping[str, Any] = NOTHING,
         touches: Mapping[str, Any] = NOTHING,
         grips: Mapping[str, Any] = NOTHING,
+        base: Any = None,
     ) -> Result:
         """Advances by one command.
 
@@ -525,6 +527,8 @@ class Robot:
             touches: What is measured of a finger, by name and unit: ``fingertip_force_N``,
                 ``fingertip_displacement_m`` or ``fingertip_place_m``, 3 numbers each.
             grips: Whether grips shall hold, by name, from this step on; others go on as they were told.
+            base: Where a moving base is at the end of the step: a position [m], or a pair of it and a
+                quaternion. Its acceleration follows from the poses of the steps before.
 
         Returns:
             The outcome. Where no solution was found its status says so, and the robot stays.
@@ -541,6 +545,8 @@ class Robot:
         self._aim(aims)
         for name, holds in grips.items():
             self.simulation.grip(name, holds)
+        if base is not None:
+            self.simulation.move_base(*read_pose("base", base), self.time + time_step)
         before = self.simulation.state.positions
         measured: list[Any] = [] if touched is None else [touched]
         if self._observer is not None:

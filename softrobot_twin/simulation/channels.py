@@ -21,6 +21,7 @@ from softrobot_twin.simulation.building.actuator_kinds import Quantity
 from softrobot_twin.simulation.building.sensor_kinds import ANGLE, LENGTH, PRESSURE, VOLUME
 from softrobot_twin.simulation.building.table_columns import (
     AXES,
+    base_load_columns,
     column,
     displacement_columns,
     force_columns,
@@ -191,6 +192,7 @@ _REGISTERED: list[Channel] = [
             _remembered("reactions.wrenches")),
     Channel("reaction_torques", "N m", "reaction_names", AXES, reaction_torque_columns,
             _remembered("reactions.wrenches", 3)),
+    Channel("base_loads", "m/s2", "base_names", AXES, base_load_columns, _remembered("base.load")),
     Channel("grip_forces", "N", "grip_names", AXES, force_columns, _remembered("grips.forces")),
     Channel("grip_holds", "1", "grip_names", ("holds",), lambda name: (holds_column(name),),
             lambda result: None if (held := result.state.memory.get("grips.holds")) is None

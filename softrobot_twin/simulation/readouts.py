@@ -72,6 +72,7 @@ class Readouts:
             `angle_sensors`, `volume_sensors` and `pressure_sensors` are those of one quantity.
         wanted_sensors: Whether each sensor may have targets, by its name.
         sensor_columns: Name of each sensor by its column in files, such as ``spine_length_m``.
+        base_names: ``base`` where the base of the scene moves; empty elsewhere.
         grip_names: Names of the grips, likewise.
         reaction_names: Names of the reactions, likewise.
         observed_names: Names of the forces that an observer looks for, likewise.
@@ -124,6 +125,7 @@ class Readouts:
             tuple(one.name for quantity, one in sensed if quantity == own)
             for own in (LENGTH, ANGLE, VOLUME, PRESSURE)
         )
+        self.base_names = ("base",) if self.scene.moving_base is not None else ()
         self.grip_names = tuple(grip.name for grip in self.scene.grips)
         self.reaction_names = tuple(reaction.name for reaction in self.scene.reactions)
         places = () if (observed := observed_term(model)) is None else observed.places

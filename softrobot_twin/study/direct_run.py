@@ -54,7 +54,11 @@ def run_commands(
     columns = columns or RunColumns(simulation, with_reduction_errors=False)
     times = step_times(table, rate)
     time_step = float(times[-1] - table.times[0]) / len(times)
+    if table.base is not None:
+        simulation.move_base(*table.base.at(table.times[0]), float(table.times[0]))
     for step, time in enumerate(times):
+        if table.base is not None:
+            simulation.move_base(*table.base.at(time), float(time))
         for name, pose in table.poses.items():
             simulation.model.guides.aim(name, *pose.at(time))
         for name, holds in table.held(time - (1.0 - ROUNDING) * time_step):

@@ -107,7 +107,7 @@ def static_terms(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
     yield from layout.superelements.values()
     if scene.beams:
         yield from _beam_terms(layout)
-    if any(scene.gravity):
+    if any(scene.gravity) or scene.moving_base is not None:
         yield Gravity(_borne_masses(layout), np.array(scene.gravity), _reduced_weights(layout))
     if scene.mass_springs and scene.integration == "quasi_static":
         check_masses_held(layout)

@@ -22,7 +22,7 @@ TARGETS, SETPOINTS, EFFORTS, HOLD = "targets", "setpoints", "efforts", "hold"
 AXES = ("x", "y", "z")
 _TURN = ("qx", "qy", "qz", "qw")
 
-UNITS = ("N_per_m", "m_per_N", "m3", "Nm", "Pa", "rad", "m", "N", "J", "s")
+UNITS = ("m_per_s2", "N_per_m", "m_per_N", "m3", "Nm", "Pa", "rad", "m", "N", "J", "s")
 """Ends of columns that are units; an end that holds another one comes before it."""
 
 
@@ -108,6 +108,15 @@ def torque_columns(name: str) -> tuple[str, ...]:
         name: Name of the force that comes with it.
     """
     return tuple(f"{name}_torque_{axis}_N_m" for axis in AXES)
+
+
+def base_load_columns(name: str) -> tuple[str, ...]:
+    """Columns of what a mass at the origin of a moving base feels [m/s²], such as ``base_load_x_m_per_s2``.
+
+    Args:
+        name: Name of the base.
+    """
+    return tuple(f"{name}_load_{axis}_m_per_s2" for axis in AXES)
 
 
 def holds_column(name: str) -> str:

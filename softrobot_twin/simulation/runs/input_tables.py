@@ -784,6 +784,7 @@ class CommandTable:
             shape (row_count - 1,).
         touches: Forces or displacements of touches, by name.
         grips: Whether each driven grip holds, by name, each of shape (row_count,).
+        base: Poses of the moving base; None without.
     """
 
     kind: str
@@ -793,6 +794,7 @@ class CommandTable:
     is_constant: np.ndarray
     touches: Mapping[str, TouchColumns] = field(default_factory=dict)
     grips: Mapping[str, np.ndarray] = field(default_factory=dict)
+    base: Waypoints | None = None
 
     def held(self, time: float) -> Iterator[tuple[str, bool]]:
         """What grips are told at a time [s]: that of the last row before it."""
@@ -863,7 +865,11 @@ def read_commands(source: Path | str | Mapping, simulation: Simulation) -> Comma
         columns.begin_earlier()
     times = columns.times()
     kind, values = _actuator_values(columns, simulation)
-    poses = _poses(columns, simulation, times)
+    poses = {
+        entry.name: pose for entry in simulation.scene.rigid_bodies
+        if (pose := _pose(columns, entry.name, entry.motion == "guided", times)) is not None
+    }  # fmt: skip
+    base = next((_pose(columns, name, True, times) for name in simulation.base_names), None)
     touches, grips = _touches(columns, simulation), _grips(columns, simulation)
     if columns.left:
         guided = [entry.name for entry in simulation.scene.rigid_bodies]
@@ -878,7 +884,7 @@ def read_commands(source: Path | str | Mapping, simulation: Simulation) -> Comma
     commanded = [series for name, series in columns.taken.items() if name != TIME]
     changes = np.diff(np.column_stack([np.zeros(len(times)), *commanded]), axis=0)
     is_constant = (changes == 0.0).all(axis=1)
-    return CommandTable(kind, times, values, poses, is_constant, touches, grips)
+    return CommandTable(kind, times, values, poses, is_constant, touches, grips, base)
 
 
 def _actuator_values(columns: Columns, simulation: Simulation) -> tuple[str, np.ndarray]:
@@ -1003,25 +1009,20 @@ def drives_of(simulation: Simulation) -> Iterator[Drive]:
                     lines=tuple((zero, slope) for zero in zeros))  # fmt: skip
 
 
-def _poses(columns: Columns, simulation: Simulation, times: np.ndarray) -> dict[str, Waypoints]:
-    """Takes the columns of guided bodies out; gives their poses."""
-    poses = {}
-    for entry in simulation.scene.rigid_bodies:
-        own = position_columns(entry.name) + quaternion_columns(entry.name)
-        given = next((one for one in own if one in columns), None)
-        if given is None:
-            continue
-        if entry.motion != "guided":
-            raise columns.error(
-                given, f"{entry.name} is a free body; only guided bodies are driven")
-        _refuse_missing(columns, entry.name,
-                        "a position needs x, y and z, a rotation qx, qy, qz and qw", "")  # fmt: skip
-        positions, turns = columns.pop_all(own[:3]), None
-        if own[3] in columns:
-            turns = columns.pop_all(own[3:])
-            _refuse_lengths(columns.source, entry.name, turns, columns.lines)
-        poses[entry.name] = Waypoints(times, positions, turns)
-    return poses
+def _pose(columns: Columns, name: str, is_driven: bool, times: np.ndarray) -> Waypoints | None:
+    """Takes the columns of a body or of the base out; gives its poses, None without any."""
+    own = position_columns(name) + quaternion_columns(name)
+    given = next((one for one in own if one in columns), None)
+    if given is None:
+        return None
+    if not is_driven:
+        raise columns.error(given, f"{name} is a free body; only guided bodies are driven")
+    _refuse_missing(columns, name, "a position needs x, y and z, a rotation qx, qy, qz and qw", "")
+    positions, turns = columns.pop_all(own[:3]), None
+    if own[3] in columns:
+        turns = columns.pop_all(own[3:])
+        _refuse_lengths(columns.source, name, turns, columns.lines)
+    return Waypoints(times, positions, turns)
 
 
 def _touches(columns: Columns, simulation: Simulation) -> dict[str, TouchColumns]:
