@@ -102,7 +102,7 @@ class Grips(ForceTerm):
         return (points - frame[0]) @ (frame[1:] - frame[0]).T
 
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
-        """Find the places of the stiffness in the storage."""
+        """Find the places of the stiffness in the storage; see `ForceTerm.bind`."""
         self._bound = bind_stencils(self._stencils, elimination_rank, slots)
 
     @property

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.constraints.cable import CablePath, Cables
+from softrobot_twin.constraints.cable import CablePath
 from softrobot_twin.constraints.cavity import Cavities
 from softrobot_twin.constraints.constraint_term import ConstraintTerm
 from softrobot_twin.constraints.hinge_angle import HingeAngles
@@ -20,7 +20,7 @@ from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.sensor_entries import Sensor
 from softrobot_twin.simulation.building.actuator_kinds import Quantity
-from softrobot_twin.simulation.building.cable_actuator import cable_path
+from softrobot_twin.simulation.building.cable_actuator import cable_path, cables_along
 from softrobot_twin.simulation.building.cavity_walls import cavity_surface
 from softrobot_twin.simulation.building.hinge_motor_actuator import hinge_of
 from softrobot_twin.simulation.building.scene_layout import Layout
@@ -47,7 +47,7 @@ class SensorKind(NamedTuple):
 def _of_paths(layout: Layout, paths: list[CablePath]) -> SensedTerm:
     """Lengths of paths: a row of a cable is how much its path is shortened."""
     nodes = layout.nodes
-    term = Cables(tuple(paths), nodes.free_index, nodes.rest_positions, nodes.carried)
+    term = cables_along(tuple(paths), nodes.free_index, nodes.rest_positions, nodes.carried)
     return SensedTerm(term, term.rest_lengths, -1.0, np.ones(len(paths)), term.rest_lengths)
 
 

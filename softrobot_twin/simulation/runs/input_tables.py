@@ -797,7 +797,11 @@ class CommandTable:
     base: Waypoints | None = None
 
     def held(self, time: float) -> Iterator[tuple[str, bool]]:
-        """What grips are told at a time [s]: that of the last row before it."""
+        """What grips are told at a time: that of the last row before it.
+
+        Args:
+            time: Time since the run began [s].
+        """
         row = max(0, int(np.searchsorted(self.times, time, side="right")) - 1)
         for name, holds in self.grips.items():
             yield name, bool(holds[row])
