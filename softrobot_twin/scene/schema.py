@@ -263,6 +263,8 @@ class Touch(PointsOnBody):
 class MovingBase(Entry):
     """The base moves, as on an arm; the scene stays in its frame, and bears its acceleration."""
 
+    told: ClassVar[tuple[str, ...]] = ("at most {most_acceleration} m/s²",)
+
     most_acceleration: Annotated[float, unit("m/s²", gt=0.0)] = 50.0
     """What poses tell of more is noise, and is shortened to it."""
 
@@ -270,6 +272,8 @@ class MovingBase(Entry):
 class Grip(Entry):
     """What may take hold of a rigid body, or of the world, and let go: a cup, a magnet, glue."""
 
+    told: ClassVar[tuple[str, ...]] = ("{points:#point} on {holds:=}", "within {reach:mm} mm",
+                                       "up to {force_limit} N")  # fmt: skip
     placed: ClassVar[dict[str, str]] = {"points": "point"}
 
     name: Name
@@ -291,6 +295,7 @@ class Grip(Entry):
 class Reaction(Entry):
     """The force and torque by which something holds a part, as a load cell there shows them."""
 
+    told: ClassVar[tuple[str, ...]] = ("of {of:=}", "attached to {attached_to}", "about {about} m")
     placed: ClassVar[dict[str, str]] = {"about": "point"}
 
     name: Name

@@ -6,6 +6,7 @@ import pytest
 import softrobot_twin as st
 from softrobot_twin.errors import CommandError, SceneError
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Status
+from softrobot_twin.simulation.mesh_error import MeshErrorEstimator
 from softrobot_twin.simulation.runs.input_tables import TableFileError, read_targets
 from softrobot_twin.simulation.runs.run_columns import RunColumns
 from softrobot_twin.study.offline_run import columns_of, run
@@ -196,3 +197,15 @@ def test_sensors_without_a_weight_add_no_rows_and_take_no_targets(bellows, tmp_p
 def test_what_does_not_fit_is_refused_by_name(bellows, sensor, words):
     with pytest.raises(SceneError, match=words):
         bellows([sensor])
+
+
+def test_the_error_of_the_mesh_is_told_beside_them(bellows):
+    tip = {"name": "tip", "points": [[0.01, 0.003, 0.055]]}
+    wrapped = {"name": "drum", "cylinder": {"ends": [[0.05, -0.1, 0.02], [0.05, 0.1, 0.02]], "radius": 0.004}}
+    own = dict(effectors=[tip], reactions=[{"name": "foot", "of": "hollow"}], moving_base={})
+    robot = bellows([{**FLEX, "weight": 1.0}], obstacles=[wrapped], **own)
+    cable = robot.scene.cables[0].changed(wraps=("drum",), pull_point=(0.1, 0.01, 0.0))
+    scene = robot.scene.changed(cables=(cable, robot.scene.cables[1]))
+    plain = scene.changed(sensors=(), reactions=(), moving_base=None)
+    found, expected = (MeshErrorEstimator(one).at_rest() for one in (scene, plain))
+    assert found.own.loads == expected.own.loads

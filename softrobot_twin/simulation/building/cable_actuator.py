@@ -107,6 +107,8 @@ class CableActuator(ActuatorKind):
             words.append(f"stretches, EA {entry.axial_stiffness:.6g} N")
         if entry.offset:
             words.append(f"zero error {1e3 * entry.offset:.6g} mm")
+        if entry.wraps:
+            words.append(f"around {', '.join(entry.wraps)}")
         if entry.friction:
             words.append(f"friction {entry.friction:.6g} along its path")
         return ", ".join(words)
