@@ -144,7 +144,7 @@ class Grips(ForceTerm):
         return 0
 
     def add_force_curvature(self, positions, direction, reach, curvature) -> None:
-        """Adds nothing: the forces are linear in the positions of points."""
+        """Adds nothing: the forces are linear in the positions; see `ForceTerm`."""
 
     def energy(self, positions: np.ndarray) -> float:
         """½ Σ k ‖r‖² [J]; see `ForceTerm.energy`."""

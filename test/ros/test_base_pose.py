@@ -1,11 +1,20 @@
 """The base of a robot on an arm follows a pose topic, or a frame of /tf."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import yaml
-from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
+from geometry_msgs.msg import (
+    Point,
+    Pose,
+    PoseStamped,
+    Quaternion,
+    Transform,
+    TransformStamped,
+    Vector3,
+)
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
@@ -35,22 +44,22 @@ def test_a_turned_base_turns_gravity(world, make_twin, carried):
     assert twin.loop.measured_base.refusals.by_word() == {}
 
 
-def test_a_frame_needs_a_moving_base_and_transforms_of_others_are_left_out(make_twin, small_scene_file):
+def test_a_frame_needs_a_moving_base(make_twin):
     with pytest.raises(ParameterError, match="base_frame.*needs a scene with moving_base"):
         make_twin(base_frame="flange")
-    kept, follower = [], object.__new__(BaseFollower)
-    follower._frame, follower._take = "flange", lambda *pose: kept.append(pose)
 
-    class Transforms:
-        transforms = [_transform("table", 1.0), _transform("flange", 2.0)]
 
-    follower.receive(Transforms())
+def test_transforms_of_other_frames_are_left_out():
+    pytest.importorskip("tf2_msgs")
+    kept, heard = [], []
+    node = SimpleNamespace(create_subscription=lambda kind, topic, receive, depth: heard.append(topic))
+    follower = BaseFollower(node, "flange", lambda *pose: kept.append(pose))
+    follower.receive(SimpleNamespace(transforms=[transform("table", 1.0), transform("flange", 2.0)]))
     (place, turn, header), = kept
     assert place.tolist() == [2.0, 0.0, 0.0] and turn.tolist() == [0.0, 0.0, 0.0, 1.0]
-    assert header.frame_id == "floor"
+    assert header.frame_id == "floor" and heard == ["/tf"]
 
 
-def _transform(frame, x):
-    from geometry_msgs.msg import Transform, TransformStamped, Vector3
+def transform(frame, x):
     return TransformStamped(header=Header(frame_id="floor"), child_frame_id=frame, transform=Transform(
         translation=Vector3(x=x), rotation=Quaternion(w=1.0)))

@@ -179,6 +179,9 @@ def test_sensors_without_a_weight_add_no_rows_and_take_no_targets(bellows, tmp_p
         both.step(FollowTargets(np.empty((0, 3)), 1.0, sensors=np.array([np.nan, 0.1])))
     assert both.step(Hold(1.0)).status is Status.OK
     path = tmp_path / "targets.csv"
+    path.write_text("time_s,flex_angle_rad\n0,0.1\n")
+    with pytest.raises(TableFileError, match="flex_angle_rad: the sensor has no weight"):
+        read_targets(path, both)
     path.write_text("time_s,flex_angle_deg\n0,0.1\n")
     with pytest.raises(TableFileError, match="is flex_angle_rad meant"):
         read_targets(path, both)

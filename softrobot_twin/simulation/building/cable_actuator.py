@@ -293,7 +293,7 @@ def _crossings(model, group: ActuatorGroup) -> Iterator[str]:
         for name, shape, origin, rotation in (one for one in solid if one[0] not in own):
             for index, (first, second) in enumerate(zip(points[:-1], points[1:])):
                 places = (first + inner * (second - first) - origin) @ rotation
-                if index not in path.wraps and (shape.signed_distances(places)[0] < 0.0).any():
+                if index not in path.wraps and (shape.distances(places) == 0.0).any():
                     yield (f"{key} ({cable.name}) passes through {name} after its point {index}: lay it "
                            "around (wraps, of an obstacle), or give it other points.")  # fmt: skip
 

@@ -461,6 +461,9 @@ def read_targets(source: Path | str | Mapping, simulation: Simulation) -> Target
         if places is None:
             places = np.full((len(columns), len(simulation.effector_names), 3), np.nan)
         names = list(simulation.sensor_columns)
+        for own, name in simulation.sensor_columns.items():
+            if own in columns and not simulation.wanted_sensors[name]:
+                raise columns.error(own, "the sensor has no weight in the scene: it is told, not wanted")
         wanted = places, *others, columns.pop_given(names, np.nan)
     else:
         kind, values = _actuator_values(columns, simulation)
