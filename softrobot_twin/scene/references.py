@@ -25,7 +25,8 @@ def check_names(scene) -> None:
                       "the scene has no body: give body, bodies, beams, rigid_bodies or "
                       "mass_springs")
     nouns = dict.fromkeys(e.noun for entries in scene.actuator_entries.values() for e in entries)
-    *others, last = (*nouns, "motor", *["sensor"] * bool(scene.sensors))
+    words = [*nouns, "motor", *(["sensor"] if scene.sensors else [])]
+    *others, last = words
     for kind, sections in (
         (f"{', '.join(others)} or {last}" if others else last, (*scene.actuator_entries, "motors", "sensors")),
         ("sealed cavity", ("sealed_cavities",)), ("effector", ("effectors",)),
