@@ -27,6 +27,8 @@ Arguments of the kernels here:
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -61,6 +63,22 @@ FOLD_COSINE = -0.5
 ROUNDED = 0.1
 
 
+class Wrap(NamedTuple):
+    """A cylinder that a segment of a cable is laid around; see `wrapped_cable`.
+
+    Attributes:
+        centre: A place on its axis [m], shape (3,).
+        axis: Its direction, a unit vector, shape (3,).
+        radius: r [m].
+        side: Sense in which the cable turns about the axis, 1 or -1.
+    """
+
+    centre: np.ndarray
+    axis: np.ndarray
+    radius: float
+    side: float = 1.0
+
+
 class CablePath(NamedTuple):
     """The path of one cable.
 
@@ -69,11 +87,13 @@ class CablePath(NamedTuple):
         points: Points carried by the body, in order from the pull point on.
         pull_point: Pull point fixed in the world [m], shape (3,), or None where the first of
             `points` is the pull point.
+        wraps: What segments are laid around, by the index of the point where they begin.
     """
 
     name: str
     points: BarycentricMapping
     pull_point: np.ndarray | None
+    wraps: Mapping[int, Wrap] = MappingProxyType({})
 
     def positions(self, node_positions: np.ndarray) -> np.ndarray:
         """The whole path, pull point first [m], shape (point_count, 3).
@@ -246,6 +266,8 @@ class Cables(ConstraintTerm):
 
     Attributes:
         cable_of_stretch: Cable that each segment is part of, shape (segment_count,).
+        ends_on_cylinder: Whether each segment ends on a cylinder, where the next one begins, same
+            shape.
     """
 
     name = "cables"
@@ -276,6 +298,7 @@ class Cables(ConstraintTerm):
             for segment in _segments(path, width)
         ]
         self.cable_of_stretch = np.array([cable for cable, _ in segments], dtype=np.int64)
+        self.ends_on_cylinder = np.array([s[3] for _, s in segments], bool)
         count = len(segments)
         self._nodes = np.array([s[0] for _, s in segments], np.int64).reshape(count, -1)
         self._coefficients = np.array([s[1] for _, s in segments], float).reshape(count, -1)
@@ -456,20 +479,27 @@ class Cables(ConstraintTerm):
 
 
 def _segments(path: CablePath, width: int):
-    """Nodes, coefficients and constant of each segment of one path, padded to a width."""
+    """Nodes, coefficients and constant of each segment of one path, padded to a width.
+
+    Also whether it ends on a cylinder; a segment that is laid around one is two segments.
+    """
     ends: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
     nothing = (np.empty(0, np.int64), np.empty(0))
     if path.pull_point is not None:
         ends.append((*nothing, np.asarray(path.pull_point, float)))
     for nodes, weights in zip(path.points.nodes, path.points.barycentric_weights, strict=True):
         ends.append((nodes, weights, np.zeros(3)))
-    for (nodes_a, weights_a, fixed_a), (nodes_b, weights_b, fixed_b) in zip(
-        ends[:-1], ends[1:], strict=True
-    ):
+    ways = []
+    for index, (first, second) in enumerate(zip(ends[:-1], ends[1:], strict=True)):
+        # The constants of a place on a cylinder are written at each state.
+        place = (*nothing, np.zeros(3))
+        is_wrapped = index in path.wraps
+        ways += [(first, place, True), (place, second, False)] if is_wrapped else [(first, second, False)]
+    for (nodes_a, weights_a, fixed_a), (nodes_b, weights_b, fixed_b), ends_on_cylinder in ways:
         nodes, place = np.unique(np.concatenate([nodes_a, nodes_b]), return_inverse=True)
         merged = np.bincount(place.ravel(), np.concatenate([-weights_a, weights_b]), len(nodes))
         padded_nodes = np.full(width, -1, np.int64)
         padded_nodes[: len(nodes)] = nodes
         padded = np.zeros(width)
         padded[: len(nodes)] = merged
-        yield padded_nodes, padded, fixed_b - fixed_a
+        yield padded_nodes, padded, fixed_b - fixed_a, ends_on_cylinder

@@ -85,9 +85,11 @@ class Effectors(ConstraintTerm):
     Attributes:
         position_row_count: Number of rows of positions: all, see `PosedEffectors`.
         orientations: None; see there.
+        row_lengths: See there.
     """
 
     orientations: tuple = ()
+    row_lengths = np.empty(0)
 
     name = "effectors"
     group = "effectors"
@@ -125,11 +127,13 @@ class Effectors(ConstraintTerm):
         for block, (_, _, weight, axis) in zip(self._blocks, entries, strict=True):
             block[axis] = weight
         mappings = [effector.points for effector in effectors]
-        self._nodes = np.concatenate([m.nodes.ravel() for m in mappings]).astype(np.int64)
-        self._weights = np.concatenate([m.barycentric_weights.ravel() for m in mappings])
+        # A scene may have targets of sensors alone.
+        none = np.empty(0, np.int64)
+        self._nodes = np.concatenate([none, *(m.nodes.ravel() for m in mappings)]).astype(np.int64)
+        self._weights = np.concatenate([np.empty(0), *(m.barycentric_weights.ravel() for m in mappings)])
         widths = [np.full(m.point_count, m.nodes.shape[1]) for m in mappings]
-        self._point_ends = np.cumsum(np.concatenate(widths))
-        self._effector_ends = np.cumsum([m.point_count for m in mappings])
+        self._point_ends = np.cumsum(np.concatenate([none, *widths]))
+        self._effector_ends = np.cumsum([m.point_count for m in mappings], dtype=np.int64)
 
     def rows_of(self, places: np.ndarray) -> np.ndarray:
         """The controlled coordinates of the effectors, shape (row_count,).

@@ -410,6 +410,59 @@ class StiffnessInput(Input):
         return None
 
 
+class SensorTargetInput(Input):
+    """Wanted values of sensors with a weight, which stay until a message gives others.
+
+    Args:
+        are_wanted: Whether each sensor has a weight, by its name.
+        frame_id: The only frame in which they are accepted.
+        settings: Timeouts.
+
+    Attributes:
+        wanted: Value of each sensor in its unit, NaN where free, shape (sensor_count,).
+    """
+
+    def __init__(self, are_wanted: Mapping[str, bool], frame_id: str, settings: LoopSettings):
+        self._are_wanted, self._names = are_wanted, list(are_wanted)
+        super().__init__(settings, frame_id)
+
+    def reset(self) -> None:
+        """Forgets all messages; the counts stay."""
+        super().reset()
+        self.wanted = np.full(len(self._names), np.nan)
+
+    @property
+    def is_given(self) -> bool:
+        """Whether anything is wanted."""
+        return bool(np.isfinite(self.wanted).any())
+
+    @latched
+    def accept(self, names: Sequence[str], values, others, arrival: Arrival) -> Refusal | None:
+        """Checks wanted values and keeps them; sensors that are not named keep theirs.
+
+        Args:
+            names: Names of sensors with a weight.
+            values: Value of each, NaN to leave it free, shape (name_count,).
+            others: Numbers of another meaning, of which there must be none.
+            arrival: Header and time of arrival of the message.
+
+        Returns:
+            The reason to refuse it, or None.
+        """
+        if len(others):
+            return Refusal.WRONG_FIELDS
+        if not all(self._are_wanted.get(name) for name in names) or len(set(names)) < len(names):
+            return Refusal.WRONG_NAMES
+        if len(values) != len(names):
+            return Refusal.WRONG_SIZE
+        if np.isinf(values).any():
+            return Refusal.NOT_FINITE
+        wanted = self.wanted.copy()
+        wanted[[self._names.index(name) for name in names]] = values
+        self.wanted = wanted
+        return None
+
+
 # --- markers -------------------------------------------------------------------------------------
 
 
@@ -611,7 +664,7 @@ class ActuatorNames:
 class ActuatorInput(Input):
     """The newest setpoint or effort of every actuator; a message must name each of them once.
 
-    It is used for direct commands and for measurements of a device. Slides accept setpoints but no
+    It is used for measurements of a device. Slides accept setpoints but no
     efforts: a message with efforts only may omit them or give NaN for them, and they keep their
     position. A message may omit cavities whose pressure is commanded: these keep the pressure that
     was last given, by a message or by `put`. A message with setpoints may likewise omit cables that
@@ -758,6 +811,31 @@ def replaced(
     return values
 
 
+class DirectActuatorInput(ActuatorInput):
+    """Setpoints or efforts of direct commands; a message names one actuator or more.
+
+    Actuators that it does not name keep what earlier messages of the same kind gave them, or hold.
+
+    Attributes:
+        setpoints: See `ActuatorInput`; NaN where none was given.
+        efforts: See `ActuatorInput`; NaN where none was given.
+    """
+
+    def _keep(
+        self, order: NameOrder, setpoints: np.ndarray, efforts: np.ndarray, time: float
+    ) -> None:
+        before = self.setpoints, self.efforts
+        super()._keep(order, setpoints, efforts, time)
+        self.setpoints, self.efforts = (
+            newest if newest is None or kept is None
+            else np.where(order.named | ~np.isnan(newest), newest, kept)
+            for newest, kept in zip((self.setpoints, self.efforts), before, strict=True)
+        )  # fmt: skip
+
+    def _names_fit(self, order: NameOrder, setpoints: np.ndarray, efforts: np.ndarray) -> bool:
+        return bool(order.named.any())
+
+
 class SelectedActuatorInput(ActuatorInput):
     """Setpoints of the actuators that are commanded while the others follow targets.
 
@@ -855,6 +933,45 @@ class PoseInput(Input):
         if refusal := refusal_of_pose(Pose(position, quaternion)):
             return refusal
         self.newest[name] = Pose(self._inside(position), quaternion)
+        return None
+
+
+class BaseInput(Input):
+    """Where a moving base is, in a frame of the world that the sender chooses.
+
+    Args:
+        settings: Timeouts.
+
+    Attributes:
+        pose: The newest pose; None before the first.
+        time: When the base was there, on the clock of `Arrival.time` [s].
+    """
+
+    def __init__(self, settings: LoopSettings):
+        super().__init__(settings, None)
+
+    def reset(self) -> None:
+        """Forgets what was received; the counts stay."""
+        super().reset()
+        self.pose: Pose | None = None
+        self.time = -math.inf
+
+    @latched
+    def accept(self, position, quaternion, arrival: Arrival) -> Refusal | None:
+        """Checks one message and keeps it.
+
+        Args:
+            position: Origin of the base [m], shape (3,).
+            quaternion: Its rotation (x, y, z, w), shape (4,).
+            arrival: Header and time of arrival of the message.
+
+        Returns:
+            The reason to refuse it, or None.
+        """
+        pose = Pose(np.array(position, dtype=float), quaternion)
+        if refusal := refusal_of_pose(pose):
+            return refusal
+        self.pose, self.time = pose, arrival.time - arrival.age
         return None
 
 

@@ -219,14 +219,16 @@ def check_settings(settings: LoopSettings, simulation: Simulation, mode: Mode) -
         mode: What drives the twin.
 
     Raises:
-        ParameterError: `closed_loop` is true and no marker measures an effector, or an effector or
+        ParameterError: `closed_loop` is true and nothing measures what has targets, or an effector or
             a guided body is outside the workspace at rest: the first command would move it into the
             workspace.
     """
     is_measured = any(len(markers) for markers in simulation.effector_markers)
+    is_measured |= any(simulation.wanted_sensors.values())
     if settings.closed_loop and not is_measured:
         raise ParameterError(
-            "closed_loop", True, "", "no effector of the scene is measured_by a marker"
+            "closed_loop", True, "",
+            "no effector of the scene is measured_by a marker, and no sensor has a weight",
         )
     for name, position in _positions_at_rest(simulation, mode).items():
         for corner, outside in (

@@ -118,6 +118,40 @@ def write_distances(is_controlled, targets, predicted, measured, distances):
         distances[e] = np.sqrt(squared)
 
 
+class SensorCorrection:
+    """Follows how far measured sensors are from the model, for targets that the robot shall reach.
+
+    The robot shows its target where the model shows the target less this misfit.
+
+    Attributes:
+        offsets: The misfit, measured less shown, each in its unit, shape (sensor_count,).
+    """
+
+    def __init__(self, lengths: np.ndarray):
+        """Begin without a misfit.
+
+        Args:
+            lengths: Metres per unit of each sensor, shape (sensor_count,).
+        """
+        self._lengths, self.offsets = lengths, np.zeros(len(lengths))
+
+    def reset(self) -> None:
+        """Forget the misfit."""
+        self.offsets = np.zeros(len(self._lengths))
+
+    def follow(self, measured: np.ndarray, shown: np.ndarray, limit: float) -> None:
+        """Take a share of what the misfit has changed by.
+
+        Args:
+            measured: What was measured last, NaN where it is too old, shape (sensor_count,).
+            shown: What the model shows, same shape.
+            limit: No misfit counts as more [m].
+        """
+        change = MISFIT_SHARE * np.nan_to_num(measured - shown - self.offsets)
+        most = limit / self._lengths
+        self.offsets = np.clip(self.offsets + change, -most, most)
+
+
 def approach(positions: np.ndarray, aims: np.ndarray, reach: float) -> np.ndarray:
     """The points nearest to the aims that are within reach of the positions.
 

@@ -24,13 +24,16 @@ from softrobot_twin.control.force_observer import ForceObserver
 from softrobot_twin.control.guidance import Guidance
 from softrobot_twin.control.inputs import (
     ActuatorInput,
+    DirectActuatorInput,
     ActuatorNames,
     AngleInput,
+    BaseInput,
     ChannelInput,
     MarkerInput,
     Misfit,
     PoseInput,
     SelectedActuatorInput,
+    SensorTargetInput,
     StiffnessInput,
     TargetInput,
     TargetReading,
@@ -49,6 +52,7 @@ from softrobot_twin.control.model_history import ModelHistory, Moment
 from softrobot_twin.control.target_correction import (
     EffectorMeasurement,
     Law,
+    SensorCorrection,
     TargetCorrection,
     approach,
     approach_poses,
@@ -86,7 +90,7 @@ _SHOWN_UNITS = {"m3": "m³", "Pa": "Pa (gauge)"}
 
 
 SERVICES = ("enable", "disable", "reset", "apply", "contest", "give_up", "after_failure",
-            "continue_from")  # fmt: skip
+            "continue_from", "grip")  # fmt: skip
 """Methods by which anything but messages and ticks reaches a loop from outside."""
 MOST_REPEATS = 99
 """Ticks at rest that repeat the outcome of one before, at most: then all of a tick is done again."""
@@ -296,7 +300,7 @@ def inputs_of(
                                simulation.scene.marker_frame.of_robot),
         "device": device}  # fmt: skip
     if mode is Mode.DIRECT:
-        commands = made["direct"] = ActuatorInput(known, settings)
+        commands = made["direct"] = DirectActuatorInput(known, settings)
     else:
         commands = made["selected"] = SelectedActuatorInput(known, settings)
         made["targets"] = TargetInput(len(simulation.effector_names), velocity_effector, frame_id,
@@ -306,12 +310,16 @@ def inputs_of(
     if mode is Mode.INVERSE and any(simulation.stiff_effectors):
         made["stiffness"] = StiffnessInput(
             simulation.scene_stiffness, simulation.stiff_effectors, frame_id, settings)
+    if mode is Mode.INVERSE and any(simulation.wanted_sensors.values()):
+        made["sensors"] = SensorTargetInput(simulation.wanted_sensors, frame_id, settings)
     if pulleys.count:
         made["angles"] = AngleInput(pulleys, commands, settings, False)
         made["measured_angles"] = AngleInput(pulleys, device, settings, True)
     if cavities.names:
         made["pressures"] = PressureInput(cavities, commands, frame_id, settings, False)
         made["measured_pressures"] = PressureInput(cavities, device, None, settings, True)
+    if simulation.base_names:
+        made["measured_base"] = BaseInput(settings)
     if simulation.touch_names:
         made["touches"] = TouchInput(simulation, frame_id, settings)
     for one in measured():
@@ -356,8 +364,10 @@ class TwinLoop:
     targets: TargetInput | None = None
     poses: PoseInput | None = None
     stiffness: StiffnessInput | None = None
+    sensors: SensorTargetInput | None = None
     angles: AngleInput | None = None
     measured_angles: AngleInput | None = None
+    measured_base: BaseInput | None = None
     pressures: PressureInput | None = None
     measured_pressures: PressureInput | None = None
     touches: TouchInput | None = None
@@ -389,7 +399,10 @@ class TwinLoop:
         self.correction = TargetCorrection(
             len(simulation.effector_names), simulation.lengths_per_radian)
         self.lead = TargetLead(len(simulation.effector_names))
+        if self.sensors is not None:
+            self._of_sensors = SensorCorrection(simulation.model.sensors.lengths)
         limits = simulation.limits
+        self._base_seen = -math.inf
         self.observer = None if simulation.scene.observer is None else ForceObserver(simulation)
         self.dynamic: DynamicControl | None = None
         if simulation.scene.control is not None and mode is Mode.INVERSE:
@@ -567,6 +580,21 @@ class TwinLoop:
         """
         self._engagement.give_up(reason)
 
+    def grip(self, name: str, holds: bool) -> tuple[bool, str]:
+        """Tells a grip to hold or to let go, from the next tick on.
+
+        Args:
+            name: Name of the grip.
+            holds: Whether it shall hold.
+
+        Returns:
+            Whether the scene has it, and a sentence that says what happens next.
+        """
+        if name not in self.simulation.grip_names:
+            return False, f"{name} is no grip of this scene"
+        self.simulation.grip(name, holds)
+        return True, f"{name} {'takes hold of what is in its reach' if holds else 'lets go'}"
+
     def disable(self) -> None:
         """Publishes no command from the next tick on."""
         self._engagement.disable()
@@ -583,6 +611,8 @@ class TwinLoop:
         """
         self._forget_commands()
         self.correction.reset()
+        if self.sensors is not None:
+            self._of_sensors.reset()
         if self.use_device:
             self._forget_markers()
         return self._engagement.reset()
@@ -689,6 +719,8 @@ class TwinLoop:
         if self.dynamic is not None:
             self._measure_motion(accepted, seen, ros_time)
         command = self._command(activity, cause, aims, time, now)
+        if self.measured_base is not None and (pose := self.measured_base.pose) is not None:
+            self._follow_base(pose, now)
         felt = None if self.touches is None else self.touches.read(now)
         touched = [] if felt is None else [felt]
         if self.observer is not None:
@@ -703,7 +735,7 @@ class TwinLoop:
         self._remember(ros_time, predicted, result)
         measured, misfit = self._compare(seen, activity)
         effectors = self.measurement.effectors(result.effector_positions, misfit)
-        self._correct(activity, aims, effectors, measured, result)
+        self._correct(activity, aims, effectors, measured, result, now)
         errors = self.measurement.errors(
             aims.reading.targets, result.effector_positions, effectors
         )
@@ -847,10 +879,10 @@ class TwinLoop:
         return Activity.FOLLOWING if is_led else Activity.COMMANDED, ""
 
     def _is_led(self, reading: TargetReading) -> bool:
-        """Whether there are targets, of places or of stiffness."""
-        has_stiffness = self.stiffness is not None and self.stiffness.is_given
+        """Whether there are targets, of places, stiffness or sensors."""
+        has_others = any(one is not None and one.is_given for one in (self.stiffness, self.sensors))
         return self.mode is Mode.INVERSE and (
-            has_stiffness or any(map(math.isfinite, reading.targets.flat))
+            has_others or any(map(math.isfinite, reading.targets.flat))
         )
 
     def _loss(self, now: float, measured: np.ndarray) -> str:
@@ -926,6 +958,7 @@ class TwinLoop:
             return FollowTargets(
                 aims.aims, time.step, self.selected.setpoints, aims.turns, stiffness,
                 time.reach, aims.is_approaching,
+                None if self.sensors is None else self.sensors.wanted - self._of_sensors.offsets,
             )
         if activity is Activity.COMMANDED:
             return self._direct_command(time)
@@ -941,10 +974,7 @@ class TwinLoop:
         if direct.setpoints is not None:
             wanted = np.where(np.isnan(direct.setpoints), present, direct.setpoints)
             return CommandSetpoints(wanted, *time)
-        actuators = self.simulation.actuators
-        is_omitted = np.isnan(direct.efforts) & actuators.is_effort_driven
-        told = np.where(is_omitted, present, direct.efforts)
-        return CommandEfforts(actuators.efforts(told), *time)
+        return CommandEfforts(self.simulation.actuators.efforts(direct.efforts), *time)
 
     def _step(
         self, command, touched: list, reach_time: float, cause: str
@@ -976,6 +1006,14 @@ class TwinLoop:
             simulation.restore(before)
             result = _undone(result, before, passage.command, simulation)
         return result, passage.command, passage.violated
+
+    def _follow_base(self, pose: Pose, now: float) -> None:
+        """Tells the model a pose of its base; one that is too old is told again: the base stands."""
+        is_late = now - self.measured_base.time > self.settings.device_timeout
+        time = now if is_late else self.measured_base.time
+        if time > self._base_seen:
+            self.simulation.move_base(*pose, time)
+            self._base_seen = time
 
     def _observe(self, seen: np.ndarray, activity: Activity, felt: tuple) -> None:
         """Finds the forces that nobody modelled, by the markers that are plausible.
@@ -1047,9 +1085,14 @@ class TwinLoop:
             moment = self.observer.moment(markers, result.effector_positions)
         self._history.add(ros_time, result.setpoints, moment)
 
+    def _measured_sensors(self, now: float) -> np.ndarray:
+        """What was measured of the sensors last, NaN where it is too old, shape (sensor_count,)."""
+        own = [one for one in measured() if one.name.startswith("sensor_")]
+        return np.concatenate([self._channels[one.name].read(now)[:, 0] for one in own])
+
     def _correct(
         self, activity: Activity, aims: Aims, effectors: np.ndarray, markers: np.ndarray,
-        result: StepResult,
+        result: StepResult, now: float,
     ) -> None:  # fmt: skip
         """Updates the correction of the targets by the measured effectors and markers [m]."""
         touches, errors, misfit = result.touches, None, None
@@ -1071,6 +1114,10 @@ class TwinLoop:
                 if self.observer is not None:
                     model = self.observer.under_loads(model)
                 misfit = self.measurement.misfit(markers, model)
+        if self.settings.closed_loop and follows and self.sensors is not None:
+            self._of_sensors.follow(
+                self._measured_sensors(now), self.simulation.sensor_readings(),
+                self.settings.correction_limit)
         targets, before = aims.reading.targets, self._aimed
         self._aimed = targets
         stands = targets is before or targets.tobytes() == before.tobytes()

@@ -42,6 +42,7 @@ class Gravity(ConstantForces):
 
     Attributes:
         weights: The same as its forces.
+        masses: Mass whose weight acts at each unknown [kg], shape (free_node_count,).
     """
 
     name = "gravity"
@@ -59,6 +60,7 @@ class Gravity(ConstantForces):
             more: Weight at unknowns that are no places, such as coordinates of a basis [N], shape
                 (free_node_count, 3); None without any.
         """
+        self.masses = masses
         self.forces = self.weights = np.outer(masses, np.asarray(gravity, dtype=float))
         if more is not None:
             self.weights += more

@@ -21,7 +21,7 @@ from softrobot_twin.record.run_values import ACTUATORS, EFFECTORS, MARKERS, TOUC
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.loading import read_yaml, written_out
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.channels import FIGURES, from_outside
+from softrobot_twin.simulation.channels import FIGURES, registered
 
 _LIBRARIES = ("softrobot_twin", "numpy", "scipy", "numba", "llvmlite", "osqp", "daqp", "gmsh")
 _VARIABLES = (
@@ -130,7 +130,7 @@ def names_of(simulation: Simulation) -> dict[str, list[str]]:
         EFFECTORS: list(map(str, simulation.effector_names)),
         MARKERS: [str(marker) for marker in simulation.marker_ids],
         TOUCHES: list(map(str, simulation.touch_names)),
-        **{one.objects: list(map(str, names)) for one in (*from_outside(), FIGURES)
+        **{one.objects: list(map(str, names)) for one in (*registered(), FIGURES)
            if (names := one.names(simulation))},
     }
 

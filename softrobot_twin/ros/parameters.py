@@ -264,6 +264,8 @@ TWIN = COMMON + RUNTIME + _fixed(
           choices=("auto", "on", "off")),
     Entry("tf_prefix", "",
           "Before the names of frames, such as left/."),
+    Entry("base_frame", "",
+          "Frame of /tf, given in one that does not accelerate, that a moving_base follows."),
     Entry("tf_base_frame", "", "Frame in which frame_id is fixed, such as world."),
     Entry("tf_base_pose", [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0],
           "Where frame_id is in it: position, and quaternion x, y, z, w.", "m"),

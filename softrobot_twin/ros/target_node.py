@@ -231,8 +231,11 @@ class TargetNode(TickingNode):
         time = float(first + since % (last - first))
         if self._commands is not None:
             values = between_rows(time, table.times, table.values)
+            # Actuators without a column are not named: they hold.
+            names = [name for name, value in zip(self._names, values) if not np.isnan(value)]
+            values = values[~np.isnan(values)]
             both = ((), values) if table.kind == EFFORTS else (values, ())
-            self._commands.publish(cables_message(self._names, *both, header))
+            self._commands.publish(cables_message(names, *both, header))
         for name, publisher in self._poses.items():
             position, quaternion = table.poses[name].at(time)
             quaternion = _UNTURNED if quaternion is None else quaternion

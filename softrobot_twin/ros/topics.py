@@ -22,7 +22,7 @@ from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import MarkerArray
 
-from softrobot_twin.simulation.channels import Channel
+from softrobot_twin.simulation.channels import Channel, measured, registered
 
 RELIABLE, BEST_EFFORT = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT
 
@@ -194,6 +194,9 @@ TWIN_TOPICS = _by_name(
     Topic("~/target_stiffness/<effector>", IN, Vector3Stamped, NEWEST, "N/m",
           "along x, y, z, NaN where free; replaces `stiffness.target` until `~/reset` "
           "or `~/enable`", "stiffness.accept"),
+    Topic("~/target_sensors", IN, JointState, NEWEST, "m, rad, m³, Pa",
+          "of sensors with a `weight`, by their names: wanted values in `position`, NaN where free; "
+          "the others keep theirs until `~/reset` or `~/enable`", "sensors.accept"),
     Topic("~/target_velocity", IN, Twist, NEWEST, "m/s, rad/s",
           "integrated, limited in speed and workspace, stopped after "
           "`velocity_timeout`; the angular part turns an effector with `orientation`",
@@ -215,10 +218,15 @@ TWIN_TOPICS = _by_name(
     Topic("~/measured_pressures/<cavity>", IN, FluidPressure, STREAM, "Pa, absolute",
           "of a cavity under pressure, beside or in place of `~/measured_cables`; "
           "`frame_id` and `variance` are not used", "measured_pressures.accept"),
+    Topic("~/base_pose", IN, PoseStamped, STREAM, "m",
+          "of a scene with `moving_base`: pose of the base in any frame that does not accelerate; its "
+          "acceleration is a load. In place of it `base_frame` names a frame of `/tf`",
+          "measured_base.accept"),
     Topic("~/command/cables", IN, JointState, NEWEST, "m, N",
           "setpoints in `position` or efforts in `effort`, by names of actuators or "
-          "motors, as in `~/cables`. In `mode: direct` all but cavities under pressure are "
-          "named. In `mode: inverse` the others are optimised; an empty message commands none",
+          "motors, as in `~/cables`. In `mode: direct` the others go where earlier messages of the "
+          "same kind told them, or hold. In `mode: inverse` the others are optimised; an empty "
+          "message commands none",
           "commands.accept"),
     Topic("~/command/angles", IN, JointState, NEWEST, "rad",
           "in `position`, by names of cables or motors with pulleys; the other "
@@ -298,7 +306,7 @@ def _of_twin(name: str, direction: Direction, quality: QoSProfile, meaning: str)
 
 
 def channel_topic(channel: Channel) -> Topic:
-    """The topic by which the twin publishes a channel that was added from outside.
+    """The topic by which the twin publishes a channel that `register_channel` knows.
 
     Args:
         channel: The channel.
@@ -326,6 +334,7 @@ TWIN_SERVICES = (
     Service("~/reset", Trigger,
             "back to the rest shape, within the rate limits; with a device only the model "
             "returns, and the twin is disabled"),
+    Service("~/grip/<grip>", SetBool, "takes hold of what is in the reach of a grip, or lets go"),
     Service("~/calibrate", Trigger,
             "fits `calibrate_fit` to the poses at rest so far, in another process. It answers "
             "at once; the result is in `/diagnostics`"),
@@ -367,13 +376,14 @@ TARGET_TOPICS = _by_name(
     _of_twin("target_stiffness/<effector>", OUT, NEWEST,
              "wanted stiffness, NaN along the other axes; with `target_stiffness`"),
     _of_twin("command/cables", OUT, NEWEST,
-             "setpoint of `target_actuator`; with `target_commands` or `target_beginning` those of all "
-             "actuators"),
+             "setpoint of `target_actuator`; with `target_commands` or `target_beginning` those of the "
+             "actuators with columns"),
     _of_twin("command/pose/<guided body>", OUT, NEWEST,
              "pose of a guided body; with `target_commands` or `target_beginning` that has columns of "
              "it"),
 )  # fmt: skip
 """Topics of the target, by name."""
 
-NODES = {"twin": TWIN_TOPICS, "device": DEVICE_TOPICS, "target": TARGET_TOPICS}
+_CHANNELS = _by_name(*map(channel_topic, registered()), *map(measured_topic, measured()))
+NODES = {"twin": TWIN_TOPICS | _CHANNELS, "device": DEVICE_TOPICS, "target": TARGET_TOPICS}
 """Topics by name of each node."""

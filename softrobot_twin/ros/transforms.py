@@ -72,6 +72,40 @@ def make_transforms(
     return transforms
 
 
+class BaseFollower:
+    """Passes transforms of one frame on, as poses of a moving base.
+
+    Args:
+        node: The twin.
+        frame: Name of the frame in `/tf`.
+        take: Takes position [m], quaternion (x, y, z, w), and the header.
+
+    Raises:
+        ParameterError: tf2_msgs is missing.
+    """
+
+    def __init__(self, node: Node, frame: str, take: Callable[[np.ndarray, np.ndarray, Header], object]):
+        try:
+            from tf2_msgs.msg import TFMessage
+        except ImportError:
+            raise ParameterError("base_frame", frame, "", "needs tf2_msgs, which is not installed: "
+                                 "send ~/base_pose") from None  # fmt: skip
+        self._frame, self._take = frame, take
+        self.subscription = node.create_subscription(TFMessage, "/tf", self.receive, 100)
+
+    def receive(self, message) -> None:
+        """Takes the transforms of the frame out of a message.
+
+        Args:
+            message: A TFMessage.
+        """
+        for one in message.transforms:
+            if one.child_frame_id == self._frame:
+                place, turn = one.transform.translation, one.transform.rotation
+                self._take(np.array([place.x, place.y, place.z]),
+                           np.array([turn.x, turn.y, turn.z, turn.w]), one.header)  # fmt: skip
+
+
 class TransformOutput:
     """Publishes transforms on ``/tf``, only while somebody receives them.
 

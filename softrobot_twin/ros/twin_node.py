@@ -64,7 +64,7 @@ from softrobot_twin.ros.topics import (
     measured_topic,
     open_publisher,
 )
-from softrobot_twin.ros.transforms import TransformOutput
+from softrobot_twin.ros.transforms import BaseFollower, TransformOutput
 from softrobot_twin.ros.view_feed import ViewFeed
 from softrobot_twin.ros.visualization import VisualizationOutput
 from softrobot_twin.scene.loading import load_scene
@@ -73,7 +73,7 @@ from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.apparent_compliance import EffectorCompliance
 from softrobot_twin.simulation.appearance import Pose
 from softrobot_twin.simulation.building.table_columns import column
-from softrobot_twin.simulation.channels import BUILT_IN, from_outside, measured
+from softrobot_twin.simulation.channels import BUILT_IN, registered, measured
 
 if TYPE_CHECKING:
     from softrobot_twin.ros.run_recording import RunRecording
@@ -204,12 +204,12 @@ that has the last one."""
 
 
 def _of_channels(simulation: Simulation) -> Iterator[Output]:
-    """What is published of channels, also of those that were added from outside."""
+    """What is published of channels, also of those that are registered."""
     known = {one.name: one for one in BUILT_IN}
     shown = [(TOPICS[topic], make, [known[name] for name in names])
              for topic, (make, *names) in _OF_CHANNELS.items()]
     shown += [(channel_topic(one), lambda values, header, parts=one.parts: cables_message(
-        parts, values, (), header), [one]) for one in from_outside()]  # fmt: skip
+        parts, values, (), header), [one]) for one in registered()]  # fmt: skip
     for topic, make, told in shown:
         yield Output(topic, told[-1].names(simulation), make,
                      lambda tick, told=told: rows_of(*(one.read(tick.result) for one in told)),
@@ -497,6 +497,14 @@ class TwinNode(TickingNode):
         self.create_service(SetBool, "~/enable", self.enable)
         self.create_service(Trigger, "~/reset", self.reset)
         self.create_service(Trigger, "~/calibrate", self.calibrate)
+        frame = str(self._values["base_frame"])
+        if frame and loop.measured_base is None:
+            raise ParameterError("base_frame", frame, "", "needs a scene with moving_base")
+        if frame:
+            self._base = BaseFollower(self, frame, lambda place, turn, header: loop.measured_base.accept(
+                place, turn, self.arrival(header)))  # fmt: skip
+        for name in simulation.grip_names:
+            self.create_service(SetBool, f"~/grip/{name}", partial(self.grip, name))
 
     def _listen(self, topic: Topic, key: tuple, name: str) -> Subscription:
         """Receives a topic of the table; see `TickingNode.listen`.
@@ -598,6 +606,20 @@ class TwinNode(TickingNode):
         """
         response.success, response.message = True, self.loop.reset()
         self.get_logger().info(f"reset: {response.message}")
+        return response
+
+    def grip(
+        self, name: str, request: SetBool.Request, response: SetBool.Response
+    ) -> SetBool.Response:
+        """Answers ``~/grip/<grip>``.
+
+        Args:
+            name: The grip.
+            request: Whether it shall hold.
+            response: The answer; is filled.
+        """
+        response.success, response.message = self.loop.grip(name, request.data)
+        self.get_logger().info(f"grip {name}: {response.message}")
         return response
 
     def calibrate(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

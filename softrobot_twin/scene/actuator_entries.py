@@ -112,6 +112,9 @@ class Cable(ActuatorEntry):
     """``body`` for its own bodies, or a rigid body."""
     points: Annotated[tuple[Vector, ...], Field(min_length=1)]
     """Points that the cable runs through, from the pull point on."""
+    wraps: tuple[Name, ...] = ()
+    """Obstacles that it is laid around without friction: capsules or cylinders, one between two of its
+    points."""
     hold_radius: Annotated[float, unit("m", ge=0.0)] = 0.0
     """Radius over which each point holds the material. With 0 a finer mesh yields more."""
     shortening: Annotated[OpenRange, unit("m"), allows_zero("the shortening at rest")] = NO_LIMITS
@@ -132,7 +135,10 @@ class Cable(ActuatorEntry):
     """Motion until friction acts wholly; by default a thousandth of the length."""
 
     def check(self) -> None:
-        """Refuse presliding without friction."""
+        """Refuse presliding without friction, and what is not built around obstacles."""
+        if self.wraps and (self.friction or self.axial_stiffness is not None):
+            key = "friction" if self.friction else "axial_stiffness"
+            raise refusal(key, getattr(self, key), "is not built for a cable that wraps obstacles")
         if self.presliding is not None and not self.friction:
             raise refusal("presliding", self.presliding,
                           "is how friction builds up, but the cable has none: give friction")
@@ -145,6 +151,9 @@ class Cable(ActuatorEntry):
         for index, pattern in enumerate(self.also_on):
             check_pattern(f"{key}.also_on[{index}]", f"cable {self.name} is also on", pattern,
                           carriers)  # fmt: skip
+        obstacles = [obstacle.name for obstacle in scene.obstacles]
+        for index, name in enumerate(self.wraps):
+            check_known(f"{key}.wraps[{index}]", f"cable {self.name} wraps", name, obstacles)
         check_known(f"{key}.pull_point_on", f"cable {self.name} is pulled from",
                     self.pull_point_on, ["world", "body", *framed])  # fmt: skip
 

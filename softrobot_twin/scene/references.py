@@ -25,10 +25,13 @@ def check_names(scene) -> None:
                       "the scene has no body: give body, bodies, beams, rigid_bodies or "
                       "mass_springs")
     nouns = dict.fromkeys(e.noun for entries in scene.actuator_entries.values() for e in entries)
+    words = [*nouns, "motor", *(["sensor"] if scene.sensors else [])]
+    *others, last = words
     for kind, sections in (
-        (f"{', '.join(nouns)} or motor" if nouns else "motor", (*scene.actuator_entries, "motors")),
+        (f"{', '.join(others)} or {last}" if others else last, (*scene.actuator_entries, "motors", "sensors")),
         ("sealed cavity", ("sealed_cavities",)), ("effector", ("effectors",)),
-        ("touch", ("touches",)), ("marker id", ("markers",)),
+        ("touch", ("touches",)), ("reaction", ("reactions",)),
+        ("grip", ("grips",)), ("marker id", ("markers",)),
         ("body or obstacle", ("deformables", "rigid_bodies", "mass_springs", "beams", "obstacles")),
         ("spring", ("springs", "tubes", "fibres")),
     ):  # fmt: skip
@@ -57,7 +60,7 @@ def check_references(scene) -> None:
         [entry.name for entry in getattr(scene, section)] for section in sections
     )
     framed = rigid + beams
-    for section in (*scene.actuator_entries, "sealed_cavities"):
+    for section in (*scene.actuator_entries, "sealed_cavities", "sensors"):
         for key, entry in scene.keyed(section):
             entry.check_references(scene, key)
     for section, word, others in (
@@ -67,6 +70,15 @@ def check_references(scene) -> None:
         for key, entry in scene.keyed(section):
             name = f"marker {entry.id}" if section == "markers" else entry.name
             check_carrier(f"{key}.{word}", name, getattr(entry, word), deformable, others)
+    for key, grip in scene.keyed("grips"):
+        check_carrier(f"{key}.body", grip.name, grip.body, deformable, framed)
+        check_known(f"{key}.holds", f"grip {grip.name} holds", grip.holds, ["world", *rigid])
+    for key, entry in scene.keyed("reactions"):
+        what = f"reaction {entry.name}"
+        check_known(f"{key}.of", f"{what} is of", entry.of, deformable + framed + masses)
+        if entry.attached_to is not None:
+            check_known(f"{key}.of", f"{what} is at an attachment, and is of", entry.of, deformable)
+            check_known(f"{key}.attached_to", f"{what} is at", entry.attached_to, rigid)
     touches = [touch.name for touch in scene.touches]
     for index, force in enumerate(scene.observer.forces if scene.observer else ()):
         key, what = f"observer.forces[{index}]", f"force {force.name}"

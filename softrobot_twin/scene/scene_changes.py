@@ -6,6 +6,7 @@ A single value by its key is changed by `changed_scene` in `scene_parameters.py`
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -72,6 +73,17 @@ def unlimited(scene: Scene, exact: bool = False) -> Scene:
     return scene.changed(cables=of_cable, cavities=of_cavity)
 
 
+def plain_surroundings(scene: Scene) -> dict[str, Any]:
+    """Changes that leave out contact, what only watches, and what acts in runs alone.
+
+    Args:
+        scene: The scene; obstacles that cables wrap stay.
+    """
+    wrapped = {name for cable in scene.cables for name in cable.wraps}
+    obstacles = tuple(one for one in scene.obstacles if one.name in wrapped)
+    return dict(contact=None, obstacles=obstacles, sensors=(), reactions=(), grips=(), moving_base=None)
+
+
 def full_scene(scene: Scene) -> Scene:
     """The scene in statics with all nodes free, without rates and contact, solved exactly.
 
@@ -82,7 +94,7 @@ def full_scene(scene: Scene) -> Scene:
         return entry.changed(rate=None) if hasattr(entry, "rate") else entry
 
     return scene.changed(
-        integration="quasi_static", contact=None, obstacles=(),
+        integration="quasi_static", **plain_surroundings(scene),
         solver=dict(newton_iterations=MOST_ITERATIONS,
                     residual_tolerance=EXACT * scene.solver.residual_tolerance),
         **dict.fromkeys(scene.actuator_entries, freed),

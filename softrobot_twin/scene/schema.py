@@ -52,6 +52,7 @@ from softrobot_twin.scene.entry import (
 from softrobot_twin.scene.mounting_entries import MountingStage, check_mounting
 from softrobot_twin.scene.patterns import Source
 from softrobot_twin.scene.references import check_names, check_references
+from softrobot_twin.scene.sensor_entries import Sensor
 from softrobot_twin.scene.words import number
 from softrobot_twin.solvers import FACTORIZATIONS
 
@@ -275,6 +276,56 @@ class Touch(PointsOnBody):
     """A greater measured force is refused."""
 
 
+class MovingBase(Entry):
+    """The base moves, as on an arm; the scene stays in its frame, and bears its acceleration."""
+
+    told: ClassVar[tuple[str, ...]] = ("at most {most_acceleration} m/s²",)
+
+    most_acceleration: Annotated[float, unit("m/s²", gt=0.0)] = 50.0
+    """What poses tell of more is noise, and is shortened to it."""
+
+
+class Grip(Entry):
+    """What may take hold of a rigid body, or of the world, and let go: a cup, a magnet, glue."""
+
+    told: ClassVar[tuple[str, ...]] = ("{points:#point} on {holds:=}", "within {reach:mm} mm",
+                                       "up to {force_limit} N")  # fmt: skip
+    placed: ClassVar[dict[str, str]] = {"points": "point"}
+
+    name: Name
+    """Its name."""
+    body: Name | None = None
+    """Its body."""
+    points: Annotated[tuple[Vector, ...], Field(min_length=1)]
+    """Places at rest that are held; three that are on no line hold the rotation too."""
+    holds: Name
+    """The rigid body that it may hold, or `world`."""
+    reach: Annotated[OpenNumber, unit("m", ge=0.0)] = math.inf
+    """It takes hold where all points are as near to the rigid body."""
+    stiffness: Annotated[float | None, unit("N/m", gt=0.0)] = None
+    """Of the whole grip; by default ten times that of a block of the body."""
+    force_limit: Annotated[OpenNumber, unit("N", gt=0.0)] = math.inf
+    """It lets go where it bears more."""
+
+
+class Reaction(Entry):
+    """The force and torque by which something holds a part, as a load cell there shows them."""
+
+    told: ClassVar[tuple[str, ...]] = ("of {of:=}", "attached to {attached_to}", "about {about} m")
+    placed: ClassVar[dict[str, str]] = {"about": "point"}
+
+    name: Name
+    """Its name."""
+    of: Name
+    """A body, beam or mass-spring body, for its fixed nodes, or a guided or fixed rigid body, for all
+    that acts on it but its own weight."""
+    attached_to: Name | None = None
+    """A rigid body, for the nodes that are attached to it in place of fixed ones."""
+    about: Vector | None = None
+    """Point in the world that the torque is taken about; by default the mean of what is held,
+    or the origin of a rigid body."""
+
+
 class ObservedForce(Entry):
     """A force that is found from markers."""
 
@@ -415,6 +466,10 @@ class Scene(Entry):
     stiffeners: tuple[Stiffener, ...] = ()
     effectors: tuple[Effector, ...] = ()
     touches: tuple[Touch, ...] = ()
+    moving_base: MovingBase | None = None
+    grips: tuple[Grip, ...] = ()
+    reactions: tuple[Reaction, ...] = ()
+    sensors: tuple[Sensor, ...] = ()
     markers: tuple[Marker, ...] = ()
     marker_frame: MarkerFrame = MarkerFrame()
     observer: Observer | None = None

@@ -90,6 +90,7 @@ def targets(positions: Mapping[str, Any] | None = None, /, **named: Any) -> Targ
             - ``tip=[x, y, z]``: position of the effector ``tip`` [m];
             - ``tip_quaternion=[qx, qy, qz, qw]``: its turn from rest, if it asks for orientation;
             - ``tip_stiffness_N_per_m=[kx, ky, kz]``: its stiffness, None along a free axis;
+            - ``spine_length_m=0.1``: a sensor with a weight, by its column;
             - ``north_shortening_m=0.01`` and all names of `setpoints`: an actuator that is
               commanded while the others are optimised around it;
             - the columns of a targets file, such as ``tip_x_m=0.0``, in place of a list.
@@ -115,7 +116,7 @@ def setpoints(values: Mapping[str, Any] | None = None, /, **named: Any) -> Setpo
 
 
 def efforts(values: Mapping[str, Any] | None = None, /, **named: Any) -> Efforts:
-    """Efforts of actuators: tensions, pressures, torques. The others keep theirs.
+    """Efforts of actuators: tensions, pressures, torques. The others hold their setpoints.
 
     Args:
         values: The same as the keywords, as a mapping.
@@ -247,8 +248,9 @@ class CommandReader:
         """Names of effectors that `targets` takes, each with what else it asks for."""
         simulation = self._simulation
         asked = {part: channel.are_asked(simulation) for part, channel in _PARTS.items()}
-        return tuple(f"{name}{part}" for name, place in self._effectors.items()
-                     for part in _PARTS if asked[part][place])  # fmt: skip
+        names = [f"{name}{part}" for name, place in self._effectors.items()
+                 for part in _PARTS if asked[part][place]]  # fmt: skip
+        return *names, *simulation.sensor_columns
 
     def read(self, command: NamedCommand | Command, time_step: float) -> Command:
         """The command as arrays of the scene.
@@ -283,9 +285,9 @@ class CommandReader:
         return wanted
 
     def _efforts(self, values: Mapping[str, Numbers]) -> np.ndarray:
-        """Efforts, the present ones where none is given; NaN for what takes none."""
-        actuators, state = self._simulation.actuators, self._simulation.state
-        told = np.where(actuators.takes_efforts, actuators.told_efforts(state.efforts), np.nan)
+        """Efforts, NaN where none is given."""
+        actuators = self._simulation.actuators
+        told = np.full(actuators.count, np.nan)
         for place, number in self._driven(values, "efforts", self.effort_names):
             told[place] = number
         return actuators.efforts(told)
@@ -335,6 +337,9 @@ class CommandReader:
 
     def _targets(self, values: Mapping[str, Numbers], time_step: float) -> FollowTargets:
         simulation, count = self._simulation, len(self._effectors)
+        columns = simulation.sensor_columns
+        sensors = np.array([one_number(own, values[own]) if own in values else np.nan for own in columns])
+        values = {name: numbers for name, numbers in values.items() if name not in columns}
         whole, commanded = self._gathered(values)
         positions, turns, stiffness = wanted = [
             np.full((count, channel.width), np.nan) for channel in WANTED]
@@ -355,6 +360,7 @@ class CommandReader:
             # An effector that the command does not name keeps the stiffness that the scene asks.
             np.where(np.isfinite(stiffness).any(axis=1)[:, None], stiffness,
                      simulation.scene_stiffness) if np.isfinite(stiffness).any() else None,
+            sensors=sensors if np.isfinite(sensors).any() else None,
         )  # fmt: skip
 
     def _gathered(
@@ -411,20 +417,7 @@ class CommandReader:
         for name, pose in poses.items():
             if name not in guided:
                 raise unknown(name, "guided bodies:", guided)
-            position, quaternion = pose, None
-            if isinstance(pose, Sequence) and len(pose) == 2:
-                position, quaternion = pose
-            point = np.array(finite_numbers(name, position))
-            if point.shape != (3,):
-                raise CommandError(name, "a pose is a position of 3 numbers [m], or the pair of a "
-                                   "position and a quaternion (qx, qy, qz, qw)")
-            turn = None
-            if quaternion is not None:
-                turn = np.array(finite_numbers(name, quaternion))
-                if turn.shape != (4,) or abs(np.linalg.norm(turn) - 1.0) > NOT_UNIT:
-                    raise CommandError(name, f"{_shown(tuple(turn))} is no quaternion (qx, qy, qz, "
-                                       "qw) of unit length")
-            read[name] = point, turn
+            read[name] = read_pose(name, pose)
         return read
 
     def touches(self, touches: Mapping[str, Any]) -> Touched | None:
@@ -487,6 +480,32 @@ class CommandReader:
                 raise CommandError(f"marker {marker}", f"must be 3 numbers, not {place.size}")
             places[ids.index(marker)] = place
         return places
+
+
+def read_pose(name: str, pose: Any) -> Aim:
+    """Position [m] and quaternion of a pose, None where it gives no rotation.
+
+    Args:
+        name: Whose pose it is.
+        pose: A position, or a pair of position and quaternion.
+
+    Raises:
+        CommandError: It is no pose.
+    """
+    position, quaternion = pose, None
+    if isinstance(pose, Sequence) and len(pose) == 2:
+        position, quaternion = pose
+    point = np.array(finite_numbers(name, position))
+    if point.shape != (3,):
+        raise CommandError(name, "a pose is a position of 3 numbers [m], or the pair of a "
+                           "position and a quaternion (qx, qy, qz, qw)")
+    turn = None
+    if quaternion is not None:
+        turn = np.array(finite_numbers(name, quaternion))
+        if turn.shape != (4,) or abs(np.linalg.norm(turn) - 1.0) > NOT_UNIT:
+            raise CommandError(name, f"{_shown(tuple(turn))} is no quaternion (qx, qy, qz, "
+                               "qw) of unit length")
+    return point, turn
 
 
 def unknown(name: str, known_as: str, known: Sequence[str]) -> CommandError:

@@ -30,6 +30,7 @@ from softrobot_twin.scripting.named_commands import (
     finite_numbers,
     hold,
     one_number,
+    read_pose,
     unknown,
 )
 from softrobot_twin.scripting.named_design import (
@@ -511,6 +512,8 @@ class Robot:
         time_step: float = DEFAULT_TIME_STEP,
         poses: Mapping[str, Any] = NOTHING,
         touches: Mapping[str, Any] = NOTHING,
+        grips: Mapping[str, Any] = NOTHING,
+        base: Any = None,
     ) -> Result:
         """Advances by one command.
 
@@ -522,6 +525,9 @@ class Robot:
                 a new pose go on to their last one.
             touches: What is measured of a finger, by name and unit: ``fingertip_force_N``,
                 ``fingertip_displacement_m`` or ``fingertip_place_m``, 3 numbers each.
+            grips: Whether grips shall hold, by name, from this step on; others go on as they were told.
+            base: Where a moving base is at the end of the step: a position [m], or a pair of it and a
+                quaternion. Its acceleration follows from the poses of the steps before.
 
         Returns:
             The outcome. Where no solution was found its status says so, and the robot stays.
@@ -533,7 +539,13 @@ class Robot:
         aims = self._reader.poses(poses)
         touched = self._reader.touches(touches)
         self._warn_of_unlikely(asked)
+        for name in (one for one in grips if one not in self.simulation.grip_names):
+            raise unknown(name, "grips:", self.simulation.grip_names)
         self._aim(aims)
+        for name, holds in grips.items():
+            self.simulation.grip(name, holds)
+        if base is not None:
+            self.simulation.move_base(*read_pose("base", base), self.time + time_step)
         before = self.simulation.state.positions
         measured: list[Any] = [] if touched is None else [touched]
         if self._observer is not None:
@@ -726,6 +738,7 @@ class Robot:
         columns = open_columns(source, TARGETS_EXAMPLE)
         names = [name for effector in self.effector_names
                  for name in (*position_columns(effector), f"{effector}.x")]
+        names += self.simulation.sensor_columns
         return columns.is_output or "t" in columns or any(name in columns for name in names)
 
     def _run_alone(self, steps: int | None, seconds: float | None, rate: float) -> Table:

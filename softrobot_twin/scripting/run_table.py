@@ -77,7 +77,7 @@ def _named(command: Command) -> tuple[bytes, ...]:
     """What targets give of the effectors, in a form that can be compared; of other commands nothing."""
     if not isinstance(command, FollowTargets):
         return ()
-    arrays = (getattr(command, channel.target) for channel in WANTED)
+    arrays = (*(getattr(command, channel.target) for channel in WANTED), command.sensors)
     return tuple(b"" if array is None else np.isfinite(array).tobytes() for array in arrays)
 
 

@@ -22,6 +22,7 @@ from softrobot_twin.simulation.building.force_building import force_terms
 from softrobot_twin.simulation.building.guided_bodies import Guides
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.building.scene_layout import Layout, lay_out
+from softrobot_twin.simulation.building.sensor_kinds import sensor_term
 from softrobot_twin.simulation.scene_warnings import scene_warnings, unit_slips
 from softrobot_twin.solvers import FACTORIZATIONS
 from softrobot_twin.solvers.dense_stiffness import DenseStiffness
@@ -76,6 +77,8 @@ class Terms(NamedTuple):
         markers: See `marker_mapping`.
         contacts: Constraint term of contacts; None without any.
         notes: Repairs and warnings, a sentence each.
+        sensors: What all sensors show; None without any.
+        wanted_sensors: Constraint term of the sensors that may have targets; None without any.
     """
 
     layout: Layout
@@ -85,11 +88,14 @@ class Terms(NamedTuple):
     markers: tuple
     contacts: Any
     notes: list[str]
+    sensors: Any = None
+    wanted_sensors: Any = None
 
     @property
     def constraints(self) -> list:
         """The constraint terms, in the order of their rows."""
-        others = [term for term in (self.effectors, self.contacts) if term is not None]
+        optional = self.effectors, self.wanted_sensors, self.contacts
+        others = [term for term in optional if term is not None]
         return [*self.actuators.terms, *others]
 
     def bind_alone(self, besides: Collection[int] = ()) -> None:
@@ -186,6 +192,7 @@ def _model_of(
         (*remembering, guides) if guided else (*remembering,),
         terms.actuators, terms.effectors, terms.contacts, rows, *terms.markers, factorization,
         guides, terms.notes, layout.superelements, layout.beams, is_dense, layout.is_held,
+        terms.sensors, terms.wanted_sensors,
     )  # fmt: skip
 
 
@@ -193,11 +200,13 @@ def _terms(layout: Layout, notes: list[str]) -> Terms:
     scene, carried = layout.scene, layout.nodes.carried
     forces = tuple(on_unknowns(term, carried) for term in force_terms(layout, notes))
     actuators = build_actuators(layout, notes)
+    sensors = sensor_term(layout, notes) if scene.sensors else None
+    wanted = sensor_term(layout, [], True) if scene.sensors else None
     return Terms(
         layout, forces + actuators.held_forces, actuators,
-        effector_term(layout, notes) if scene.effectors else None,
+        effector_term(layout, notes) if scene.effectors or wanted is not None else None,
         marker_mapping(layout, notes),
-        contact_term(layout, notes) if scene.contact is not None else None, notes,
+        contact_term(layout, notes) if scene.contact is not None else None, notes, sensors, wanted,
     )  # fmt: skip
 
 

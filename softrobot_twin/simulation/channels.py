@@ -11,19 +11,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from itertools import starmap
 from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
 
+from softrobot_twin.simulation.building.actuator_kinds import Quantity
+from softrobot_twin.simulation.building.sensor_kinds import ANGLE, LENGTH, PRESSURE, VOLUME
 from softrobot_twin.simulation.building.table_columns import (
     AXES,
+    base_load_columns,
+    column,
     displacement_columns,
     force_columns,
     force_deviation_columns,
+    holds_column,
     place_columns,
     position_columns,
     quaternion_columns,
+    reaction_columns,
+    reaction_torque_columns,
     stiffness_columns,
     torque_columns,
 )
@@ -140,10 +148,8 @@ FIGURES = Channel(
 """What optional effects report of a step; their names tell the units."""
 
 
-def _observed(field: str, first: int = 0) -> Callable[[StepResult], np.ndarray | None]:
-    """Reads three numbers of what an observer found; see `ObservedForces`."""
-    key = f"observer.{field}"
-
+def _remembered(key: str, first: int = 0) -> Callable[[StepResult], np.ndarray | None]:
+    """Reads three numbers of each object that a part remembers, such as `ObservedForces`."""
     def read(result: StepResult) -> np.ndarray | None:
         found = result.state.memory.get(key)
         return None if found is None else found[:, first : first + 3]
@@ -157,20 +163,42 @@ BUILT_IN = (
             lambda result: None if result.touches is None else result.touches.forces),
     Channel("touch_displacements", "m", "touch_names", AXES, displacement_columns,
             lambda result: None if result.touches is None else result.touches.displacements),
-    Channel("external_forces", "N", "observed_names", AXES, force_columns, _observed("wrenches")),
+    Channel("external_forces", "N", "observed_names", AXES, force_columns, _remembered("observer.wrenches")),
     Channel("external_force_deviations", "N", "observed_names", AXES, force_deviation_columns,
-            _observed("deviations")),
+            _remembered("observer.deviations")),
     Channel("external_torques", "N m", "observed_names", AXES, torque_columns,
-            _observed("wrenches", 3), "observed_with_torque"),
+            _remembered("observer.wrenches", 3), "observed_with_torque"),
     Channel("external_force_places", "m", "observed_names", AXES, place_columns,
-            _observed("places")),
+            _remembered("observer.places")),
     FIGURES,
 )  # fmt: skip
-"""The channels of the package."""
+"""The channels of the package that have topics of their own, or a name in other records."""
 
 _OTHERS = ("angles", "cables", "pressures")
 """Names of quantities whose measurements have messages of their own."""
-_REGISTERED: list[Channel] = []
+
+
+def _of_sensors(quantity: Quantity, most: float) -> Channel:
+    """What the sensors of one quantity show, and what is measured of them."""
+    return Channel(
+        f"sensor_{quantity.word}s", quantity.unit, f"{quantity.word}_sensors", (quantity.word,),
+        lambda name: (column(name, quantity),),
+        lambda result: result.state.memory.get(f"sensors.{quantity.word}"), most=most,
+    )  # fmt: skip
+
+
+_REGISTERED: list[Channel] = [
+    Channel("reaction_forces", "N", "reaction_names", AXES, reaction_columns,
+            _remembered("reactions.wrenches")),
+    Channel("reaction_torques", "N m", "reaction_names", AXES, reaction_torque_columns,
+            _remembered("reactions.wrenches", 3)),
+    Channel("base_loads", "m/s2", "base_names", AXES, base_load_columns, _remembered("base.load")),
+    Channel("grip_forces", "N", "grip_names", AXES, force_columns, _remembered("grips.forces")),
+    Channel("grip_holds", "1", "grip_names", ("holds",), lambda name: (holds_column(name),),
+            lambda result: None if (held := result.state.memory.get("grips.holds")) is None
+            else held[:, None]),
+    *starmap(_of_sensors, ((LENGTH, 1e3), (ANGLE, 1e3), (VOLUME, 1e3), (PRESSURE, 1e9))),
+]  # fmt: skip
 
 
 def channels() -> tuple[Channel, ...]:
@@ -178,8 +206,8 @@ def channels() -> tuple[Channel, ...]:
     return (*BUILT_IN, *_REGISTERED)
 
 
-def from_outside() -> tuple[Channel, ...]:
-    """Those that `register_channel` added."""
+def registered() -> tuple[Channel, ...]:
+    """Those whose topics, records and measurements are loops over channels."""
     return tuple(_REGISTERED)
 
 

@@ -33,6 +33,9 @@ class FollowTargets:
             is free, as for effectors that ask for no stiffness, shape (effector_count, 3). None:
             those of the scene.
         reach_time: Time in which the actuators may move at their rates [s]; None: `time_step`.
+        sensors: Wanted value of each sensor in its unit, NaN where it is free, as for sensors without
+            a weight, in the order of `Simulation.sensor_names`, shape (sensor_count,). None: all are
+            free.
         is_on_way: Whether the targets lie on the way to others, which are further away: where they are
             missed, no nearer pose is sought.
     """
@@ -44,16 +47,16 @@ class FollowTargets:
     stiffness: np.ndarray | None = None
     reach_time: float | None = None
     is_on_way: bool = False
+    sensors: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
 class CommandSetpoints:
-    """Direct step: every actuator moves to a setpoint (eq. 16); a cable becomes slack, it never
-    pushes.
+    """Direct step: actuators move to setpoints (eq. 16); a cable becomes slack, it never pushes.
 
     Attributes:
         setpoints: Commanded lengths of cables, pull point to last point, and positions of slides
-            [m], shape (actuator_count,).
+            [m], shape (actuator_count,); NaN for actuators that hold.
         time_step: Time since the last step [s].
         reach_time: See `FollowTargets`.
     """
@@ -65,11 +68,11 @@ class CommandSetpoints:
 
 @dataclass(frozen=True)
 class CommandEfforts:
-    """Direct step: every actuator acts with an effort, such as a cable's tension.
+    """Direct step: actuators act with efforts, such as a cable's tension.
 
     Attributes:
-        efforts: Commanded tensions of cables [N], shape (actuator_count,); NaN for slides, which
-            are held.
+        efforts: Commanded tensions of cables [N], shape (actuator_count,); NaN for actuators that
+            hold their setpoints, as slides do.
         time_step: Time since the last step [s].
         reach_time: See `FollowTargets`.
     """

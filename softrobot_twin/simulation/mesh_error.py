@@ -26,7 +26,7 @@ from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.geometry.cubic_bubbles import add_bubbles
 from softrobot_twin.mechanics.cubic_correction import CubicCorrection, CubicPart
 from softrobot_twin.scene import Scene
-from softrobot_twin.scene.scene_changes import without_reductions
+from softrobot_twin.scene.scene_changes import plain_surroundings, without_reductions
 from softrobot_twin.simulation.building.actuators import build_groups
 from softrobot_twin.simulation.building.constraint_building import effector_term
 from softrobot_twin.simulation.building.deformable_body import cell_values
@@ -125,7 +125,7 @@ def still(scene: Scene) -> Scene:
     anything = (-np.inf, np.inf)
     # Free rigid bodies are fixed: without contact they are not supported.
     return scene.with_deformables({"mass": None}).changed(
-        integration="quasi_static", contact=None, obstacles=(), slides=(), motors=(), markers=(),
+        integration="quasi_static", **plain_surroundings(scene), slides=(), motors=(), markers=(),
         cables=dict(rate=None, shortening=(-1.0e3, 1.0e3), tension=(0.0, 1.0e9), pulley=None,
                     friction=0.0, presliding=None),
         cavities=dict(rate=None, flow=None, pressure=anything, growth=anything,

@@ -138,6 +138,7 @@ def drawn_scene(scene: Scene) -> Scene:
     return scene.changed(
         mounting=(), integration="quasi_static", time_scheme="backward_euler", spectral_radius=None,
         rigid_bodies=guided, effectors=(), touches=(), markers=(), observer=None, motors=(),
+        sensors=(), reactions=(), grips=(), moving_base=None,
         solver=dict(newton_iterations=MOST_LINEARIZATIONS, residual_tolerance=RESIDUAL_TOLERANCE,
                     exploration=False),
         **drawn,

@@ -21,6 +21,16 @@ from softrobot_twin.simulation.appearance import (
 )
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.building.scene_layout import FACETS
+from softrobot_twin.simulation.building.sensor_kinds import (
+    ANGLE,
+    LENGTH,
+    PRESSURE,
+    SENSOR_KINDS,
+    VOLUME,
+    in_order,
+    kind_of,
+)
+from softrobot_twin.simulation.building.table_columns import column
 from softrobot_twin.simulation.effects.reduction_error import (
     ReductionErrors,
     ReductionState,
@@ -58,6 +68,13 @@ class Readouts:
             it.
         marker_ids: Ids of the markers, shape (marker_count,).
         touch_names: Names of the touches, in the order of all their arrays.
+        sensor_names: Names of the sensors, in the order of all their arrays; `length_sensors`,
+            `angle_sensors`, `volume_sensors` and `pressure_sensors` are those of one quantity.
+        wanted_sensors: Whether each sensor may have targets, by its name.
+        sensor_columns: Name of each sensor by its column in files, such as ``spine_length_m``.
+        base_names: ``base`` where the base of the scene moves; empty elsewhere.
+        grip_names: Names of the grips, likewise.
+        reaction_names: Names of the reactions, likewise.
         observed_names: Names of the forces that an observer looks for, likewise.
         observed_with_torque: Whether each comes with a torque.
         rigid_names: Names of the rigid bodies, in the order of all their arrays.
@@ -100,6 +117,17 @@ class Readouts:
         self.scene_stiffness = stiffness_of_scene(self.scene)
         self.marker_ids, self.effector_markers = model.marker_ids, model.effector_markers
         self.touch_names = tuple(touch.name for touch in self.scene.touches)
+        sensed = [(SENSOR_KINDS[kind_of(one)].quantity, one) for _, one in in_order(self.scene)]
+        self.sensor_names = tuple(one.name for _, one in sensed)
+        self.wanted_sensors = {one.name: one.weight is not None for _, one in sensed}
+        self.sensor_columns = {column(one.name, quantity): one.name for quantity, one in sensed}
+        self.length_sensors, self.angle_sensors, self.volume_sensors, self.pressure_sensors = (
+            tuple(one.name for quantity, one in sensed if quantity == own)
+            for own in (LENGTH, ANGLE, VOLUME, PRESSURE)
+        )
+        self.base_names = ("base",) if self.scene.moving_base is not None else ()
+        self.grip_names = tuple(grip.name for grip in self.scene.grips)
+        self.reaction_names = tuple(reaction.name for reaction in self.scene.reactions)
         places = () if (observed := observed_term(model)) is None else observed.places
         self.observed_names = tuple(place.name for place in places)
         self.observed_with_torque = tuple(place.is_wrench for place in places)
@@ -208,6 +236,11 @@ class Readouts:
     def marker_positions(self) -> np.ndarray:
         """Predicted positions of the markers [m], shape (marker_count, 3)."""
         return self.model.markers.positions(self.state.positions)
+
+    def sensor_readings(self) -> np.ndarray:
+        """What the sensors show, each in its unit, shape (sensor_count,)."""
+        sensors = self.model.sensors
+        return np.empty(0) if sensors is None else sensors.readings(self.state.positions)
 
     def actuator_paths(self) -> dict[str, np.ndarray]:
         """Lines by which actuators are drawn, by their names [m], each of shape (point_count, 3).

@@ -99,6 +99,7 @@ def _idle_damping(scene: Scene) -> Iterator[str]:
 def _untouched_obstacles(scene: Scene) -> Iterator[str]:
     pairs = () if scene.contact is None else scene.contact.between
     named = {name for touching in pairs for name in touching.pair}
+    named |= {name for cable in scene.cables for name in cable.wraps}
     for key, obstacle in scene.keyed("obstacles"):
         if obstacle.name not in named:
             yield (f"{key} ({obstacle.name}) has no effect: contact.between names no "

@@ -26,6 +26,8 @@ from softrobot_twin.simulation.command import (
     may_move,
 )
 from softrobot_twin.simulation.effects.effects import step_parts
+from softrobot_twin.simulation.effects.gripping import Gripping
+from softrobot_twin.simulation.effects.moving_base import MovingBase
 from softrobot_twin.simulation.mounting import Mounted, branch_notes, mount
 from softrobot_twin.simulation.readouts import Readouts
 from softrobot_twin.simulation.result import Status, StepResult
@@ -203,6 +205,41 @@ class Simulation(Readouts):
     def from_scene_file(cls, path: Path | str) -> Simulation:
         """Read and build a scene file; see `load_scene` and the constructor."""
         return cls(load_scene(path))
+
+    def grip(self, name: str, holds: bool) -> None:
+        """Tell a grip to hold, or to let go, from the next step on.
+
+        Args:
+            name: Name of the grip.
+            holds: Whether it shall hold.
+
+        Raises:
+            CommandError: The scene has no such grip.
+        """
+        part: Any = self._part_of(Gripping, name, "is no grip: this scene has none")
+        part.tell(name, holds)
+
+    def move_base(self, position: np.ndarray, quaternion: np.ndarray | None, time: float) -> None:
+        """Tell where a moving base is, from which its acceleration follows in the next steps.
+
+        Args:
+            position: Its origin in the world [m], shape (3,).
+            quaternion: Its rotation (x, y, z, w), shape (4,); None for none.
+            time: When it is there [s].
+
+        Raises:
+            CommandError: The scene has no moving base, or the quaternion is no rotation.
+        """
+        part: Any = self._part_of(MovingBase, "base", "does not move: the scene has no moving_base")
+        part.tell(position, quaternion, time)
+
+    def _part_of(self, kind: type[StepPart], name: str, reason: str) -> StepPart:
+        """The part of a kind, of which something new is told: no state is kept."""
+        part = next((part for part in self.parts if isinstance(part, kind)), None)
+        if part is None:
+            raise CommandError(name, reason)
+        self.kept = None
+        return part
 
     def reset(self) -> None:
         """Go back to the rest shape. What follows is the same, to the bit, as the first time."""

@@ -54,15 +54,23 @@ def run_commands(
     columns = columns or RunColumns(simulation, with_reduction_errors=False)
     times = step_times(table, rate)
     time_step = float(times[-1] - table.times[0]) / len(times)
+    if table.base is not None:
+        simulation.move_base(*table.base.at(table.times[0]), float(table.times[0]))
     for step, time in enumerate(times):
+        if table.base is not None:
+            simulation.move_base(*table.base.at(time), float(time))
         for name, pose in table.poses.items():
             simulation.model.guides.aim(name, *pose.at(time))
+        for name, holds in table.held(time - (1.0 - ROUNDING) * time_step):
+            simulation.grip(name, holds)
         touched = table.touched(time, simulation) if table.touches else None
         command = table.command(time, time_step)
         result = simulation.step(command, None, touched)
         yield columns.row(step, float(time), result, command)
 
 
+# A row at the beginning of a step counts for it, but for round-off of times.
+ROUNDING = 1.0e-6
 DEFAULT_RATE = 1.0 / DEFAULT_TIME_STEP
 """Default number of steps per second [Hz]."""
 

@@ -249,6 +249,16 @@ def _effects(simulation: Simulation, names: list[str]) -> Iterator[Effect]:
     for effector in scene.effectors:
         yield Effect(f"effectors: {effector.name}", effector.describe(),
                      _term(names, "effectors"))
+    for sensor in scene.sensors:
+        term = "" if sensor.weight is None else f" and {_term(names, 'sensors')}"
+        yield Effect(f"sensors: {sensor.name}", sensor.describe(), f"a value after the step{term}")
+    for grip in scene.grips:
+        yield Effect(f"grips: {grip.name}", grip.describe(), _term(names, "grips"))
+    for reaction in scene.reactions:
+        yield Effect(f"reactions: {reaction.name}", reaction.describe(),
+                     "the residual of held nodes, evaluated after the step")  # fmt: skip
+    if scene.moving_base is not None:
+        yield Effect("moving_base", scene.moving_base.describe(), f"a change of {_term(names, 'gravity')}")
     if scene.markers:
         yield Effect("markers", count(scene.markers, "marker"), "a mapping, evaluated after the step")
     yield from _observed_effects(simulation, names)

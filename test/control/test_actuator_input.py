@@ -2,10 +2,16 @@
 
 import math
 
+import numpy as np
 import pytest
 
 from softrobot_twin.control.arrival import Arrival, Refusal
-from softrobot_twin.control.inputs import ActuatorInput, ActuatorNames, SelectedActuatorInput
+from softrobot_twin.control.inputs import (
+    ActuatorInput,
+    ActuatorNames,
+    DirectActuatorInput,
+    SelectedActuatorInput,
+)
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.loop_timing import NANOSECONDS
 
@@ -62,6 +68,16 @@ def test_an_older_message_is_refused(cables):
     cables.accept(NAMES, [1.0, 2.0, 3.0], [], at(0.1))
     assert cables.accept(NAMES, [0.0] * 3, [], at(0.0)) is Refusal.OUT_OF_ORDER
     assert cables.setpoints.tolist() == [1.0, 2.0, 3.0]
+
+
+def test_a_direct_message_leaves_the_others_what_earlier_ones_of_its_kind_gave():
+    direct = DirectActuatorInput(ActuatorNames(NAMES), LoopSettings())
+    assert direct.accept(NAMES[:1], [1.0], [], at(0.0)) is None
+    assert direct.accept(NAMES[1:2], [2.0], [], at(0.1)) is None
+    np.testing.assert_array_equal(direct.setpoints, [1.0, 2.0, np.nan])
+    assert direct.accept(NAMES[2:], [], [3.0], at(0.2)) is None
+    np.testing.assert_array_equal(direct.efforts, [np.nan, np.nan, 3.0])
+    assert direct.setpoints is None
 
 
 # --- slides ----------------------------------------------------------------------------------

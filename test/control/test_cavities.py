@@ -50,10 +50,13 @@ def test_a_message_to_all_and_pressures_command_beside_each_other(drive_air):
     assert driver.commands[-1] == pytest.approx([0.1, 500.0, 100.0, 2e-6], abs=1e-9)
 
 
-def test_a_message_must_name_cables_and_volumes(drive_air):
+def test_actuators_that_no_message_names_hold(drive_air):
     driver = drive_air(mode=Mode.DIRECT)
-    assert driver.wind(("east", "low"), [0.1, 0.0]) is Refusal.WRONG_NAMES
-    assert driver.wind(("low", "syringe"), [0.0, 2e-6]) is Refusal.WRONG_NAMES
+    assert driver.wind(("east", "low"), [0.099, 0.0]) is None
+    assert driver.wind(("syringe",), [2.1e-6]) is None
+    driver.tick(10)
+    assert driver.commands[-1] == pytest.approx([0.099, 0.0, 0.0, 2.1e-6], abs=1e-9)
+    assert driver.wind(("nobody",), [0.1]) is Refusal.WRONG_NAMES
 
 
 def test_a_pressure_joins_commanded_efforts(drive_air):

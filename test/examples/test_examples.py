@@ -35,6 +35,21 @@ def test_the_finger_reaches_its_three_places(run, tmp_path, capsys):
     assert (tmp_path / "finger.png").stat().st_size > 10_000
 
 
+def test_the_finger_bends_to_the_angles_that_its_sensor_shall_show(run):
+    seen = run("sensors")
+    np.testing.assert_allclose(seen["shown"], seen["angles"], atol=1e-5)  # rad
+    assert (np.diff(seen["string"]) > 0.0).all()
+
+
+@pytest.mark.exhaustive
+def test_the_cube_swings_under_the_cup_and_falls_when_it_is_let_go(run):
+    seen = run("pick_and_place")
+    forces, places = np.array(seen["forces"]), seen["places"]
+    assert forces[40] == pytest.approx(0.01 * 9.81, rel=1e-2) and forces.max() < 0.3  # N
+    assert 0.02 < seen["swing"] < 0.06 and (forces[-20:] == 0.0).all()  # m
+    assert places[-1, 0] - places[270, 0] > 0.04
+
+
 def test_the_push_on_the_diamond_is_found(run):
     seen = run("external_force")
     assert seen["forces"][-1] == pytest.approx(seen["PUSH"], abs=0.05)  # N

@@ -151,7 +151,7 @@ def test_a_table_that_the_scene_does_not_know_is_refused_at_start_up(make_target
     given = table_of(tmp_path, "0.0,0.0,0,0,0", "0.5,0.01,0,0,0.02")
     file = tmp_path / "commands.csv"
     file.write_text(file.read_text().replace("grip", "grab"))
-    with pytest.raises(TableFileError, match="does not drive cable_0.*motors: grip"):
+    with pytest.raises(TableFileError, match="grab_.*is not a valid column.*motors: grip"):
         make_target(**given)
     with pytest.raises(ParameterError, match="target_commands.*no such file"):
         make_target(**{**given, "target_commands": "nowhere.csv"})

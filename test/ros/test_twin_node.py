@@ -183,7 +183,7 @@ def test_in_direct_mode_cables_are_commanded_by_length_or_tension(world, make_tw
         return np.allclose(cables[-1].effort, [2.5, 2.0, 2.5, 2.0], atol=1e-2)
 
     world.until(met)
-    bad = JointState(header=Header(stamp=world.stamp()), name=names[:2], position=lengths[:2])
+    bad = JointState(header=Header(stamp=world.stamp()), name=["up", *names[1:]], position=lengths)
     commands.publish(bad)
     world.until(lambda: twin.loop.direct.refusals.of(Refusal.WRONG_NAMES) == 1)
 

@@ -145,7 +145,6 @@ def test_poses_and_touches_act_in_all_steps(held):
     (([st.hold()],), {"steps": 3, "said": "steps: has no meaning"}),
     (({"time_s": [0, 1], "tip_x_m": [0.1] * 2, "tip_y_m": [0] * 2, "tip_z_m": [0] * 2},),
      {"rate": 10.0, "said": "rate: has no meaning"}),
-    (({"time_s": [0, 1], "upper_shortening_m": [0, 0.001]},), {"said": "does not drive lower"}),
     (("there_is_no_such.csv",), {"said": "there_is_no_such.csv"}),
 ])  # fmt: skip
 def test_arguments_that_do_not_fit_are_refused(finger, arguments, said):

@@ -24,7 +24,7 @@ def robot(oriented=(False, False), stiff=(False, False)):
         limits=SimpleNamespace(slopes=-np.ones(2)), efforts=lambda told: told)
     return SimpleNamespace(
         actuators=actuators, effector_names=EFFECTORS, oriented_effectors=oriented,
-        stiff_effectors=stiff, touch_names=(), scene=SimpleNamespace(motors=(), rigid_bodies=()))
+        stiff_effectors=stiff, touch_names=(), sensor_columns={}, grip_names=(), scene=SimpleNamespace(motors=(), rigid_bodies=()))
 
 
 def read(tmp_path, text, simulation=None):
@@ -72,7 +72,6 @@ def test_a_byte_order_mark_spaces_and_blank_lines_are_ignored(tmp_path):
     ("time_s\n0\n", 1, "", "nothing to drive"),
     ("tip_x_m,tip_y_m,tip_z_m\n0,0,0\n", 1, "time_s", "lacks this column"),
     ("time_s,tip_x_m,tip_y_m\n0,0,0\n", 1, "tip_z_m", "lacks this column"),
-    ("time_s,north_length_m\n0,0.1\n", 1, "", "does not drive south"),
     ("time_s,tip_x_m,tip_x_m,tip_y_m,tip_z_m\n0,0,0,0,0\n", 1, "tip_x_m", "twice"),
     ("time_s,tip_q\n0,0\n", 1, "tip_q", "not a valid column"),
     ("time_s,tip\n0,0\n", 1, "tip", "not a valid column"),

@@ -7,12 +7,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from softrobot_twin.constraints.cable import CablePath, Cables, folds
+from softrobot_twin.constraints.cable import CablePath, Cables, Wrap, folds
 from softrobot_twin.constraints.cable_friction import CableMaterials, FrictionCables
 from softrobot_twin.constraints.elastic_cable import ElasticCables
+from softrobot_twin.constraints.wrapped_cable import WrappedCables, drawn_path, side_at
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.actuator_entries import Cable, Pulley
+from softrobot_twin.scene.body_entries import CapsuleShape, CylinderShape
+from softrobot_twin.scene.references import matching
 from softrobot_twin.simulation.building.actuator_kinds import ActuatorGroup, ActuatorKind, Quantity
 from softrobot_twin.simulation.building.limits import (
     efforts_at_scale,
@@ -21,7 +25,7 @@ from softrobot_twin.simulation.building.limits import (
     shortenings_of_angles,
     unlikely,
 )
-from softrobot_twin.simulation.building.scene_layout import Layout
+from softrobot_twin.simulation.building.scene_layout import Layout, build_shape
 
 # Limits outside these shares of a cable's natural scales are reported: a wrong unit is a factor of
 # a thousand.
@@ -32,6 +36,8 @@ RATE_RANGE = (1.0e-3, 100.0)
 TENSION_RANGE = (2.0e-3, 50.0)
 """Of the tension that would shorten the whole cable, if the body were linear."""
 
+PLACES = 25
+"""Places along a straight part of a cable at which what it passes through is looked for."""
 PRESLIDING = 1.0e-3
 """Presliding of a cable with friction, as a share of its length at rest."""
 
@@ -71,6 +77,7 @@ class CableActuator(ActuatorKind):
         """Limits that are a thousand times out of scale; see `ActuatorKind.doubts`."""
         asked = any(0.0 < cable.tension[1] < np.inf for cable in model.scene.cables)
         tensions = efforts_at_scale(model, group.term) if asked else None
+        yield from _crossings(model, group)
         for index, (key, cable) in enumerate(model.scene.keyed("cables")):
             length = float(group.term.rest_lengths[index])
             stated = f"the cable is {length:.4g} m long at rest"
@@ -88,7 +95,7 @@ class CableActuator(ActuatorKind):
 
     def paths(self, group: ActuatorGroup, positions: np.ndarray) -> tuple[np.ndarray, ...]:
         """The cables, pull point first; see `ActuatorKind.paths`."""
-        return tuple(path.positions(positions) for path in group.term.paths)
+        return tuple(drawn_path(path, path.positions(positions)) for path in group.term.paths)
 
     def details(self, entry: Cable, group: ActuatorGroup, index: int) -> str:
         """See `ActuatorKind.details`."""
@@ -100,6 +107,8 @@ class CableActuator(ActuatorKind):
             words.append(f"stretches, EA {entry.axial_stiffness:.6g} N")
         if entry.offset:
             words.append(f"zero error {1e3 * entry.offset:.6g} mm")
+        if entry.wraps:
+            words.append(f"around {', '.join(entry.wraps)}")
         if entry.friction:
             words.append(f"friction {entry.friction:.6g} along its path")
         return ", ".join(words)
@@ -112,6 +121,11 @@ def _stretches(cable: Cable) -> bool:
 def _term(layout: Layout, paths: tuple[CablePath, ...], entries: tuple[Cable, ...]) -> Cables:
     """The constraint term; only one that yields where a cable stretches."""
     nodes = layout.nodes
+    others_yield = any(cable.friction or _stretches(cable) for cable in entries)
+    for index, cable in enumerate(entries if others_yield else ()):
+        if cable.wraps:
+            raise layout.scene.error(f"cables[{index}].wraps", list(cable.wraps), "is not built beside "
+                                     "cables with friction, or that stretch")  # fmt: skip
     if any(cable.friction for cable in entries):
         return _friction_term(layout, paths, entries)
     # Past limit points a given volume needs the whole of A, and so do beams that buckle.
@@ -120,8 +134,18 @@ def _term(layout: Layout, paths: tuple[CablePath, ...], entries: tuple[Cable, ..
         paths, nodes.free_index, nodes.rest_positions, nodes.carried, not others and not layout.beams
     )  # fmt: skip
     if not any(_stretches(cable) for cable in entries):
-        return Cables(*taken)
+        return cables_along(paths, *taken[1:])
     return ElasticCables(*taken, _axial_stiffness(entries))
+
+
+def cables_along(paths: tuple[CablePath, ...], *places) -> Cables:
+    """The term of cables that do not stretch; only one that wraps where a path does.
+
+    Args:
+        paths: The cables.
+        places: Further arguments of `Cables`.
+    """
+    return (WrappedCables if any(path.wraps for path in paths) else Cables)(paths, *places)
 
 
 def _axial_stiffness(entries: tuple[Cable, ...]) -> np.ndarray:
@@ -192,7 +216,7 @@ def _limit_by_pulleys(
 
 def _path(layout: Layout, key: str, cable: Cable, notes: list[str]) -> CablePath:
     """A cable's path, carried by its bodies; a note names the points where it folds back."""
-    path = _carried_path(layout, cable, key, notes)
+    path = cable_path(layout, key, cable, notes)
     for fold in folds(path.positions(layout.nodes.rest_positions)):
         where = "pull_point" if fold == 0 else f"points[{fold - 1}]"
         notes.append(
@@ -202,7 +226,78 @@ def _path(layout: Layout, key: str, cable: Cable, notes: list[str]) -> CablePath
     return path
 
 
-def _carried_path(layout: Layout, cable: Cable, key: str, notes: list[str]) -> CablePath:
+def cable_path(layout: Layout, key: str, cable: Cable, notes: list[str]) -> CablePath:
+    """The path of a cable, carried by its bodies, and around its obstacles.
+
+    Args:
+        layout: The bodies.
+        key: Key of the cable's entry.
+        cable: The entry.
+        notes: List to which a warning for each snapped point is appended.
+
+    Raises:
+        SceneError: A point is too far from its body, or an obstacle is none to lay a cable around.
+    """
+    path, wraps = _straight_path(layout, key, cable, notes), dict[int, Wrap]()
+    points = path.positions(layout.nodes.rest_positions)
+    obstacles = {obstacle.name: obstacle for obstacle in layout.scene.obstacles}
+    for place, name in enumerate(cable.wraps):
+        obstacle, at = obstacles[name], f"{key}.wraps[{place}]"
+        shape = obstacle.shape
+        if not isinstance(shape, CapsuleShape | CylinderShape):
+            raise layout.scene.error(at, name, "is no capsule and no cylinder")
+        turn = Rotation.from_euler("xyz", obstacle.rotation)
+        ends = turn.apply(np.array(shape.ends)) + obstacle.position
+        axis = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+        wrap = Wrap(ends.mean(axis=0), axis, shape.radius)
+        segment = _nearest_segment(points, wrap)
+        if segment in wraps:
+            raise layout.scene.error(at, name, "is nearest to the same part of the cable as another "
+                                     "obstacle: give a point between both")  # fmt: skip
+        side = side_at(points[segment], points[segment + 1], wrap)
+        if side == 0.0:
+            raise layout.scene.error(at, name, "has its axis on the cable at rest: which side it is "
+                                     "laid around is not known")  # fmt: skip
+        far = np.linalg.norm(np.cross(points[segment : segment + 2] - wrap.centre, axis), axis=1)
+        if (far <= wrap.radius).any():
+            raise layout.scene.error(at, name, "holds a point of the cable inside")
+        wraps[segment] = wrap._replace(side=side)
+    return path._replace(wraps=wraps) if wraps else path
+
+
+def _nearest_segment(points: np.ndarray, wrap: Wrap) -> int:
+    """The segment of a path [m], shape (point_count, 3), that is nearest to the axis of a cylinder."""
+    shares = np.linspace(0.0, 1.0, PLACES)
+    ways = points[:-1, None] + shares[:, None] * np.diff(points, axis=0)[:, None]
+    far = np.linalg.norm(np.cross(ways - wrap.centre, wrap.axis), axis=2)
+    return int(np.argmin(far.min(axis=1)))
+
+
+def _crossings(model, group: ActuatorGroup) -> Iterator[str]:
+    """Obstacles and rigid bodies that a straight part of a cable passes through at rest."""
+    scene, rest = model.scene, model.nodes.rest_positions
+    solid = [(one.name, build_shape(one.shape, scene, []), *_frame_of(one)) for one in scene.obstacles]
+    solid += [(part.name, part.shape, part.origin, part.rotation) for part in model.rigid]
+    for (key, cable), path in zip(scene.keyed("cables"), group.term.paths, strict=True):
+        points = path.positions(rest)
+        own = {cable.body, cable.pull_point_on, *cable.wraps}
+        own |= {name for pattern in cable.also_on for name in matching(pattern, [one[0] for one in solid])}
+        inner = np.linspace(0.0, 1.0, PLACES)[1:-1, None]
+        for name, shape, origin, rotation in (one for one in solid if one[0] not in own):
+            for index, (first, second) in enumerate(zip(points[:-1], points[1:])):
+                places = (first + inner * (second - first) - origin) @ rotation
+                if index not in path.wraps and (shape.distances(places) == 0.0).any():
+                    yield (f"{key} ({cable.name}) passes through {name} after its point {index}: lay it "
+                           "around (wraps, of an obstacle), or give it other points.")  # fmt: skip
+
+
+def _frame_of(obstacle) -> tuple[np.ndarray, np.ndarray]:
+    """Origin [m] and rotation of an obstacle."""
+    rotation = Rotation.from_euler("xyz", obstacle.rotation).as_matrix()
+    return np.asarray(obstacle.position, float), rotation
+
+
+def _straight_path(layout: Layout, key: str, cable: Cable, notes: list[str]) -> CablePath:
     bodies = layout.bodies_of(cable)
 
     def carried(points, place: str):

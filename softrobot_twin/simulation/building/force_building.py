@@ -20,6 +20,7 @@ from softrobot_twin.mechanics.compression_watch import CompressionWatch
 from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.gravity import Gravity
+from softrobot_twin.mechanics.grips import Grips
 from softrobot_twin.mechanics.hinged_frames import HingeBlocks, HingedTwists
 from softrobot_twin.mechanics.inertia import (
     ConsistentInertia,
@@ -91,6 +92,14 @@ def force_terms(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
     Raises:
         SceneError: An entry does not fit.
     """
+    yield from static_terms(layout, notes)
+    if layout.scene.integration != "quasi_static":
+        _check_resisted(layout)
+        yield from _motion_terms(layout)
+
+
+def static_terms(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
+    """The force terms without inertia and damping of masses; see `force_terms`."""
     scene = layout.scene
     for body in layout.bodies:
         if body.vertebrae is None:
@@ -98,7 +107,7 @@ def force_terms(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
     yield from layout.superelements.values()
     if scene.beams:
         yield from _beam_terms(layout)
-    if any(scene.gravity):
+    if any(scene.gravity) or scene.moving_base is not None:
         yield Gravity(_borne_masses(layout), np.array(scene.gravity), _reduced_weights(layout))
     if scene.mass_springs and scene.integration == "quasi_static":
         check_masses_held(layout)
@@ -109,6 +118,8 @@ def force_terms(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
         yield from _joint_terms(layout)
     if scene.touches:
         yield _touch_loads(layout, notes)
+    if scene.grips:
+        yield _grips(layout, notes)
     if scene.observer is not None:
         places = tuple(_observed_places(layout, notes))
         yield ObservedLoads(places, layout.nodes.free_node_count)
@@ -116,9 +127,6 @@ def force_terms(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
         yield _sealed_gas(layout, notes)
     if any(scene.gravity) and any(cavity.liquid_density for cavity in scene.cavities):
         yield _liquid_filling(layout)
-    if scene.integration != "quasi_static":
-        _check_resisted(layout)
-        yield from _motion_terms(layout)
 
 
 def _touch_loads(layout: Layout, notes: list[str]) -> TouchLoads:
@@ -136,6 +144,30 @@ def _touch_loads(layout: Layout, notes: list[str]) -> TouchLoads:
     axes = [[axis in touch.directions for axis in "xyz"] for touch in scene.touches]
     points = reduce(BarycentricMapping.followed_by, mappings)
     return TouchLoads(points, np.array(axes), np.array(stiffness), layout.nodes.free_index)
+
+
+def _grips(layout: Layout, notes: list[str]) -> Grips:
+    """All grips of a scene in one term; none holds."""
+    scene, mappings, counts, frames, stiffness = layout.scene, [], [], [], []
+    rigid = {part.name: part.first_node for part in layout.rigid}
+    for key, grip in scene.keyed("grips"):
+        body = layout.body_named(grip.body)
+        if isinstance(body, Body) and (body.vertebrae is not None or body.reduction is not None):
+            raise scene.error(f"{key}.body", body.name, "is reduced: grips on such bodies are not built")
+        if grip.stiffness is None and not isinstance(body, Body):
+            raise scene.error(f"{key}.stiffness", "(nothing)",
+                              f"{body.name} is no deformable body: a stiffness is needed", "N/m")
+        mappings.append(layout.carried(grip.body, grip.points, f"{key}.points", notes))
+        counts.append(len(grip.points))
+        frames.append(rigid.get(grip.holds, -1))
+        whole = grip.stiffness
+        if whole is None:
+            stiffest = max(part.young_modulus for part in body.materials)
+            whole = HELD_STIFFNESS * stiffest * size_of_points(body.mesh.node_positions)
+        stiffness.append(whole / len(grip.points))
+    points = reduce(BarycentricMapping.followed_by, mappings)
+    grips = np.repeat(np.arange(len(counts)), counts)
+    return Grips(points, grips, np.array(frames), np.array(stiffness)[grips], layout.nodes.free_index)
 
 
 def _observed_places(layout: Layout, notes: list[str]) -> Iterator[ObservedPlace]:
@@ -408,6 +440,28 @@ def _lumped_elements(layout: Layout, body: Body) -> np.ndarray | None:
 
 def _motion_terms(layout: Layout) -> Iterator[ForceTerm]:
     """Inertia in dynamic scenes, and damping."""
+    yield from body_motion_terms(layout)
+    free = [part for part in (*layout.rigid, *layout.vertebrae) if part.is_free]
+    inertia = None
+    if free:
+        masses, inertias, rates = (
+            np.array([getattr(part, field) for part in free])
+            for field in ("mass", "inertia", "damping")
+        )
+        inertia = RigidInertia(layout.frames, masses, inertias)
+        yield inertia
+        if rates.any():
+            yield RigidDamping(layout.frames, masses, inertias, rates)
+    if layout.beams:
+        yield _on_frames(BeamInertia(_beam_elements(layout)[1], layout.frames, inertia), layout)
+
+
+def body_motion_terms(layout: Layout) -> Iterator[ForceTerm]:
+    """Inertia and damping of deformable bodies and point masses.
+
+    Args:
+        layout: The bodies.
+    """
     dynamic = layout.scene.integration == "dynamic"
     unknowns = layout.nodes.free_node_count
     # The mass of attached nodes is added to their free rigid body.
@@ -436,19 +490,6 @@ def _motion_terms(layout: Layout) -> Iterator[ForceTerm]:
         moving = free_index[nodes] >= 0
         masses = np.broadcast_to(entry.masses, len(nodes))[moving]
         yield LumpedInertia(nodes[moving], free_index[nodes[moving]], masses)
-    free = [part for part in (*layout.rigid, *layout.vertebrae) if part.is_free]
-    inertia = None
-    if free:
-        masses, inertias, rates = (
-            np.array([getattr(part, field) for part in free])
-            for field in ("mass", "inertia", "damping")
-        )
-        inertia = RigidInertia(layout.frames, masses, inertias)
-        yield inertia
-        if rates.any():
-            yield RigidDamping(layout.frames, masses, inertias, rates)
-    if layout.beams:
-        yield _on_frames(BeamInertia(_beam_elements(layout)[1], layout.frames, inertia), layout)
 
 
 def check_masses_held(layout: Layout) -> None:

@@ -36,7 +36,8 @@ class HingeMotorActuator(ActuatorKind):
         self, layout: Layout, entries: tuple[HingeMotor, ...], notes: list[str]
     ) -> ActuatorGroup:
         """See `ActuatorKind.build`."""
-        hinges = [_hinge(layout, motor, index) for index, motor in enumerate(entries)]
+        hinges = [hinge_of(layout, motor.beam, motor.at, motor.name, f"hinge_motors[{index}]")
+                  for index, motor in enumerate(entries)]  # fmt: skip
         _check_driven_once(layout, entries, hinges)
         ranges = np.array([motor.angle for motor in entries])
         bending = [_bending(layout.body_named(motor.beam)) for motor in entries]
@@ -81,18 +82,28 @@ def _bending(beam: BeamBody) -> float:
     return float(beam.entry.material.young_modulus * inertia / beam.lengths.sum())
 
 
-def _hinge(layout: Layout, motor: HingeMotor, index: int) -> int:
-    """Index of the hinge that a motor drives."""
-    beam, key = layout.body_named(motor.beam), f"hinge_motors[{index}]"
+def hinge_of(layout: Layout, name: str, at: str | int, user: str, key: str) -> int:
+    """Index of the hinge at a point of a beam.
+
+    Args:
+        layout: The bodies.
+        name: Name of the beam.
+        at: ``start``, ``end``, or the number of a point of the beam.
+        user: Name of what turns or measures the beam there.
+        key: Key of its entry.
+
+    Raises:
+        SceneError: The beam has no hinge there.
+    """
+    beam = layout.body_named(name)
     points = len(beam.entry.points)
-    if isinstance(motor.at, int) and motor.at >= points:
-        raise layout.scene.error(f"{key}.at", motor.at,
-                                 f"{motor.beam} has the points 0 to {points - 1}")
-    hinge = int(beam.carriers.hinges[beam.node_at(motor.at)])
+    if isinstance(at, int) and at >= points:
+        raise layout.scene.error(f"{key}.at", at, f"{name} has the points 0 to {points - 1}")
+    hinge = int(beam.carriers.hinges[beam.node_at(at)])
     if hinge < 0 or layout.hinged.is_ball[hinge]:
         joint = "is not on a hinge" if hinge < 0 else "is on a ball joint, which has no axis"
-        raise layout.scene.error(f"{key}.at", motor.at,
-                                 f"{motor.beam} {joint} there: {motor.name} turns a beam that is "
+        raise layout.scene.error(f"{key}.at", at,
+                                 f"{name} {joint} there: {user} turns a beam that is "
                                  "joined by a hinge")
     return hinge
 

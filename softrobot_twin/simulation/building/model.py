@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from softrobot_twin.constraints.hinge_angle import HingeAngles
 from softrobot_twin.constraints.row_stack import RowStack
+from softrobot_twin.constraints.sensors import Sensors
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.compression_watch import CompressionWatch
 from softrobot_twin.mechanics.force_term import ForceTerm
@@ -23,6 +24,23 @@ from softrobot_twin.solvers.factorization import Factorization
 STAGES = ("detect", "assemble", "factor", "condense", "stiffness", "optimise", "correct",
           "residual")  # fmt: skip
 """Names of all stages of a step, in the order they run."""
+
+
+class TargetRows(NamedTuple):
+    """Rows that may have targets: positions first, then orientations and sensors.
+
+    Attributes:
+        owners: Effector or sensor of each, shape (row_count,).
+        weights: Weight of the error of each, same shape.
+        lengths: Length per radian [m/rad], of a sensor for a large change [m], of each row but those
+            of positions, shape (row_count - position_row_count,).
+        count: Number of effectors and sensors.
+    """
+
+    owners: np.ndarray
+    weights: np.ndarray
+    lengths: np.ndarray
+    count: int
 
 
 @dataclass
@@ -51,6 +69,8 @@ class Model:
         beams: Its beams.
         is_dense: Whether A has no zeros, as the coordinates of reduced bodies are all coupled.
         is_held: See `Layout`.
+        sensors: What all sensors show, or None when the scene names none.
+        wanted_sensors: Constraint term of those that may have targets, or None without any.
     """
 
     scene: Scene
@@ -73,6 +93,8 @@ class Model:
     beams: tuple = ()
     is_dense: bool = False
     is_held: bool = True
+    sensors: Sensors | None = None
+    wanted_sensors: Sensors | None = None
 
     @property
     def terms(self) -> tuple:
@@ -87,6 +109,20 @@ class Model:
         """
         points = (term.on_points for term in self.forces)
         return next((term for term in points if isinstance(term, kind)), None)
+
+    @property
+    def target_rows(self) -> TargetRows:
+        """What the rows of the effectors group belong to: effectors, then sensors with targets."""
+        effectors, sensors = self.effectors, self.wanted_sensors
+        lengths = effectors.row_lengths
+        rows = TargetRows(effectors.row_effector, effectors.row_weights, lengths, len(effectors.effectors))
+        if sensors is None:
+            return rows
+        own = rows.count + np.arange(sensors.row_count)
+        return TargetRows(
+            np.concatenate([rows.owners, own]), np.concatenate([rows.weights, sensors.row_weights]),
+            np.concatenate([lengths, sensors.row_lengths]), rows.count + sensors.row_count,
+        )  # fmt: skip
 
     @property
     def slides(self):

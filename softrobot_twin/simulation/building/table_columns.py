@@ -22,7 +22,7 @@ TARGETS, SETPOINTS, EFFORTS, HOLD = "targets", "setpoints", "efforts", "hold"
 AXES = ("x", "y", "z")
 _TURN = ("qx", "qy", "qz", "qw")
 
-UNITS = ("N_per_m", "m_per_N", "m3", "Nm", "Pa", "rad", "m", "N", "J", "s")
+UNITS = ("m_per_s2", "N_per_m", "m_per_N", "m3", "Nm", "Pa", "rad", "m", "N", "J", "s")
 """Ends of columns that are units; an end that holds another one comes before it."""
 
 
@@ -72,6 +72,16 @@ def target_name(name: str) -> str:
     return f"{name}_target"
 
 
+def target_column(name: str, own: str) -> str:
+    """Column of the target of a sensor beside what it shows, such as ``spine_target_length_m``.
+
+    Args:
+        name: Name of the sensor.
+        own: Column of what it shows.
+    """
+    return target_name(name) + own.removeprefix(name)
+
+
 def force_columns(name: str) -> tuple[str, ...]:
     """Columns of the force of a touch [N], such as ``finger_force_x_N``.
 
@@ -98,6 +108,42 @@ def torque_columns(name: str) -> tuple[str, ...]:
         name: Name of the force that comes with it.
     """
     return tuple(f"{name}_torque_{axis}_N_m" for axis in AXES)
+
+
+def base_load_columns(name: str) -> tuple[str, ...]:
+    """Columns of what a mass at the origin of a moving base feels [m/s²], such as ``base_load_x_m_per_s2``.
+
+    Args:
+        name: Name of the base.
+    """
+    return tuple(f"{name}_load_{axis}_m_per_s2" for axis in AXES)
+
+
+def holds_column(name: str) -> str:
+    """Column of what a grip is told, and does: 1 to hold and 0 to let go, such as ``cup_holds``.
+
+    Args:
+        name: Name of the grip.
+    """
+    return f"{name}_holds"
+
+
+def reaction_columns(name: str) -> tuple[str, ...]:
+    """Columns of a reaction force [N], such as ``base_reaction_x_N``.
+
+    Args:
+        name: Name of the reaction.
+    """
+    return tuple(f"{name}_reaction_{axis}_N" for axis in AXES)
+
+
+def reaction_torque_columns(name: str) -> tuple[str, ...]:
+    """Columns of a reaction torque [N m], such as ``base_reaction_torque_x_Nm``.
+
+    Args:
+        name: Name of the reaction.
+    """
+    return tuple(f"{name}_reaction_torque_{axis}_Nm" for axis in AXES)
 
 
 def place_columns(name: str) -> tuple[str, ...]:

@@ -4,7 +4,7 @@ A targets file has one row per step, with targets of effectors, setpoints or eff
 commands file has rows at increasing times, with commands of actuators and guided bodies that are
 interpolated. A table may mix lengths of cables with pressures of cavities: all columns are
 setpoints if each is what that actuator's setpoint holds, and efforts if each is that actuator's
-effort.
+effort. Actuators without a column hold their setpoints.
 
 Both have the columns of `table_columns`. What a run wrote can be given back as either: the columns
 that drove it are read, the others are results and are left out. Targets files with the names of
@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import compress
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -42,10 +43,12 @@ from softrobot_twin.simulation.building.table_columns import (
     column,
     displacement_columns,
     force_columns,
+    holds_column,
     is_output,
     name_today,
     position_columns,
     quaternion_columns,
+    target_column,
     target_name,
     unit_of,
 )
@@ -349,11 +352,13 @@ class TargetTable:
         values: Effector targets [m], shape (row_count, effector_count, 3), NaN for an effector
             that the file does not name; or setpoints or efforts of the actuators, such as lengths
             [m], pressures [Pa] or tensions [N], shape (row_count, actuator_count), NaN for those
-            that take no efforts.
+            that hold.
         orientations: Wanted turns of effectors from rest as unit quaternions (x, y, z, w), shape
             (row_count, effector_count, 4), NaN where the file gives none; None in a file without.
         stiffness: Wanted stiffnesses of effectors [N/m], shape (row_count, effector_count, 3), NaN
             where the file gives none; None in a file without.
+        sensors: Wanted values of sensors, each in its unit, shape (row_count, sensor_count), NaN where
+            the file gives none; None in a file without.
         notes: What the user should know about the file.
     """
 
@@ -363,6 +368,7 @@ class TargetTable:
     values: np.ndarray
     orientations: np.ndarray | None = None
     stiffness: np.ndarray | None = None
+    sensors: np.ndarray | None = None
     notes: tuple[str, ...] = ()
 
     def command(self, row: int) -> Command:
@@ -375,7 +381,8 @@ class TargetTable:
         if self.kind == TARGETS:
             turns = None if self.orientations is None else self.orientations[row]
             stiffness = None if self.stiffness is None else self.stiffness[row]
-            return FollowTargets(values, step, None, turns, stiffness)
+            sensors = None if self.sensors is None else self.sensors[row]
+            return FollowTargets(values, step, None, turns, stiffness, sensors=sensors)
         return _OF_ACTUATORS[self.kind](values, step)
 
 
@@ -442,22 +449,29 @@ def read_targets(source: Path | str | Mapping, simulation: Simulation) -> Target
     """
     columns = open_columns(source, TARGETS_EXAMPLE)
     take_old_names(columns, simulation.actuators.kind_of.values())
-    if columns.is_output and not keep_targets(columns, simulation.effector_names):
+    if columns.is_output and not keep_targets(
+        columns, simulation.effector_names, simulation.sensor_columns
+    ):
         _keep_what_drove(columns, simulation)
     times = columns.times()
     kind, values = TARGETS, None
-    if any(own in columns for name in simulation.effector_names for own in _columns_of_targets(name)):
+    if any(own in columns for own in target_columns(simulation)):
         _refuse_partial(columns, simulation.effector_names)
-        wanted = [_targets_of(columns, simulation, channel) for channel in WANTED]
+        places, *others = [_targets_of(columns, simulation, channel) for channel in WANTED]
+        if places is None:
+            places = np.full((len(columns), len(simulation.effector_names), 3), np.nan)
+        names = list(simulation.sensor_columns)
+        for own, name in simulation.sensor_columns.items():
+            if own in columns and not simulation.wanted_sensors[name]:
+                raise columns.error(own, "the sensor has no weight in the scene: it is told, not wanted")
+        wanted = places, *others, columns.pop_given(names, np.nan)
     else:
         kind, values = _actuator_values(columns, simulation)
-        wanted = values, None, None
+        wanted = values, None, None, None
     if columns.left:
         _refuse_column(columns, simulation)
     if kind == HOLD:
         raise TableFileError(columns.source, f"the header names nothing to drive besides {TIME}", 1)
-    if kind != TARGETS:
-        _refuse_undriven(columns, simulation, kind, values)
     return TargetTable(kind, times, _time_steps(times), *wanted, columns.notes)
 
 
@@ -502,21 +516,34 @@ def take_old_names(columns: Columns, kinds: Collection[ActuatorKind] = ()) -> No
                      f"are {renamed}",)
 
 
-def keep_targets(columns: Columns, effectors: Sequence[str]) -> bool:
+def target_columns(simulation: Simulation) -> list[str]:
+    """All columns of targets that a scene may have: those of effectors, then those of sensors.
+
+    Args:
+        simulation: The simulation.
+    """
+    own = [one for name in simulation.effector_names for one in _columns_of_targets(name)]
+    return [*own, *simulation.sensor_columns]
+
+
+def keep_targets(
+    columns: Columns, effectors: Sequence[str], sensors: Mapping[str, str] = MappingProxyType({})
+) -> bool:
     """Leaves of what a run wrote the targets that it followed, as a targets file has them.
 
     Args:
         columns: Those of the run; a run that followed no targets stays as it is.
         effectors: Names of the effectors.
+        sensors: Name of each sensor by its column.
 
     Returns:
         Whether it followed targets.
     """
-    names = {}
+    told = {target_column(name, own): own for own, name in sensors.items()}
+    names = {old: new for old, new in told.items() if old in columns}
     for name in effectors:
-        told = _columns_of_targets(target_name(name))
-        names.update(
-            (old, new) for old, new in zip(told, _columns_of_targets(name)) if old in columns)
+        told = dict(zip(_columns_of_targets(target_name(name)), _columns_of_targets(name)))
+        names.update((old, new) for old, new in told.items() if old in columns)
     if names:
         columns.keep([TIME, *names])
         columns.rename(names)
@@ -545,6 +572,7 @@ def _keep_what_drove(columns: Columns, simulation: Simulation, surroundings: boo
                 names.update(zip(told, columns_of(name), strict=True))
         for name in simulation.touch_names:
             names.update((own, own) for own in force_columns(name))
+        names.update((own, own) for own in map(holds_column, simulation.grip_names))
     columns.keep(names)
     columns.rename(names)
 
@@ -650,8 +678,7 @@ def _refuse_column(columns: Columns, simulation: Simulation) -> None:
         raise columns.error(name, f"the scene has no {what} {owner!r}; its {what}s: {listed}")
     today = name_today(name, quantities)
     near = nearest(name, (TIME, *(one.name for one in drives_of(simulation)),
-                          *(one for own in simulation.effector_names
-                            for one in _columns_of_targets(own))))
+                          *target_columns(simulation)))
     use = f"use {today}" if today != name else (
         f"valid are {TIME}, <effector>_x_m, _y_m, _z_m (effectors: "
         f"{', '.join(simulation.effector_names) or 'none'}), {_known_actuators(simulation)}{near}")
@@ -754,11 +781,13 @@ class CommandTable:
         kind: ``setpoints``, ``efforts``, or ``hold`` where no actuator is driven.
         times: Times of the rows [s], shape (row_count,).
         values: Setpoints or efforts of the actuators, such as lengths [m], pressures [Pa] or
-            tensions [N], shape (row_count, actuator_count); NaN for those that take no efforts.
+            tensions [N], shape (row_count, actuator_count); NaN for those that hold.
         poses: Poses of the driven guided bodies, by name.
         is_constant: For each row but the last, whether nothing changes until the next,
             shape (row_count - 1,).
         touches: Forces or displacements of touches, by name.
+        grips: Whether each driven grip holds, by name, each of shape (row_count,).
+        base: Poses of the moving base; None without.
     """
 
     kind: str
@@ -767,6 +796,18 @@ class CommandTable:
     poses: Mapping[str, Waypoints]
     is_constant: np.ndarray
     touches: Mapping[str, TouchColumns] = field(default_factory=dict)
+    grips: Mapping[str, np.ndarray] = field(default_factory=dict)
+    base: Waypoints | None = None
+
+    def held(self, time: float) -> Iterator[tuple[str, bool]]:
+        """What grips are told at a time: that of the last row before it.
+
+        Args:
+            time: Time since the run began [s].
+        """
+        row = max(0, int(np.searchsorted(self.times, time, side="right")) - 1)
+        for name, holds in self.grips.items():
+            yield name, bool(holds[row])
 
     def touched(self, time: float, simulation: Simulation) -> Touched | None:
         """Touches at a time [s]; None without any.
@@ -819,7 +860,7 @@ def read_commands(source: Path | str | Mapping, simulation: Simulation) -> Comma
 
     Raises:
         TableFileError: The file cannot be read, names something unknown, mixes setpoints with
-            efforts, drives an actuator twice or not at all, or contains a value that is not a
+            efforts, drives an actuator twice, or contains a value that is not a
             finite number, a time that does not increase, or a quaternion that is not of unit length.
     """
     columns = open_columns(source, _EXAMPLE)
@@ -831,22 +872,26 @@ def read_commands(source: Path | str | Mapping, simulation: Simulation) -> Comma
         columns.begin_earlier()
     times = columns.times()
     kind, values = _actuator_values(columns, simulation)
-    _refuse_undriven(columns, simulation, kind, values)
-    poses = _poses(columns, simulation, times)
-    touches = _touches(columns, simulation)
+    poses = {
+        entry.name: pose for entry in simulation.scene.rigid_bodies
+        if (pose := _pose(columns, entry.name, entry.motion == "guided", times)) is not None
+    }  # fmt: skip
+    base = next((_pose(columns, name, True, times) for name in simulation.base_names), None)
+    touches, grips = _touches(columns, simulation), _grips(columns, simulation)
     if columns.left:
         guided = [entry.name for entry in simulation.scene.rigid_bodies]
         near = nearest(columns.left[0], (
             TIME, *(one.name for one in drives_of(simulation)),
             *(one for own in guided for one in position_columns(own) + quaternion_columns(own)),
             *(one for own in simulation.touch_names
-              for one in force_columns(own) + displacement_columns(own))))
+              for one in force_columns(own) + displacement_columns(own)),
+            *map(holds_column, simulation.grip_names)))
         raise columns.error(
             columns.left[0], f"is not a valid column; valid are {_known(simulation)}{near}")
     commanded = [series for name, series in columns.taken.items() if name != TIME]
     changes = np.diff(np.column_stack([np.zeros(len(times)), *commanded]), axis=0)
     is_constant = (changes == 0.0).all(axis=1)
-    return CommandTable(kind, times, values, poses, is_constant, touches)
+    return CommandTable(kind, times, values, poses, is_constant, touches, grips, base)
 
 
 def _actuator_values(columns: Columns, simulation: Simulation) -> tuple[str, np.ndarray]:
@@ -884,20 +929,6 @@ def _actuator_values(columns: Columns, simulation: Simulation) -> tuple[str, np.
         path, meanings, "actuators are driven by setpoint or by effort, all in the same way"
         f"{_setpoint_columns(actuators.kind_of)}")
     return commanded, actuators.efforts(values) if commanded == EFFORTS else values
-
-
-def _refuse_undriven(
-    columns: Columns, simulation: Simulation, commanded: str, values: np.ndarray
-) -> None:
-    """Refuses a table that leaves an actuator without a command: any value would be a guess."""
-    actuators = simulation.actuators
-    for index, name in enumerate(actuators.names):
-        if np.isnan(values[:, index]).any() and (
-            commanded != EFFORTS or actuators.takes_efforts[index]
-        ):
-            raise TableFileError(
-                columns.source, f"does not drive {name}: a direct run drives every actuator; valid "
-                "columns are " + _known(simulation), 1)
 
 
 def _refuse_motors(columns: Columns, simulation: Simulation) -> None:
@@ -985,25 +1016,20 @@ def drives_of(simulation: Simulation) -> Iterator[Drive]:
                     lines=tuple((zero, slope) for zero in zeros))  # fmt: skip
 
 
-def _poses(columns: Columns, simulation: Simulation, times: np.ndarray) -> dict[str, Waypoints]:
-    """Takes the columns of guided bodies out; gives their poses."""
-    poses = {}
-    for entry in simulation.scene.rigid_bodies:
-        own = position_columns(entry.name) + quaternion_columns(entry.name)
-        given = next((one for one in own if one in columns), None)
-        if given is None:
-            continue
-        if entry.motion != "guided":
-            raise columns.error(
-                given, f"{entry.name} is a free body; only guided bodies are driven")
-        _refuse_missing(columns, entry.name,
-                        "a position needs x, y and z, a rotation qx, qy, qz and qw", "")  # fmt: skip
-        positions, turns = columns.pop_all(own[:3]), None
-        if own[3] in columns:
-            turns = columns.pop_all(own[3:])
-            _refuse_lengths(columns.source, entry.name, turns, columns.lines)
-        poses[entry.name] = Waypoints(times, positions, turns)
-    return poses
+def _pose(columns: Columns, name: str, is_driven: bool, times: np.ndarray) -> Waypoints | None:
+    """Takes the columns of a body or of the base out; gives its poses, None without any."""
+    own = position_columns(name) + quaternion_columns(name)
+    given = next((one for one in own if one in columns), None)
+    if given is None:
+        return None
+    if not is_driven:
+        raise columns.error(given, f"{name} is a free body; only guided bodies are driven")
+    _refuse_missing(columns, name, "a position needs x, y and z, a rotation qx, qy, qz and qw", "")
+    positions, turns = columns.pop_all(own[:3]), None
+    if own[3] in columns:
+        turns = columns.pop_all(own[3:])
+        _refuse_lengths(columns.source, name, turns, columns.lines)
+    return Waypoints(times, positions, turns)
 
 
 def _touches(columns: Columns, simulation: Simulation) -> dict[str, TouchColumns]:
@@ -1021,14 +1047,31 @@ def _touches(columns: Columns, simulation: Simulation) -> dict[str, TouchColumns
     return touches
 
 
+def _grips(columns: Columns, simulation: Simulation) -> dict[str, np.ndarray]:
+    """Takes the columns of grips out; gives whether each holds, in each row."""
+    grips = {}
+    for name in simulation.grip_names:
+        own = holds_column(name)
+        if own in columns:
+            values = columns.pop(own)
+            wrong = np.flatnonzero((values != 0.0) & (values != 1.0))
+            if wrong.size:
+                row = int(wrong[0])
+                raise columns.error(own, "must be 1 to hold or 0 to let go", row, float(values[row]))
+            grips[name] = values > 0.0
+    return grips
+
+
 def _known(simulation: Simulation) -> str:
     """The columns of a commands file that a scene accepts, as text."""
     guided = [entry.name for entry in simulation.scene.rigid_bodies if entry.motion == "guided"]
+    grips = ", ".join(simulation.grip_names)
     touches = (", <touch>_force_x_N, _y_N, _z_N or <touch>_displacement_x_m, _y_m, _z_m (touches: "
                f"{', '.join(simulation.touch_names)})")
     return (f"{_known_actuators(simulation)}, <body>_x_m, _y_m, _z_m and _qx, _qy, _qz, "
             f"_qw (guided bodies: {', '.join(guided) or 'none'})"
-            f"{touches if simulation.touch_names else ''}")
+            f"{touches if simulation.touch_names else ''}"
+            f"{f', <grip>_holds (grips: {grips})' if grips else ''}")
 
 
 def _known_actuators(simulation: Simulation) -> str:

@@ -26,6 +26,7 @@ from softrobot_twin.simulation.building.table_columns import (
     column,
     position_columns,
     quaternion_columns,
+    target_column,
     target_name,
 )
 from softrobot_twin.simulation.channels import Channel, channels
@@ -200,7 +201,7 @@ class RunColumns:
             *self._of_channels("effector_names", followed),
             Cells([column(*one) for one in actuator_columns(simulation.actuators)],
                   lambda row: actuator_cells(row.result, simulation.actuators)),
-            self._of_bodies(),
+            self._of_bodies(), *self._of_sensor_targets(followed),
             *(cells for kind in dict.fromkeys(one.objects for one in channels())
               if kind != "effector_names" for cells in self._of_channels(kind)),
             self._of_markers(),
@@ -233,6 +234,13 @@ class RunColumns:
                 if field:
                     yield Cells([f"{name}_{end}"],
                                 lambda row, field=field, i=i: [getattr(row.result, field)[i]])
+
+    def _of_sensor_targets(self, followed: Command | None) -> Iterator[Cells]:
+        """What a command wants of sensors."""
+        wanted = getattr(followed, "sensors", None)
+        for i, (own, name) in enumerate(self._simulation.sensor_columns.items()):
+            if wanted is not None and np.isfinite(wanted[i]):
+                yield Cells([target_column(name, own)], lambda row, i=i: [row.command.sensors[i]])
 
     def _of_bodies(self) -> Cells:
         """Poses of rigid bodies."""

@@ -245,24 +245,25 @@ class DirectActuation:
     def at_efforts(
         self, linear: Linearized, efforts: np.ndarray, held: Actuation, bounds: Bounds
     ) -> Actuation:
-        """Displacements at given efforts of all actuators, within the bounds.
+        """Displacements at given efforts of actuators, within the bounds.
 
         Args:
             linear: The condensed system.
-            efforts: Commanded efforts [N], shape (actuator_count,); NaN for slides, which are held.
+            efforts: Commanded efforts [N], shape (actuator_count,); NaN for actuators that are held.
             held: Actuation with all actuators held; always admissible.
             bounds: Bounds of this step.
 
         Returns:
             The actuation: with the given efforts, if their displacements are within the bounds;
-            else, without contact, with the nearest efforts in the energy norm of W.
+            else, without contact and where none is held, with the nearest efforts in the energy
+            norm of W.
         """
         wanted = np.clip(efforts, bounds.effort_min, bounds.effort_max)
         if linear.move_count:
             wanted[self._moved] = held.efforts[self._moved]
             bounds = self._with_moves(bounds, held.efforts)
-        if self.solvers is not None:
-            return self._at_efforts_in_contact(linear, wanted, held, bounds)
+        if self.solvers is not None or np.isnan(wanted).any():
+            return self._at_efforts_beside_others(linear, wanted, held, bounds)
         path = linear.actuator_displacements(held.efforts, held.contact.multipliers)
         within = widened(path, bounds)
         # The path of a cable without tension may be shorter than its winch can wind it.
@@ -303,15 +304,19 @@ class DirectActuation:
         self.remember(efforts)
         return Actuation(efforts, displacements, solved)
 
-    def _at_efforts_in_contact(
+    def _at_efforts_beside_others(
         self, linear: Linearized, wanted: np.ndarray, held: Actuation, bounds: Bounds
     ) -> Actuation:
-        solution = self._in_contact(linear, held.displacements, wanted, wanted)
+        """The same beside contacts, and beside actuators that are held, whose effort is NaN."""
+        is_held = np.isnan(wanted)
+        lower = np.where(is_held, bounds.effort_min, wanted)
+        upper = np.where(is_held, bounds.effort_max, wanted)
+        solution = self._hold(linear, held.displacements, lower, upper)
         path = linear.actuator_displacements(solution.efforts, solution.contact.multipliers)
-        within = self._within(path, bounds)
+        within = np.where(is_held, held.displacements, self._within(path, bounds))
         # A cable without tension may be slack: its path is shorter than its length.
         slack = self._one_sided & (wanted <= 0.0) & (within < path)
-        if ((within == path) | slack).all():
+        if ((within == path) | slack | is_held).all():
             return solution._replace(displacements=within)
         return self.at_drives(linear, np.where(self._by_effort, wanted, within), bounds)
 

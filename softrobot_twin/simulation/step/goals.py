@@ -4,14 +4,14 @@ A command is read once, at the beginning of a step. From there on the step asks 
 of four:
 
     goal        asks for                  is solved by                          is met where
-    setpoints   drives of all actuators   drives within the bounds              drives are near them
-    efforts     efforts of all actuators  the nearest efforts within bounds     efforts are near them
+    setpoints   drives of actuators       drives within the bounds              drives are near them
+    efforts     efforts of actuators      the nearest efforts within bounds     efforts are near them
     targets     places of effectors       the inverse problem                   no effector misses more
                                                                                 than the tolerance
     hold        that actuators stay       their drives at the beginning         always
 
 A drive is what the setpoint of an actuator holds: a displacement, or the effort of what is
-effort-driven; see `Actuators.drives`.
+effort-driven; see `Actuators.drives`. Actuators without a command hold their drives.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ import numpy as np
 from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.errors import CommandError
 from softrobot_twin.simulation.building.model import Model
+from softrobot_twin.simulation.building.sensor_kinds import in_order
 from softrobot_twin.simulation.building.table_columns import EFFORTS, HOLD, SETPOINTS, TARGETS
 from softrobot_twin.simulation.command import (
     Command,
@@ -199,6 +200,10 @@ class Goal:
         none = np.full(len(effectors.effectors), np.nan)
         return none, none if effectors.orientations else None
 
+    def misses_of_sensors(self, positions: np.ndarray) -> np.ndarray:
+        """How far sensors are from their targets; see `TargetGoal`."""
+        return np.empty(0)
+
     def keeps(self, before: State, after: State, is_stable: bool) -> bool:
         """Whether a step that ended in balance changed nothing but by round-off.
 
@@ -241,16 +246,24 @@ class HoldGoal(Goal):
         return ()
 
 
+def _refuse_nothing(name: str, values: np.ndarray) -> None:
+    """Refuse values that command none of some actuators: a failed computation gives NaN for all."""
+    if values.size and np.isnan(values).all():
+        raise CommandError(name, f"holds {np.nan} for all actuators: Hold keeps them where they are")
+
+
 class SetpointGoal(Goal):
-    """All actuators move to setpoints, as far as the bounds let them."""
+    """Actuators move to setpoints, as far as the bounds let them; those without one hold theirs."""
 
     driven_by, needs_held = SETPOINTS, False
 
     def __init__(self, command: Command, state: State, goals: Goals):
         """See `Goal`."""
         super().__init__(command, state, goals)
-        setpoints = fitting("setpoints", command.setpoints, self.drives.shape, False)
-        self.wanted = self._model.actuators.drives(setpoints)
+        setpoints = fitting("setpoints", command.setpoints, self.drives.shape, True)
+        _refuse_nothing("setpoints", setpoints)
+        wanted = self._model.actuators.drives(setpoints)
+        self.wanted = np.where(np.isnan(setpoints), self.drives, wanted)
 
     def solve(self, linear, held, rows) -> tuple[Actuation, Actuation | None]:
         """See `Goal`."""
@@ -263,16 +276,17 @@ class SetpointGoal(Goal):
 
 
 class EffortGoal(Goal):
-    """All actuators act with given efforts, as far as the bounds let them."""
+    """Actuators act with given efforts, as far as the bounds let them; the others hold their drives."""
 
     driven_by, held = EFFORTS, None
 
     def __init__(self, command: Command, state: State, goals: Goals):
         """See `Goal`."""
         super().__init__(command, state, goals)
-        self.wanted = fitting("efforts", command.efforts, self.drives.shape, True)
-        if np.isnan(self.wanted[self._model.actuators.takes_efforts]).any():
-            raise CommandError("efforts", f"holds {np.nan}")
+        efforts = fitting("efforts", command.efforts, self.drives.shape, True)
+        _refuse_nothing("efforts", efforts[self._model.actuators.takes_efforts])
+        keeps_effort = np.isnan(efforts) & self._limits.is_effort_driven
+        self.wanted = np.where(keeps_effort, self.drives, efforts)
 
     def solve(self, linear, held, rows) -> tuple[Actuation, Actuation]:
         """See `Goal`."""
@@ -313,12 +327,39 @@ class TargetGoal(Goal):
             self.wanted = np.concatenate([self.wanted, effectors.aim(turns, state.positions)])
         elif turns is not None:
             raise CommandError("orientations", "no effector of this scene asks for an orientation")
+        self._sensors = goals.model.wanted_sensors
+        if self._sensors is not None or command.sensors is not None:
+            self._add_sensors(command.sensors)
         if command.stiffness is not None:
             self._check_stiffness(command.stiffness)
         if command.commanded is not None:
             setpoints = fitting("commanded", command.commanded, self.drives.shape, True)
             self.commanded = goals.model.actuators.drives(setpoints)
             self.bounds = self._with_commanded()
+
+    def _add_sensors(self, asked: np.ndarray | None) -> None:
+        """Take wanted values of sensors, each in its unit, and refuse those of sensors without a weight."""
+        own = self._goals.wanted_sensors
+        values = np.full(len(own), np.nan)
+        if asked is not None:
+            values = fitting("sensors", asked, values.shape, True)
+        for (name, is_wanted), value in zip(own.items(), values, strict=True):
+            if not is_wanted and np.isfinite(value):
+                raise CommandError(name, "is a sensor without a weight: it is told, not wanted")
+        if self._sensors is not None:
+            self._of_sensors = self._sensors.lengths * values[list(own.values())]
+            self.wanted = np.concatenate([self.wanted, self._of_sensors])
+
+    def misses_of_sensors(self, positions: np.ndarray) -> np.ndarray:
+        """How far each sensor that may have a target is from it [m], NaN without one.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
+        if self._sensors is None:
+            return np.empty(0)
+        shown = self._sensors.readings(positions) * self._sensors.lengths
+        return np.abs(shown - self._of_sensors)
 
     def _check_stiffness(self, stiffness: np.ndarray) -> None:
         """Refuse wanted stiffnesses [N/m] that are none, or of effectors that ask for none."""
@@ -434,11 +475,13 @@ class Goals:
         model: The built scene.
         direct: Finds λ of what is commanded or held.
         inverse: Finds λ towards targets; None in scenes that cannot follow them.
+        wanted_sensors: Whether each sensor may have a target, by name, in the order of all arrays.
     """
 
     def __init__(self, model: Model, direct: DirectActuation, inverse: InverseActuation | None):
         """Take what goals are read and solved by; see the attributes."""
         self.model, self.direct, self.inverse = model, direct, inverse
+        self.wanted_sensors = {one.name: one.weight is not None for _, one in in_order(model.scene)}
 
     def read(self, command: Command, state: State) -> Goal:
         """Check a command, and compute the bounds of this step.

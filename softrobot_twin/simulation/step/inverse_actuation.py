@@ -341,13 +341,9 @@ class TargetSteps:
         Args:
             model: A scene with effectors.
         """
-        self.row_effector = model.effectors.row_effector
-        self._row_weights = model.effectors.row_weights
-        self._effector_count = len(model.effectors.effectors)
+        self.row_effector, self._row_weights, lengths, self._effector_count = model.target_rows
         self._longest = LONGEST_REACH * model.nodes.size
-        self._row_lengths = None
-        if model.effectors.orientations:
-            self._row_lengths = model.effectors.row_lengths
+        self._row_lengths = lengths if len(lengths) else None
 
     def asked(self, target_rows: np.ndarray, now: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Displacements to the targets, shortened where they are too long, and their weights.
@@ -443,7 +439,7 @@ class InverseActuation:
                 start, in place of those that the scene names.
         """
         self._direct, self._contacts = direct, model.contacts
-        self._steps, self._row_weights = TargetSteps(model), model.effectors.row_weights
+        self._steps, self._row_weights = TargetSteps(model), model.target_rows.weights
         self._energy_weight = max(model.scene.solver.energy_weight, LEAST_ENERGY_WEIGHT)
         self._energy_now, self._longest = self._energy_weight, LONGEST_REACH * model.nodes.size
         limit = None if model.scene.contact is None else model.scene.contact.force_limit
@@ -1125,10 +1121,13 @@ def _missed(
 
 def _rest_rows(model: Model) -> np.ndarray:
     """Effector coordinates in the rest shape [m], shape (effector_row_count,)."""
-    term = model.effectors
-    values, blocks = np.empty(term.row_count), np.empty((len(term.entry_rows), 3))
-    term.evaluate(model.nodes.rest_positions, blocks, values)
-    return values
+    places = []
+    for term in (model.effectors, model.wanted_sensors):
+        if term is not None:
+            values, blocks = np.empty(term.row_count), np.empty((len(term.entry_rows), 3))
+            term.evaluate(model.nodes.rest_positions, blocks, values)
+            places.append(values)
+    return np.concatenate(places)
 
 
 def inverse_system(

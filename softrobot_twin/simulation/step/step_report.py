@@ -156,6 +156,7 @@ class StepResults:
         errors, angles = goal.errors(places, outcome.positions)
         told = [part.report(state) for part in self._parts]
         missed = self._missed(errors, angles, told, 0)
+        missed = np.concatenate([missed, goal.misses_of_sensors(outcome.positions)])
         active = goal.limits_met(actuation)
         if newton.is_nearly_flat and INVERSION not in active:
             active = (*active, INVERSION)
@@ -165,6 +166,7 @@ class StepResults:
         if goal.follows and not met and not any(limit.endswith(RATE) for limit in active):
             was_at = model.effectors.positions(before.positions)
             missed_before = self._missed(*goal.errors(was_at, before.positions), told, 1)
+            missed_before = np.concatenate([missed_before, goal.misses_of_sensors(before.positions)])
             active = (*active, *goal.what_else_holds(
                 outcome.linear, outcome.held, missed_before, missed
             ))  # fmt: skip

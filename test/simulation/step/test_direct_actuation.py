@@ -122,6 +122,7 @@ def test_the_same_equilibrium_at_any_time_step(diamond, settle, time_step):
     lambda s: CommandSetpoints(np.zeros(3), 0.1),
     lambda s: CommandSetpoints(np.full(4, np.nan), 0.1),
     lambda s: CommandEfforts(np.full(4, np.inf), 0.1),
+    lambda s: CommandEfforts(np.full(4, np.nan), 0.1),
     lambda s: CommandSetpoints(s.rest_setpoints, float("nan")),
     lambda s: CommandSetpoints(s.rest_setpoints, -1.0),
     lambda s: "pull",

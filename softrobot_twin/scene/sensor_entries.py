@@ -1,0 +1,82 @@
+"""Entries of sensors: what strings, bend sensors, encoders, and gauges of volume and pressure measure.
+
+Each kind is a key of which an entry has exactly one; `simulation/building/sensor_kinds.py` builds it.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field
+
+from softrobot_twin.scene.actuator_entries import CavityWall
+from softrobot_twin.scene.entry import Direction, Entry, Name, Vector, not_zero, refusal, unit
+from softrobot_twin.scene.references import check_carrier, check_known
+
+
+class Sensor(Entry):
+    """A length, an angle, a volume or a pressure that is told, measured, or wanted."""
+
+    told: ClassVar[tuple[str, ...]] = (
+        "string of {string:#point}", "path of {cable}", "bend of {bend:#point}",
+        "hinge of {hinge}", "volume of {volume}", "volume in {walls:#wall}",
+        "pressure of {pressure}", "weight {weight:=}",
+    )  # fmt: skip
+    placed: ClassVar[dict[str, str]] = {"string": "point", "bend": "point", "axis": "direction"}
+    one_of: ClassVar[tuple[str, ...]] = (
+        "string", "cable", "bend", "hinge", "volume", "walls", "pressure")
+
+    name: Name
+    """Its name."""
+    on: Name | None = None
+    """Body of the points of a string or of a bend sensor."""
+    string: Annotated[tuple[Vector, ...], Field(min_length=2)] | None = None
+    """Places at rest of a thin string through the body: its length [m]."""
+    cable: Name | None = None
+    """A cable: the length of its path [m]."""
+    bend: Annotated[tuple[Vector, ...], Field(min_length=3)] | None = None
+    """Places at rest along a line: the angle [rad] from its first to its last piece about `axis`."""
+    axis: Annotated[Direction | None, not_zero("the axis of an angle must not be zero")] = None
+    """Axis in the world that a bend sensor turns about."""
+    hinge: Name | None = None
+    """A beam that is joined by a hinge: the angle of the hinge [rad], 0 at rest."""
+    at: Literal["start", "end"] | Annotated[int, Field(ge=0)] | None = None
+    """The point of that beam with the hinge."""
+    volume: Name | None = None
+    """A cavity, inflated or sealed: its volume [m³]."""
+    walls: Annotated[tuple[CavityWall, ...], Field(min_length=1)] | None = None
+    """Closed surfaces of a chamber that is neither: the volume inside [m³]."""
+    pressure: Name | None = None
+    """A sealed cavity: its gauge pressure [Pa]."""
+    weight: Annotated[float | None, unit("", gt=0.0)] = None
+    """Weight of its error as a target; by default it is only told."""
+
+    def check(self) -> None:
+        """Refuse an axis or a point where none is needed, and none where one is."""
+        for key, other in (("axis", "bend"), ("at", "hinge")):
+            if (getattr(self, key) is None) != (getattr(self, other) is None):
+                raise refusal(key, getattr(self, key), f"goes with {other}: give both or neither")
+        if self.on is not None and self.string is None and self.bend is None:
+            raise refusal("on", self.on, "is the body of a string or of a bend sensor")
+
+    def check_references(self, scene, key: str) -> None:
+        """Refuse names of objects that the scene does not have.
+
+        Args:
+            scene: The scene.
+            key: Key of this entry.
+
+        Raises:
+            PydanticCustomError: A named object does not exist.
+        """
+        sections = "deformables", "rigid_bodies", "beams", "cables", "cavities", "sealed_cavities"
+        bodies, rigid, beams, cables, cavities, sealed = (
+            [entry.name for entry in getattr(scene, section)] for section in sections)
+        if self.string is not None or self.bend is not None:
+            check_carrier(f"{key}.on", self.name, self.on, bodies, rigid + beams)
+        for own, known in (("cable", cables), ("hinge", beams), ("volume", cavities + sealed),
+                           ("pressure", sealed)):  # fmt: skip
+            if getattr(self, own) is not None:
+                check_known(f"{key}.{own}", f"{self.name} measures", getattr(self, own), known)
+        for index, wall in enumerate(self.walls or ()):
+            check_carrier(f"{key}.walls[{index}].body", self.name, wall.body, bodies, [])
