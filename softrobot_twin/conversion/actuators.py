@@ -24,7 +24,7 @@ from softrobot_twin.conversion.computed_values import (
     value_of,
 )
 from softrobot_twin.conversion.rules import ACTUATORS, BodyRecord, Conversion, rounded, rule
-from softrobot_twin.conversion.scene_tree import NotConverted, SceneComponent
+from softrobot_twin.conversion.scene_tree import NotConverted, SceneComponent, follow, is_link
 from softrobot_twin.geometry.surface_reading import SUFFIXES
 
 MOST_POINTS = 5000
@@ -157,7 +157,7 @@ def cavity(conversion: Conversion, component: SceneComponent) -> str | None:
     if not len(mesh.triangles):
         raise NotConverted("its surface has no triangles")
     name = conversion.name(_name_of(component))
-    wall = {"body": carrier, **_wall(conversion, record, mesh, name)}
+    wall = {"body": carrier, **surface_file(conversion, record, mesh, name)}
     entry: dict[str, Any] = {"name": name, "walls": [wall]}
     entry = conversion.add("cavities", component, entry)
     _cavity_limits(conversion, component, entry)
@@ -172,7 +172,7 @@ def _in_words(entry: dict[str, Any]) -> str:
     return "".join(told)
 
 
-def _wall(conversion: Conversion, record: BodyRecord, mesh: LoadedMesh, name: str) -> dict[str, Any]:
+def surface_file(conversion: Conversion, record: BodyRecord, mesh: LoadedMesh, name: str) -> dict[str, Any]:
     """The file of a wall: the scene's own where it is placed like the body, else one that is written."""
     body = record.mesh.placement if record.entry["mesh"].get("scale") is not None else UNMOVED
     metre = conversion.units.metre
@@ -242,6 +242,10 @@ def _goal(conversion: Conversion, component: SceneComponent, width: int) -> np.n
         return None
     if isinstance(value, SceneComponent):
         value = value_of(value, "position")
+    link = component.fields.get("effectorGoal") or component.fields.get("effectorGoalPosition")
+    if is_link(link):
+        owner = follow(link, component.node)[0]
+        conversion.goals.add(id(owner))
     found = np.asarray(np.ravel(value) if not isinstance(value, str) else value.split(), float)
     return found.reshape(-1, width) if len(found) and not len(found) % width else None
 

@@ -42,8 +42,10 @@ from softrobot_twin.conversion.scene_text import SOURCE
 from softrobot_twin.conversion.scene_tree import (
     NotConverted,
     SceneComponent,
+    first,
     follow,
     is_link,
+    nearest,
 )
 from softrobot_twin.geometry.hexahedral_mesh import INTO_TETS
 
@@ -171,7 +173,7 @@ def _moduli_in_words(material: dict[str, Any]) -> str:
 def _body_mesh(state: SceneComponent, fields: list[SceneComponent]) -> LoadedMesh:
     """The points of a state, and the cells that its force fields act on."""
     mesh = state_mesh(state)
-    own = state.node.first(TOPOLOGIES)
+    own = first(state.node, TOPOLOGIES)
     found = [mesh_of(one) for one in ([own] if own is not None else [])]
     found = [one for one in found if len(one.tets) or len(one.hexahedra)]
     if not found:
@@ -361,7 +363,7 @@ def mass(conversion: Conversion, component: SceneComponent) -> str | None:
 
 def _add_damping(conversion: Conversion, record: BodyRecord) -> None:
     """Rayleigh damping of the solver above a body; the drag of first-order motion is its mass."""
-    solver = record.state.node.nearest(EULER_IMPLICIT)
+    solver = nearest(record.state.node, EULER_IMPLICIT)
     if solver is None:
         return
     alpha = number_of(solver, "rayleighMass", otherwise=0.0) or 0.0
@@ -404,7 +406,7 @@ def fixed(conversion: Conversion, component: SceneComponent) -> str | None:
 
 
 def _is_moving(conversion: Conversion, state: SceneComponent) -> bool:
-    return state.node.nearest((*EULER_IMPLICIT, *STATIC, *OTHER_MOTION)) is not None
+    return nearest(state.node, (*EULER_IMPLICIT, *STATIC, *OTHER_MOTION)) is not None
 
 
 def _no_body() -> str:

@@ -15,13 +15,16 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.conversion.scene_tree import (
-    UNKNOWN,
     NotConverted,
     SceneComponent,
     SceneNode,
+    UNKNOWN,
+    first,
     follow,
     is_link,
+    nearest,
     numbers,
+    root_of,
 )
 from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.hexahedral_mesh import INTO_TETS
@@ -247,7 +250,7 @@ def find_file(component: SceneComponent, name: str) -> Path:
         NotConverted: There is none.
     """
     folders = [Path(component.place[0]).parent, Path.cwd()]
-    home = component.node.root.fields.get("folder")
+    home = root_of(component.node).fields.get("folder")
     if home is not None:
         folders.insert(0, Path(home))
     for root in filter(None, (os.environ.get("SOFA_ROOT"),)):
@@ -400,7 +403,7 @@ def topology_of(node: SceneNode) -> SceneComponent | None:
     Args:
         node: The node.
     """
-    return node.nearest(TOPOLOGIES)
+    return nearest(node, TOPOLOGIES)
 
 
 # --- states ---------------------------------------------------------------------------------------
@@ -422,7 +425,7 @@ def state_of(node: SceneNode) -> SceneComponent | None:
     Args:
         node: The node.
     """
-    return node.nearest(STATES)
+    return nearest(node, STATES)
 
 
 def state_mesh(state: SceneComponent) -> LoadedMesh:
@@ -442,7 +445,7 @@ def state_mesh(state: SceneComponent) -> LoadedMesh:
         if mesh is None or mesh.points.shape != given.shape or not np.allclose(mesh.points, given):
             mesh = LoadedMesh(given, _cells(4), _cells(8), _cells(3), _cells(2))
     elif mesh is None:
-        topology = state.node.first((*TOPOLOGIES, *LOADERS))
+        topology = first(state.node, (*TOPOLOGIES, *LOADERS))
         mesh = None if topology is None else mesh_of(topology)
     if mesh is None or not len(mesh.points):
         return LoadedMesh(placement.place(np.zeros((1, 3))), _cells(4), _cells(8), _cells(3), _cells(2))
@@ -483,7 +486,7 @@ def points_of(state: SceneComponent) -> np.ndarray:
     """
     if is_rigid(state):
         return frames_of(state)[:, :3]
-    mapping = state.node.first(("RigidMapping", "IdentityMapping", "SubsetMapping", "SubsetMultiMapping"))
+    mapping = first(state.node, ("RigidMapping", "IdentityMapping", "SubsetMapping", "SubsetMultiMapping"))
     if mapping is not None and mapping.kind == "IdentityMapping" and not _has(state, "position"):
         return points_of(mapped_from(state, mapping)[0])
     if mapping is not None and mapping.kind == "SubsetMapping":
@@ -528,7 +531,7 @@ def mapped_from(state: SceneComponent, mapping: SceneComponent | None = None) ->
         state: A state.
         mapping: Its mapping, where it is known.
     """
-    mapping = mapping or state.node.first(MAPPINGS)
+    mapping = mapping or first(state.node, MAPPINGS)
     if mapping is None:
         return []
     sources = []
@@ -539,7 +542,7 @@ def mapped_from(state: SceneComponent, mapping: SceneComponent | None = None) ->
     found = []
     for source in sources:
         if isinstance(source, SceneNode):
-            source = source.first(STATES)
+            source = first(source, STATES)
         if isinstance(source, SceneComponent):
             found.append(source)
     if not found and state.node.parents:

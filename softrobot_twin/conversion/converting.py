@@ -14,7 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from softrobot_twin.conversion import actuators, bodies  # noqa: F401 (registers the rules)
+from softrobot_twin.conversion import (  # noqa: F401 (they register rules)
+    actuators,
+    bodies,
+    contacts,
+    parts,
+)
 from softrobot_twin.conversion.rules import Conversion
 from softrobot_twin.conversion.scene_text import scene_yaml
 from softrobot_twin.conversion.scene_tree import (

@@ -25,7 +25,14 @@ from softrobot_twin.conversion.computed_values import (
     state_of,
 )
 from softrobot_twin.conversion.scene_text import SOURCE
-from softrobot_twin.conversion.scene_tree import NotConverted, SceneComponent, SceneNode
+from softrobot_twin.conversion.scene_tree import (
+    NotConverted,
+    SceneComponent,
+    SceneNode,
+    above,
+    first,
+    walk,
+)
 from softrobot_twin.conversion.units import Units
 
 NOT_PHYSICAL = re.compile(
@@ -51,6 +58,9 @@ NOT_PHYSICAL_FIELDS = re.compile(
 """Fields that are drawn, or that say how SOFA solves."""
 
 
+_IDLE_EVENTS = ("init", "bwdInit", "reset", "onIdleEvent", "onSimulationInitDoneEvent")
+
+
 class Rule(NamedTuple):
     """A rule.
 
@@ -65,7 +75,7 @@ class Rule(NamedTuple):
 
 RULES: dict[str, Rule] = {}
 """The rule of each kind of component."""
-SETTINGS, BODIES, FIXING, PARTS, ACTUATORS, CONTACTS, NOTES = range(7)
+SETTINGS, BODIES, PARTS, FIXING, ACTUATORS, CONTACTS = range(6)
 """Stages of rules."""
 
 
@@ -112,10 +122,13 @@ class Conversion:
         scene: Its sections.
         bodies: Deformable bodies, by the identity of their state.
         frames: Names of rigid bodies or of a beam for each frame of a rigid state, by its identity.
+        goals: Identities of states that hold goals.
         missing: What has no counterpart: component, or None, and why.
         told: What was converted: component, and what it became.
         notes: Remarks.
-        files: Files that are written beside the scene: name and content.
+        files: Writers of the files beside the scene, by their name.
+        commands: Values of actuators in the file, by column.
+        targets: Goals of effectors, by column.
     """
 
     root: SceneNode
@@ -124,6 +137,7 @@ class Conversion:
     scene: dict[str, Any] = field(default_factory=dict)
     bodies: dict[int, BodyRecord] = field(default_factory=dict)
     frames: dict[int, list[str]] = field(default_factory=dict)
+    goals: set[int] = field(default_factory=set)
     missing: list[tuple[SceneComponent | None, str]] = field(default_factory=list)
     told: list[tuple[SceneComponent, str]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -141,7 +155,7 @@ class Conversion:
     @property
     def components(self) -> list[SceneComponent]:
         """All components, in the order of the tree."""
-        return [one for node in self.root.walk() for one in node.components]
+        return [one for node in walk(self.root) for one in node.components]
 
     def name(self, wanted: str) -> str:
         """A name for an entry that no other one has.
@@ -200,7 +214,7 @@ class Conversion:
             return None
         if len(sources) == 1 and id(sources[0]) in self.frames and not is_rigid(state):
             names = self.frames[id(sources[0])]
-            mapping = state.node.first(MAPPINGS)
+            mapping = first(state.node, MAPPINGS)
             index = 0 if mapping is None else int(mapping.fields.get("index") or 0)
             return names[min(index, len(names) - 1)]
         found = [name for name in map(self.carrier, sources) if name is not None]
@@ -244,9 +258,20 @@ class Conversion:
                 self.told.append((component, told))
                 self._list_unread(component)
         for component in everything:
+            if component.kind == "Controller" and self._is_by_keys(component):
+                continue
             known = component.kind in RULES or component.kind in (*STATES, *LOADERS, *TOPOLOGIES, *MAPPINGS)
             if not known and not NOT_PHYSICAL.fullmatch(component.kind):
                 self.missing.append((component, "has no counterpart here"))
+
+    def _is_by_keys(self, controller: SceneComponent) -> bool:
+        """Whether a controller of Python only listens to keys; then a note tells of teleoperation."""
+        events = controller.fields.get("events") or []
+        is_by_keys = bool(events) and all("key" in one.lower() or one in _IDLE_EVENTS for one in events)
+        if is_by_keys:
+            self.notes.append(f"{controller.name} ({controller.where}) moves things by keys: setpoints and targets "
+                              "come over ROS here, see docs/topics.md")  # fmt: skip
+        return is_by_keys
 
     def _list_unread(self, component: SceneComponent) -> None:
         for name, value in component.fields.items():
@@ -278,11 +303,11 @@ def rounded(values: Any) -> Any:
     return (np.round(array, min(digits, 15)) + 0.0).tolist()
 
 
-def is_below_node(node: SceneNode, above: SceneNode) -> bool:
+def is_below_node(node: SceneNode, other: SceneNode) -> bool:
     """Whether a node is another one or below it.
 
     Args:
         node: The node.
-        above: The other one.
+        other: The other one.
     """
-    return any(one is above for one in node.above())
+    return any(one is other for one in above(node))

@@ -93,55 +93,74 @@ class SceneNode:
         """Path from the root, as links have it."""
         return f"{self.parents[0].path.rstrip('/')}/{self.name}" if self.parents else "/"
 
-    @property
-    def root(self) -> SceneNode:
-        """The node at the top."""
-        return self.parents[0].root if self.parents else self
 
-    def walk(self, seen: set[int] | None = None) -> Iterator[SceneNode]:
-        """This node and all below it, each once.
+# Functions, not methods: a scene may call its nodes ``first`` or ``root``.
 
-        Args:
-            seen: Identities of nodes that are left out.
-        """
-        seen = set() if seen is None else seen
-        if id(self) in seen:
-            return
-        seen.add(id(self))
-        yield self
-        for child in self.children:
-            yield from child.walk(seen)
 
-    def above(self) -> Iterator[SceneNode]:
-        """This node and those above it, each by its first parent."""
-        yield self
-        if self.parents:
-            yield from self.parents[0].above()
+def root_of(node: SceneNode) -> SceneNode:
+    """The node at the top.
 
-    def first(self, kinds: tuple[str, ...]) -> SceneComponent | None:
-        """The first component of one of some kinds.
+    Args:
+        node: A node below it.
+    """
+    return root_of(node.parents[0]) if node.parents else node
 
-        Args:
-            kinds: Names of classes.
-        """
-        return next((one for one in self.components if one.kind in kinds), None)
 
-    def nearest(self, kinds: tuple[str, ...]) -> SceneComponent | None:
-        """The first component of one of some kinds in this node or the nearest above it.
+def walk(node: SceneNode, seen: set[int] | None = None) -> Iterator[SceneNode]:
+    """A node and all below it, each once.
 
-        Args:
-            kinds: Names of classes.
-        """
-        return next((found for node in self.above() if (found := node.first(kinds))), None)
+    Args:
+        node: The node.
+        seen: Identities of nodes that are left out.
+    """
+    seen = set() if seen is None else seen
+    if id(node) in seen:
+        return
+    seen.add(id(node))
+    yield node
+    for child in node.children:
+        yield from walk(child, seen)
 
-    def named(self, name: str) -> SceneNode | SceneComponent | None:
-        """The component or child of a name.
 
-        Args:
-            name: The name.
-        """
-        everything = (*self.components, *self.children)
-        return next((one for one in everything if one.name == name), None)
+def above(node: SceneNode) -> Iterator[SceneNode]:
+    """A node and those above it, each by its first parent.
+
+    Args:
+        node: The node.
+    """
+    yield node
+    if node.parents:
+        yield from above(node.parents[0])
+
+
+def first(node: SceneNode, kinds: tuple[str, ...]) -> SceneComponent | None:
+    """The first component of a node that is of one of some kinds.
+
+    Args:
+        node: The node.
+        kinds: Names of classes.
+    """
+    return next((one for one in node.components if one.kind in kinds), None)
+
+
+def nearest(node: SceneNode, kinds: tuple[str, ...]) -> SceneComponent | None:
+    """The first component of one of some kinds in a node or the nearest above it.
+
+    Args:
+        node: The node.
+        kinds: Names of classes.
+    """
+    return next((found for one in above(node) if (found := first(one, kinds))), None)
+
+
+def named(node: SceneNode, name: str) -> SceneNode | SceneComponent | None:
+    """The component or child of a node that has a name.
+
+    Args:
+        node: The node.
+        name: The name.
+    """
+    return next((one for one in (*node.components, *node.children) if one.name == name), None)
 
 
 def is_link(value: Any) -> bool:
@@ -164,22 +183,22 @@ def follow(link: str, node: SceneNode) -> tuple[SceneNode | SceneComponent, str 
         NotConverted: It leads nowhere.
     """
     path = link.strip().removeprefix("@").removeprefix("./")
-    here: SceneNode | SceneComponent = node.root if path.startswith("/") else node
+    here: SceneNode | SceneComponent = root_of(node) if path.startswith("/") else node
     steps = [step for step in path.split("/") if step not in ("", ".")]
     name: str | None = None
     for index, step in enumerate(steps):
         if step == "..":
             here = here.node if isinstance(here, SceneComponent) else (here.parents or [here])[0]
             continue
-        found = here.named(step) if isinstance(here, SceneNode) else None
+        found = named(here, step) if isinstance(here, SceneNode) else None
         if index == 0 and isinstance(here, SceneNode):
             # Without a path, nodes above are searched too.
             stem = step.rpartition(".")[0] or step
-            here = next((one for one in here.above() if one.named(step) or one.named(stem)), here)
-            found = here.named(step)
+            here = next((one for one in above(here) if named(one, step) or named(one, stem)), here)
+            found = named(here, step)
         if found is None and index == len(steps) - 1:
             stem, dot, name = step.rpartition(".")
-            found = here.named(stem) if dot and isinstance(here, SceneNode) else None
+            found = named(here, stem) if dot and isinstance(here, SceneNode) else None
             if found is None and isinstance(here, SceneNode) and step in here.fields:
                 found, name = here, step
         if found is None:
@@ -226,7 +245,7 @@ def to_plain(root: SceneNode) -> dict:
     Args:
         root: The node at the top.
     """
-    nodes = list(root.walk())
+    nodes = list(walk(root))
     index = {id(node): number for number, node in enumerate(nodes)}
     return {"nodes": [
         {"name": node.name, "fields": _plain(node.fields),

@@ -10,12 +10,16 @@ from typing import Any
 import numpy as np
 
 from softrobot_twin.conversion.scene_tree import (
-    UNKNOWN,
     NotConverted,
     SceneComponent,
     SceneNode,
+    UNKNOWN,
+    above,
+    first,
     is_link,
+    named,
     numbers,
+    root_of,
 )
 
 
@@ -412,7 +416,8 @@ class Node(_Owner, SceneNode):
                 if isinstance(kind, Component) and kind not in self.components:
                     self.components.append(kind)
                 return kind
-            made = Component("Controller", Named(type(kind).__name__), self, {}, Recorder.place())
+            events = [name for name in dir(type(kind)) if name.startswith("on") and name.endswith("Event")]
+            made = Component("Controller", Named(type(kind).__name__), self, {"events": events}, Recorder.place())
             self.components.append(made)
             return kind
         name = Named(getattr(fields.get("name"), "value", fields.pop("name", kind) or kind))
@@ -465,7 +470,7 @@ class Node(_Owner, SceneNode):
 
     def getRoot(self) -> SceneNode:
         """The node at the top."""
-        return self.root
+        return root_of(self)
 
     def getChild(self, name: Any, *warn: Any) -> Any:
         """The child of a name or number; None where there is none.
@@ -502,7 +507,7 @@ class Node(_Owner, SceneNode):
 
     def getMechanicalState(self) -> Any:
         """Its state."""
-        return self.first(("MechanicalObject",))
+        return first(self, ("MechanicalObject",))
 
     @property
     def objects(self) -> list:
@@ -511,7 +516,7 @@ class Node(_Owner, SceneNode):
 
     def getRootPath(self) -> str:
         """Path up to the root."""
-        return "/".join([".."] * max(1, len(list(self.above())) - 1))
+        return "/".join([".."] * max(1, len(list(above(self))) - 1))
 
     def isInitialized(self) -> bool:
         """False: nothing is simulated."""
@@ -520,7 +525,7 @@ class Node(_Owner, SceneNode):
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__") or name in self._OWN:
             raise AttributeError(name)
-        found = self.named(name)
+        found = named(self, name)
         if found is not None:
             return found
         if name in self.fields or name in ("dt", "gravity", "animate", "time", "bbox"):
