@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.conversion.computed_values import (
+    STATES,
     UNMOVED,
     LoadedMesh,
     array_of,
@@ -24,7 +25,13 @@ from softrobot_twin.conversion.computed_values import (
     value_of,
 )
 from softrobot_twin.conversion.rules import ACTUATORS, BodyRecord, Conversion, rounded, rule
-from softrobot_twin.conversion.scene_tree import NotConverted, SceneComponent, follow, is_link
+from softrobot_twin.conversion.scene_tree import (
+    NotConverted,
+    SceneComponent,
+    follow,
+    is_link,
+    numbers,
+)
 from softrobot_twin.geometry.surface_reading import SUFFIXES
 
 MOST_POINTS = 5000
@@ -80,7 +87,7 @@ def cable(conversion: Conversion, component: SceneComponent) -> str | None:
     points = conversion.points(state)
     chosen = indices_of(component, "indices")
     path = points[chosen if chosen is not None and len(chosen) else [0]]
-    entry: dict[str, Any] = {"name": conversion.name(_name_of(component)), "body": carrier}
+    entry: dict[str, Any] = {"name": conversion.name(_name_of(component), component.node.name), "body": carrier}
     if is_true(component, "hasPullPoint", True):
         pull = array_of(component, 3, "pullPoint")
         entry["pull_point"] = conversion.length(np.zeros(3) if pull is None else pull[0])
@@ -156,7 +163,7 @@ def cavity(conversion: Conversion, component: SceneComponent) -> str | None:
         mesh = mesh._replace(triangles=np.concatenate([mesh.triangles, halves]), file=None)
     if not len(mesh.triangles):
         raise NotConverted("its surface has no triangles")
-    name = conversion.name(_name_of(component))
+    name = conversion.name(_name_of(component), component.node.name)
     wall = {"body": carrier, **surface_file(conversion, record, mesh, name)}
     entry: dict[str, Any] = {"name": name, "walls": [wall]}
     entry = conversion.add("cavities", component, entry)
@@ -246,7 +253,9 @@ def _goal(conversion: Conversion, component: SceneComponent, width: int) -> np.n
     if is_link(link):
         owner = follow(link, component.node)[0]
         conversion.goals.add(id(owner))
-    found = np.asarray(np.ravel(value) if not isinstance(value, str) else value.split(), float)
+    found = numbers(value)
+    if is_link(link) and isinstance(owner, SceneComponent) and owner.kind in STATES and is_rigid(owner):
+        found = numbers(found, 7)[:, :width].ravel()
     return found.reshape(-1, width) if len(found) and not len(found) % width else None
 
 
@@ -312,6 +321,8 @@ def centre_effector(conversion: Conversion, component: SceneComponent) -> str | 
     """
     state = conversion.state(component)
     points, carrier = conversion.points(state), conversion.carrier(state)
+    if is_rigid(state):
+        raise NotConverted("the mean of frames is not built here: PositionEffector takes one frame")
     if carrier is None:
         raise NotConverted("its points are on no body that is converted")
     if len(points) > MOST_POINTS:

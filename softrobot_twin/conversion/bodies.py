@@ -441,7 +441,8 @@ def _regions(conversion: Conversion, record: BodyRecord, component: SceneCompone
         if isinstance(roi, SceneComponent) and roi.kind in REGIONS and output == "indices":
             same = state_of(roi.node) is record.state and roi.fields.get("position") is None
             if same and roi.fields.get("orientedBox") is None:
-                return _region_shapes(conversion, record, roi)
+                if roi.kind != "ComplementaryROI":
+                    return _region_shapes(conversion, record, roi)
     chosen = indices_of(component, *names)
     if chosen is None:
         chosen = np.array([0])

@@ -439,7 +439,7 @@ def state_mesh(state: SceneComponent) -> LoadedMesh:
     """
     placement = placement_of(state)
     mesh = _source_of(state)
-    given = array_of(state, 3, "position", "rest_position") if _has(state, "position") or _has(
+    given = array_of(state, 3, "rest_position", "position") if _has(state, "position") or _has(
         state, "rest_position") else None  # fmt: skip
     if given is not None:
         if mesh is None or mesh.points.shape != given.shape or not np.allclose(mesh.points, given):
@@ -466,8 +466,18 @@ def frames_of(state: SceneComponent) -> np.ndarray:
     Args:
         state: A rigid state.
     """
-    given = array_of(state, 7, "position", "rest_position")
-    frames = np.array([[0.0, 0, 0, 0, 0, 0, 1]]) if given is None or not len(given) else given.copy()
+    given = array_of(state, 1, "rest_position", "position")
+    topology = first(state.node, TOPOLOGIES)
+    if (given is None or not len(given)) and topology is not None:
+        given = mesh_of(topology).points.ravel()
+    frames = np.array([[0.0, 0, 0, 0, 0, 0, 1]])
+    if given is not None and len(given):
+        # Places alone stand for frames that are not turned.
+        width = 7 if len(given) % 7 == 0 and not (len(given) % 3 == 0 and topology is not None and len(
+            mesh_of(topology).points) * 3 == len(given)) else 3  # fmt: skip
+        rows = numbers(given, width)
+        frames = np.tile(frames, (len(rows), 1))
+        frames[:, :width] = rows
     placement = placement_of(state)
     frames[:, :3] = placement.place(frames[:, :3])
     turned = placement.rotation * Rotation.from_quat(frames[:, 3:])
@@ -613,8 +623,18 @@ def _in_spheres(roi: SceneComponent, points: np.ndarray) -> np.ndarray:
     return inside
 
 
+def _complement(roi: SceneComponent, points: np.ndarray) -> np.ndarray:
+    """Whether points are in none of the sets of a ComplementaryROI."""
+    outside = np.ones(len(points), bool)
+    for number in range(1, int(number_of(roi, "nbSet", otherwise=1.0) or 1) + 1):
+        chosen = indices_of(roi, f"setIndices{number}")
+        outside[[] if chosen is None else chosen] = False
+    return outside
+
+
 REGIONS: dict[str, Callable[[SceneComponent, np.ndarray], np.ndarray]] = {
     "BoxROI": _in_boxes, "BoxRoi": _in_boxes, "SphereROI": _in_spheres, "SubsetTopology": _in_boxes,
+    "ComplementaryROI": _complement,
 }  # fmt: skip
 """Kinds of regions of interest: which points are inside."""
 

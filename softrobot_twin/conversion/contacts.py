@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from typing import Any, NamedTuple
 
+import numpy as np
+
 
 from softrobot_twin.conversion.actuators import surface_file
 from softrobot_twin.conversion.computed_values import (
@@ -16,7 +18,15 @@ from softrobot_twin.conversion.computed_values import (
     value_of,
 )
 from softrobot_twin.conversion.parts import MOVERS, shape_entry, surface_of
-from softrobot_twin.conversion.rules import CONTACTS, BodyRecord, Conversion, rule
+from softrobot_twin.conversion.rules import (
+    CONTACTS,
+    BodyRecord,
+    Conversion,
+    rounded,
+    rule,
+    source_of,
+)
+from softrobot_twin.conversion.scene_text import SOURCE
 from softrobot_twin.conversion.scene_tree import NotConverted, SceneComponent, first, nearest
 
 MODELS = tuple(f"{kind}{end}" for kind in ("Triangle", "Line", "Point", "Sphere")
@@ -81,7 +91,7 @@ def contact(conversion: Conversion, component: SceneComponent) -> str | None:
         made["friction"] = friction
     made |= {"alarm_distance": conversion.length(alarm), "contact_distance": conversion.length(least),
              "between": [{"pair": pair} for pair in pairs]}  # fmt: skip
-    conversion.scene["contact"] = made
+    conversion.scene["contact"] = made | conversion.scene.get("contact", {})
     return f"contact of {len(pairs)} pair{'s'[:len(pairs) > 1]}, friction {friction:g}"
 
 
@@ -162,6 +172,25 @@ def _friction(conversion: Conversion) -> float:
             found = re.search(r"mu=([\d.eE+-]+)", str(value_of(component, "responseParams") or ""))
             return float(found[1]) if found else 0.0
     return 0.0
+
+
+@rule(CONTACTS, "UnilateralPlaneConstraint")
+def point_and_triangle(conversion: Conversion, component: SceneComponent) -> str | None:
+    """A point that stays on one side of a triangle of the same body.
+
+    Args:
+        conversion: The conversion.
+        component: The constraint.
+    """
+    state = conversion.state(component)
+    carrier, chosen = conversion.carrier(state), indices_of(component, "indices")
+    if carrier not in {one.name for one in conversion.bodies.values()} or chosen is None or len(chosen) != 4:
+        raise NotConverted("needs a point and a triangle of a body that is converted")
+    point, *triangle = conversion.points(state)[chosen]
+    entry = {"on": carrier, "point": rounded(point), "against": rounded(np.mean(triangle, axis=0))}
+    made = conversion.scene.setdefault("contact", {})
+    made.setdefault("points", []).append({SOURCE: [source_of(component)], **entry})
+    return f"contact of a point of {carrier} with a triangle"
 
 
 @rule(CONTACTS, *MODELS)

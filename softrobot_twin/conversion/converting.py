@@ -20,6 +20,7 @@ from softrobot_twin.conversion import (  # noqa: F401 (they register rules)
     contacts,
     parts,
 )
+from softrobot_twin.conversion.computed_values import STATES, points_of
 from softrobot_twin.conversion.rules import Conversion
 from softrobot_twin.conversion.scene_text import scene_yaml
 from softrobot_twin.conversion.scene_tree import (
@@ -28,6 +29,7 @@ from softrobot_twin.conversion.scene_tree import (
     SceneNode,
     from_plain,
     numbers,
+    walk,
 )
 from softrobot_twin.conversion.scene_xml import read_xml
 from softrobot_twin.conversion.units import units_of
@@ -154,12 +156,23 @@ def converted(root: SceneNode, output: Path, units: str | None) -> Conversion:
         vector = np.array([0.0, -9.81, 0.0]) if gravity is None else numbers(gravity)[:3]
     except NotConverted:
         gravity, vector = None, np.array([0.0, -9.81, 0.0])
-    conversion = Conversion(root, units_of(None if gravity is None else vector, units), output)
+    conversion = Conversion(root, units_of(None if gravity is None else vector, _extent(root), units), output)
     conversion.scene = {"name": conversion.name(output.stem), "gravity": conversion.length(vector)}
     conversion._names.clear()
     conversion.run()
     conversion.scene["solver"] = {"newton_iterations": bodies.NEWTON_ITERATIONS}
     return conversion
+
+
+def _extent(root: SceneNode) -> float:
+    """Largest extent of what has points, in the unit of the file."""
+    found = [0.0]
+    for component in (one for node in walk(root) for one in node.components if one.kind in STATES):
+        try:
+            found.append(float(np.ptp(points_of(component), axis=0).max()))
+        except NotConverted:
+            pass
+    return max(found)
 
 
 def _why_no_body(conversion: Conversion) -> str:

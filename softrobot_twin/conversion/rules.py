@@ -45,7 +45,7 @@ NOT_PHYSICAL = re.compile(
     r"CollisionPipeline|DefaultPipeline|BruteForce.*|BVHNarrowPhase|IncrSAP|DirectSAP|"
     r"APIVersion|AddResourceRepository|AddDataRepository|Sofa.*Settings|.*Monitor|Data.*Monitor|"
     r"TransferFunction|TextureInterpolation|ConstraintAnimationLoop|SelectionColor|AttachBodyButtonSetting|"
-    r"QPInverseProblemSolver|QPInverse.*|BoxR[Oo][Ii]|SphereROI|SubsetTopology|DataDisplay|ViewportController|.*TopologicalMapping|VolumeFrom(Tetrahedrons|Triangles)|"
+    r"QPInverseProblemSolver|QPInverse.*|BoxR[Oo][Ii]|SphereROI|ComplementaryROI|SubsetTopology|DataDisplay|ViewportController|.*TopologicalMapping|VolumeFrom(Tetrahedrons|Triangles)|"
     r"ArticulatedHierarchyContainer|StopperConstraint_none|TestMessageHandler|SofaDefaultPathSetting")
 """Kinds of components that are drawn, or that solve what is solved here in another way."""
 NOT_PHYSICAL_FIELDS = re.compile(
@@ -157,12 +157,15 @@ class Conversion:
         """All components, in the order of the tree."""
         return [one for node in walk(self.root) for one in node.components]
 
-    def name(self, wanted: str) -> str:
+    def name(self, wanted: str, otherwise: str = "") -> str:
         """A name for an entry that no other one has.
 
         Args:
             wanted: The name that it should have.
+            otherwise: The name where another entry has this one.
         """
+        if otherwise and wanted in self._names:
+            return self.name(otherwise)
         word = re.sub(r"\W+", "_", wanted, flags=re.ASCII).strip("_")
         word = word if re.match("[A-Za-z]", word) else f"part_{word}".rstrip("_")
         made, number = word, 2
@@ -256,7 +259,8 @@ class Conversion:
                 continue
             if told is not None:
                 self.told.append((component, told))
-                self._list_unread(component)
+        for component, _ in self.told:
+            self._list_unread(component)
         for component in everything:
             if component.kind == "Controller" and self._is_by_keys(component):
                 continue

@@ -46,7 +46,7 @@ class _Module(types.ModuleType):
         if name.split(".")[0] == "Sofa":
             self.__dict__.update(Node=Node, Controller=Controller, Prefab=Prefab, RawPrefab=Prefab,
                                  Object=stand_ins.Component, DataEngine=Controller, ForceField=Controller,
-                                 PyType=Nothing())  # fmt: skip
+                                 Core=self)  # fmt: skip
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):

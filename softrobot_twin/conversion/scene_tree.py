@@ -123,14 +123,15 @@ def walk(node: SceneNode, seen: set[int] | None = None) -> Iterator[SceneNode]:
 
 
 def above(node: SceneNode) -> Iterator[SceneNode]:
-    """A node and those above it, each by its first parent.
+    """A node and those above it, the nearest first, each once.
 
     Args:
         node: The node.
     """
-    yield node
-    if node.parents:
-        yield from above(node.parents[0])
+    seen: list[SceneNode] = [node]
+    for one in seen:
+        yield one
+        seen += [parent for parent in one.parents if parent not in seen]
 
 
 def first(node: SceneNode, kinds: tuple[str, ...]) -> SceneComponent | None:
@@ -164,15 +165,15 @@ def named(node: SceneNode, name: str) -> SceneNode | SceneComponent | None:
 
 
 def is_link(value: Any) -> bool:
-    """Whether a value is a link.
+    """Whether a value is a link: a text, or while a file runs what it leads to.
 
     Args:
         value: Value of a field.
     """
-    return isinstance(value, str) and value.startswith("@")
+    return value.startswith("@") if isinstance(value, str) else hasattr(value, "linkpath")
 
 
-def follow(link: str, node: SceneNode) -> tuple[SceneNode | SceneComponent, str | None]:
+def follow(link: Any, node: SceneNode) -> tuple[SceneNode | SceneComponent, str | None]:
     """What a link leads to: a node or component, and perhaps a field of it.
 
     Args:
@@ -182,6 +183,8 @@ def follow(link: str, node: SceneNode) -> tuple[SceneNode | SceneComponent, str 
     Raises:
         NotConverted: It leads nowhere.
     """
+    if not isinstance(link, str):
+        return (link, None) if isinstance(link, SceneNode | SceneComponent) else (link.owner, link.label)
     path = link.strip().removeprefix("@").removeprefix("./")
     here: SceneNode | SceneComponent = root_of(node) if path.startswith("/") else node
     steps = [step for step in path.split("/") if step not in ("", ".")]
@@ -261,6 +264,8 @@ def _plain(value: Any) -> Any:
         return {str(key): _plain(part) for key, part in value.items()}
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
+    if not isinstance(value, str) and is_link(value):
+        return value.linkpath
     if isinstance(value, list | tuple | set | range):
         return [_plain(part) for part in value]
     return value if value is None or isinstance(value, bool | int | float | str) else str(value)

@@ -16,6 +16,7 @@ from softrobot_twin.conversion.scene_tree import (
     UNKNOWN,
     above,
     first,
+    follow,
     is_link,
     named,
     numbers,
@@ -256,15 +257,13 @@ def _as_read(value: Any) -> Any:
 
 
 def recorded(value: Any) -> Any:
-    """A value as it is kept: links for data, components and nodes.
+    """A value as it is kept; data, components and nodes stay what they are, as links.
 
     Args:
         value: What the scene gives.
     """
     if isinstance(value, Nothing):
         return UNKNOWN
-    if isinstance(value, Data | Component | Node):
-        return value.linkpath
     if isinstance(value, list | tuple | range | map):
         return [recorded(part) for part in value]
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
@@ -423,11 +422,23 @@ class Node(_Owner, SceneNode):
         name = Named(getattr(fields.get("name"), "value", fields.pop("name", kind) or kind))
         fields.pop("name", None)
         made = Component(kind, name, self,
-                         {key: recorded(value) for key, value in fields.items()}, Recorder.place())
+                         {key: self._bound(recorded(value)) for key, value in fields.items()}, Recorder.place())
         self.components.append(made)
         return made
 
     createObject = addObject
+
+    def _bound(self, value: Any) -> Any:
+        """A link from the top as what it leads to: a node may get other nodes above it later."""
+        if isinstance(value, list):
+            return [self._bound(part) for part in value]
+        if not isinstance(value, str) or not value.startswith("@/"):
+            return value
+        try:
+            owner, label = follow(value, self)
+        except NotConverted:
+            return value
+        return owner if label is None else Data(owner, label)
 
     def add(self, thing: Any, *given: Any, **fields: Any) -> Any:
         """Adds a component by its kind, or what a function adds.

@@ -9,8 +9,10 @@ import numpy as np
 SYSTEMS = {"mm-kg-s": (1e-3, 1.0), "mm-g-s": (1e-3, 1e-3), "cm-kg-s": (1e-2, 1.0), "m-kg-s": (1.0, 1.0)}
 """Metres and kilograms in the units of each system."""
 _OF_GRAVITY = {9810.0: "mm-kg-s", 981.0: "cm-kg-s", 9.81: "m-kg-s"}
-# A planet's gravity is this near to that of the earth, as a ratio.
-_NEAR = 1.05
+LARGEST_IN_METRES = 2.0
+"""A larger body is in millimetres, where gravity tells nothing."""
+# As near as this, as a ratio, gravity is that of the earth; some files have 9180 for 9810.
+_NEAR = 1.1
 
 
 class Units(NamedTuple):
@@ -49,11 +51,12 @@ class Units(NamedTuple):
         return self.kilogram
 
 
-def units_of(gravity: np.ndarray | None, given: str | None) -> Units:
+def units_of(gravity: np.ndarray | None, extent: float, given: str | None) -> Units:
     """The units of a scene.
 
     Args:
         gravity: Its gravity, shape (3,); None where the file gives none.
+        extent: Largest extent of its bodies, in the unit of the file.
         given: Name of the system that the user gives; None to guess it.
     """
     if given is not None:
@@ -63,4 +66,5 @@ def units_of(gravity: np.ndarray | None, given: str | None) -> Units:
         if size and 1.0 / _NEAR < size / value < _NEAR:
             return Units(name, *SYSTEMS[name], f"gravity is {size:g}")
     reason = "the file sets no gravity" if gravity is None else f"gravity {size:g} tells nothing"
-    return Units("m-kg-s", *SYSTEMS["m-kg-s"], f"guessed, {reason}: --units says it")
+    name = "mm-kg-s" if extent > LARGEST_IN_METRES else "m-kg-s"
+    return Units(name, *SYSTEMS[name], f"guessed: {reason}, the largest extent is {extent:.4g}; --units says it")
