@@ -108,6 +108,8 @@ def read_scene(file: Path, seconds: float) -> tuple[SceneNode, list[str]]:
             raise ConversionError(file, recorded["error"], line)
         where = "" if place is None else f" at {Path(place[0]).name}:{place[1]}"
         reasons = [f"the file stopped{where} ({recorded['error']}): what follows is not converted"]
+    reasons += [f"{name} ({Path(place).name}:{line}) is not known: what it adds or moves is not converted"
+                for name, place, line in recorded["unknown"]]  # fmt: skip
     root = from_plain(recorded)
     root.fields["absent"] = recorded["missing"]
     return root, reasons

@@ -38,7 +38,7 @@ from softrobot_twin.conversion.units import Units
 NOT_PHYSICAL = re.compile(
     r"RequiredPlugin|VisualStyle|Visual.*|Ogl.*|.*AnimationLoop|.*VisualManagerLoop|BackgroundSetting|"
     r"InteractiveCamera|LightManager|.*Light|InfoComponent|ClipPlane|Recorded?Camera|MouseButton|"
-    r".*MouseConfiguration|ViewerSetting|DefaultCamera|Camera|.*Exporter|PythonScript.*|MessageHandler.*|"
+    r".*MouseConfiguration|ViewerSetting|DefaultCamera|Camera|.*Exporter|MessageHandler.*|"
     r".*(LinearSolver|LDLSolver|LUSolver|PCGSolver|CholeskySolver)|CG.*Solver|.*Preconditioner|"
     r".*ConstraintCorrection|.*TopologyModifier|.*GeometryAlgorithms|.*TopologyAlgorithms|"
     r"GenericConstraintSolver|LCPConstraintSolver|.*GaussSeidelConstraintSolver|.*ConstraintSolver|"

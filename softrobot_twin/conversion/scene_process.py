@@ -27,6 +27,8 @@ from softrobot_twin.conversion.stand_ins import Controller, Node, Nothing, Prefa
 
 SOFA = ("Sofa", "SofaRuntime", "SofaGui", "SofaImGui", "SofaTypes", "SofaDeformable")
 """Modules that SOFA itself has; they are always stood in."""
+HELPERS = ("stlib3", "splib3", "softrobots", "stlib", "splib")
+"""Packages whose prefabs are known; what is installed goes before."""
 
 
 class _Module(types.ModuleType):
@@ -37,11 +39,11 @@ class _Module(types.ModuleType):
     def __init__(self, name: str):
         super().__init__(name)
         self.__file__ = f"<{name}>"
-        is_known = name.split(".")[0] in ("stlib3", "splib3", "softrobots", "stlib", "splib")
+        is_known = name.split(".")[0] in HELPERS
         known = prefabs.KNOWN if is_known else {}
         if "inverse" in name.split("."):
-            known = known | prefabs.INVERSE
-        self.__all__ = [*known]
+            known = known | {key.removeprefix("inverse."): one for key, one in known.items() if "." in key}
+        self.__all__ = [key for key in known if "." not in key]
         self.__dict__.update(known)
         if name.split(".")[0] == "Sofa":
             self.__dict__.update(Node=Node, Controller=Controller, Prefab=Prefab, RawPrefab=Prefab,
@@ -51,7 +53,7 @@ class _Module(types.ModuleType):
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
             raise AttributeError(name)
-        return Nothing()
+        return Nothing(label="" if self.__name__.split(".")[0] in SOFA else f"{self.__name__}.{name}")
 
 
 class _StandIns(importlib.abc.MetaPathFinder, importlib.abc.Loader):
@@ -125,7 +127,8 @@ def record(file: Path) -> dict:
         recorded["error"] = f"{type(error).__name__}: {' '.join(str(error).split())[:300]}"
         if frames:
             recorded["line"] = [frames[-1].filename, frames[-1].lineno]
-    return recorded | to_plain(root) | {"missing": missing}
+    return recorded | to_plain(root) | {
+        "missing": [name for name in missing if name not in HELPERS], "unknown": stand_ins.Recorder.unknown}
 
 
 if __name__ == "__main__":
