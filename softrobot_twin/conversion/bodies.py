@@ -420,6 +420,8 @@ def _fix_frames(conversion: Conversion, component: SceneComponent, names: list[s
     beams = {one["name"]: one for one in conversion.scene.get("beams", [])}
     for index in chosen:
         name = names[min(int(index), len(names) - 1)]
+        if not name:  # a frame of the world
+            continue
         if name in beams:
             end = "start" if index == 0 else "end" if index == len(names) - 1 else None
             if end is None:

@@ -291,8 +291,7 @@ def _read_file(file: Path) -> LoadedMesh:
                 mesh = read_mesh_file(file)
                 tets, hexahedra = mesh.tets, mesh.hexahedra
                 every = np.concatenate([tets, hexahedra[:, INTO_TETS].reshape(-1, 4)])
-                return LoadedMesh(mesh.node_positions, tets, hexahedra,
-                                  boundary_triangles(every), _cells(2))  # fmt: skip
+                return LoadedMesh(mesh.node_positions, tets, hexahedra, boundary_triangles(every), _cells(2))
             except MeshError as error:
                 if "has no tetrahedra or hexahedra" not in error.reason:
                     raise
@@ -318,8 +317,7 @@ def _read_gid(file: Path) -> LoadedMesh:
             tets.append([int(word) for word in words[1:5]])
     order = {number: index for index, number in enumerate(points)}
     cells = np.array([[order[number] for number in tet] for tet in tets], np.int64).reshape(-1, 4)
-    return LoadedMesh(np.array(list(points.values())), cells, _cells(8),
-                      boundary_triangles(cells), _cells(2))  # fmt: skip
+    return LoadedMesh(np.array(list(points.values())), cells, _cells(8), boundary_triangles(cells), _cells(2))
 
 
 def mesh_of(component: SceneComponent) -> LoadedMesh:
@@ -547,8 +545,7 @@ def mapped_from(state: SceneComponent, mapping: SceneComponent | None = None) ->
     sources = []
     for name in ("input", "input1", "input2", "object1"):
         given = value_of(mapping, name)
-        sources += [one for one in (given if isinstance(given, list) else [given])
-                    if one is not None]  # fmt: skip
+        sources += [one for one in (given if isinstance(given, list) else [given]) if one is not None]
     found = []
     for source in sources:
         if isinstance(source, SceneNode):

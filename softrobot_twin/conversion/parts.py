@@ -44,6 +44,10 @@ from softrobot_twin.geometry.surface_reading import SUFFIXES
 BEAMS = ("AdaptiveBeamForceFieldAndMass", "BeamFEMForceField")
 LEAST_MASS = 1e-6
 """Mass of a rigid body for which the file gives none [kg]."""
+ARM = {"young_modulus": 2.0e9, "poisson_ratio": 0.3}
+"""Material of arms that stand for rigid links: stiff, not so stiff that a step suffers."""
+ARM_RADIUS = 0.1
+"""Radius of these arms by their length."""
 MOVERS = (*EULER_IMPLICIT, *STATIC, *OTHER_MOTION)
 
 
@@ -156,7 +160,9 @@ def _rigid_mass(masses: list[SceneComponent]) -> float:
         return 0.0
     total = number_of(masses[0], "totalMass")
     vertex = number_of(masses[0], "vertexMass", "mass")
-    return total if total is not None else 1.0 if vertex is None else vertex
+    if total is None and vertex is None:
+        return 0.0 if "vertexMass" in masses[0].fields else 1.0
+    return vertex if total is None else total
 
 
 def _radius(conversion: Conversion, frame: np.ndarray, nodes: list[np.ndarray]) -> float:
@@ -283,3 +289,55 @@ def beam_interpolation(conversion: Conversion, component: SceneComponent) -> str
     if not users:
         raise NotConverted("no force field of a beam uses it")
     return f"section of {source_of(users[0])}"
+
+
+# --- hinges ---------------------------------------------------------------------------------------
+
+
+@rule(PARTS, "JointActuator", "JointConstraint")
+def joint(conversion: Conversion, component: SceneComponent) -> str | None:
+    """A hinge of an articulated system with its motor: a stiff beam from the hinge to the frame that it moves.
+
+    Args:
+        conversion: The conversion.
+        component: The actuator of the hinge.
+    """
+    angles = conversion.state(component)
+    index = int(number_of(component, "index", otherwise=0.0) or 0)
+    mapping = next((one for one in conversion.components if one.kind == "ArticulatedSystemMapping"
+                    and angles in mapped_from(first(one.node, STATES) or angles, one)), None)
+    links = [(one, centre) for one in conversion.components if one.kind == "Articulation"
+             and int(number_of(one, "articulationIndex", otherwise=0.0) or 0) == index
+             and (centre := nearest(one.node, ("ArticulationCenter",))) is not None and is_below_node(one.node, angles.node)]
+    if mapping is None or len(links) != 1 or not is_true(links[0][0], "rotation", False):
+        raise NotConverted("it turns no single hinge of an articulated system")
+    (link, centre), state = links[0], conversion.state(mapping)
+    parent, child = (int(number_of(centre, word, otherwise=0.0) or 0) for word in ("parentIndex", "childIndex"))
+    places, below = frames_of(state), array_of(centre, 3, "posOnParent")
+    turn = Rotation.from_quat(places[parent, 3:])
+    pivot = places[parent, :3] + turn.apply(np.zeros(3) if below is None else below[0])
+    array_of(centre, 3, "posOnChild")
+    length = float(np.linalg.norm(places[child, :3] - pivot))
+    if length < 1e-9:
+        raise NotConverted("its moved frame lies in the hinge: no arm is between them")
+    limits = [number_of(component, word) for word in ("minAngle", "maxAngle")]
+    if None in limits:
+        raise NotConverted("a motor of a hinge needs minAngle and maxAngle")
+    names = conversion.frames.setdefault(id(state), [""] * len(places))
+    name, moved = conversion.name(component.node.name if component.name == component.kind else component.name), conversion.length([pivot, places[child, :3]])
+    axis = array_of(link, 3, "rotationAxis")
+    to = {"to": names[parent], "to_at": "end"} if names[parent] else {"to": "world"}
+    radius, metre = ARM_RADIUS * length, conversion.units.metre
+    mass = _rigid_mass([one for one in conversion.components if one.kind in MASSES and state_of(one.node) is state])
+    density = (mass * conversion.units.kilogram or LEAST_MASS) / (np.pi * radius**2 * length * metre**3)
+    conversion.add("beams", component, {
+        "name": name, "points": moved, "elements": 1, "section": {"circle": {"radius": conversion.length(radius)}},
+        "material": {**ARM, "density": rounded(density)}, "joined": [{"at": "start", **to, "by": "hinge", "axis": rounded(
+            turn.apply([1.0, 0.0, 0.0] if axis is None else axis[0]))}]}, "a stiff arm stands for the frame that it moves")
+    names[child] = name
+    motor = {"name": conversion.name(f"{name}_motor"), "beam": name, "at": "start", "angle": rounded(limits)}
+    rate = number_of(component, "maxAngleVariation")
+    if rate is not None:
+        motor["rate"] = rounded(rate / conversion.time_step)
+    conversion.add("hinge_motors", component, motor)
+    return f"hinge motor {motor['name']}: {limits[0]:g} to {limits[1]:g} rad"

@@ -46,7 +46,7 @@ NOT_PHYSICAL = re.compile(
     r"APIVersion|AddResourceRepository|AddDataRepository|Sofa.*Settings|.*Monitor|Data.*Monitor|"
     r"TransferFunction|TextureInterpolation|ConstraintAnimationLoop|SelectionColor|AttachBodyButtonSetting|"
     r"QPInverseProblemSolver|QPInverse.*|BoxR[Oo][Ii]|SphereROI|ComplementaryROI|SubsetTopology|DataDisplay|ViewportController|.*TopologicalMapping|VolumeFrom(Tetrahedrons|Triangles)|"
-    r"ArticulatedHierarchyContainer|StopperConstraint_none|TestMessageHandler|SofaDefaultPathSetting")
+    r"ArticulatedHierarchyContainer|ArticulationCenter|Articulation|GenerateRigidMass|StopperConstraint_none|TestMessageHandler|SofaDefaultPathSetting")
 """Kinds of components that are drawn, or that solve what is solved here in another way."""
 NOT_PHYSICAL_FIELDS = re.compile(
     r"show.*|draw.*|print.*|display.*|compute.*|update.*|do[A-Z].*|template|name|listening|tags|src|color.*|"
@@ -219,7 +219,7 @@ class Conversion:
             names = self.frames[id(sources[0])]
             mapping = first(state.node, MAPPINGS)
             index = 0 if mapping is None else int(mapping.fields.get("index") or 0)
-            return names[min(index, len(names) - 1)]
+            return names[min(index, len(names) - 1)] or None
         found = [name for name in map(self.carrier, sources) if name is not None]
         if not found:
             raise NotConverted("what carries its points is not converted")
