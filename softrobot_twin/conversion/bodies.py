@@ -218,7 +218,7 @@ def _elastic(component: SceneComponent, state: SceneComponent, cells: np.ndarray
     if ratio >= 0.5:
         raise NotConverted(f"poissonRatio {ratio:g} must be below 0.5")
     method = str(value_of(component, "method") or "large").lower()
-    law = "small_displacement" if method == "small" or component.kind.startswith("LinearSmall") else "corotational"
+    law = "linear" if method == "small" or component.kind.startswith("LinearSmall") else "corotational"
     return _Elastic(law, every / (2.0 * (1.0 + ratio)),
                     every * ratio / ((1.0 + ratio) * (1.0 - 2.0 * ratio)), {}, covers)  # fmt: skip
 

@@ -58,7 +58,7 @@ def _square() -> tuple[np.ndarray, np.ndarray]:
 
 
 def _write_vtk(path: Path, points: np.ndarray, cells: list) -> None:
-    meshio.write(path, meshio.Mesh(points, cells), file_format="vtk42", binary=False)
+    meshio.write(path, meshio.Mesh(points, cells), file_format="vtk42")
 
 
 def _write_obj(path: Path, points: np.ndarray, triangles: np.ndarray) -> None:
