@@ -19,8 +19,10 @@ from softrobot_twin.conversion.computed_values import (
     indices_of,
     is_rigid,
     is_true,
+    mapped_from,
     mesh_of,
     number_of,
+    points_of,
     spheres_of,
     state_mesh,
     state_of,
@@ -431,7 +433,8 @@ def _fix_frames(conversion: Conversion, component: SceneComponent, names: list[s
         entry = next(one for one in conversion.scene["rigid_bodies"] if one["name"] == name)
         entry["motion"] = "fixed"
         entry.pop("mass", None)
-    return f"{', '.join(dict.fromkeys(names[min(int(i), len(names) - 1)] for i in chosen))}: fixed"
+    told = dict.fromkeys(names[min(int(index), len(names) - 1)] for index in chosen)
+    return f"{', '.join(filter(None, told)) or 'a frame of the world'}: fixed"
 
 
 def _regions(conversion: Conversion, record: BodyRecord, component: SceneComponent, *names: str) -> list[dict]:
@@ -478,9 +481,12 @@ def rest_shape_springs(conversion: Conversion, component: SceneComponent) -> str
         component: The springs.
     """
     state = conversion.state(component)
-    external = value_of(component, "external_rest_shape")
+    external, anchors = value_of(component, "external_rest_shape"), None
     if isinstance(external, SceneComponent) and state_of(external.node) is not state:
-        raise NotConverted("springs to the shape of another state are not built here")
+        if mapped_from(external) or is_rigid(external) or nearest(external.node, EULER_IMPLICIT) is not None:
+            raise NotConverted("springs to the shape of another state that moves are not built here")
+        own = indices_of(component, "external_points")
+        anchors = points_of(external) if own is None or not len(own) else points_of(external)[own]
     names = conversion.frames.get(id(state))
     stiffness = array_of(component, 1, "stiffness")
     stiffness = np.array([100.0]) if stiffness is None or not len(stiffness) else stiffness
@@ -491,7 +497,7 @@ def rest_shape_springs(conversion: Conversion, component: SceneComponent) -> str
     if record is None:
         return None if not _is_moving(conversion, state) else _no_body()
     hardness = stiffness * conversion.units.stiffness
-    if hardness.min() >= STIFF * _node_stiffness(conversion, record):
+    if anchors is None and hardness.min() >= STIFF * _node_stiffness(conversion, record):
         regions = _regions(conversion, record, component, "points", "indices")
         record.entry.setdefault("fixed", []).extend({SOURCE: [source_of(component)], **one} for one in regions)
         return f"{record.name}.fixed"
@@ -499,11 +505,14 @@ def rest_shape_springs(conversion: Conversion, component: SceneComponent) -> str
     chosen = np.arange(len(record.mesh.points)) if chosen is None or not len(chosen) else chosen
     if len(chosen) > MOST_SPRINGS:
         raise NotConverted(f"{len(chosen)} soft springs are more than {MOST_SPRINGS}")
-    for index, value in zip(chosen, np.resize(hardness, len(chosen)), strict=True):
-        place = conversion.length(record.mesh.points[index])
+    anchors = record.mesh.points[chosen] if anchors is None else anchors
+    if len(anchors) != len(chosen):
+        raise NotConverted(f"{len(chosen)} points are held at {len(anchors)} places")
+    for index, value, anchor in zip(chosen, np.resize(hardness, len(chosen)), anchors, strict=True):
+        place, held = conversion.length(record.mesh.points[index]), conversion.length(anchor)
         conversion.scene.setdefault("springs", []).append({
             "name": conversion.name(f"{record.name}_rest_{index}"),
-            "ends": [{"on": record.name, "point": place}, {"point": place}],
+            "ends": [{"on": record.name, "point": place}, {"point": held}],
             "stiffness": rounded(value), "rest_length": 0.0})  # fmt: skip
     conversion.scene["springs"][-len(chosen)][SOURCE] = [source_of(component)]
     return f"{len(chosen)} springs of {hardness[0]:.4g} N/m"

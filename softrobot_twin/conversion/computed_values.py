@@ -351,10 +351,25 @@ def mesh_of(component: SceneComponent) -> LoadedMesh:
                 given |= {"file": None, "placement": UNMOVED}
             given[key] = own
     mesh = LoadedMesh(**given)
+    if not len(mesh.tets) and not len(mesh.hexahedra) and not len(mesh.triangles):
+        mesh = _of_hexahedra(component, mesh)
     if not len(mesh.triangles) and (len(mesh.tets) or len(mesh.hexahedra)):
         every = np.concatenate([mesh.tets, mesh.hexahedra[:, INTO_TETS].reshape(-1, 4)])
         mesh = mesh._replace(triangles=boundary_triangles(every))
     return mesh
+
+
+def _of_hexahedra(component: SceneComponent, mesh: LoadedMesh) -> LoadedMesh:
+    """The tetrahedra that a mapping of topologies makes of hexahedra, for the topology that is its output."""
+    mapping = first(component.node, ("Hexa2TetraTopologicalMapping",))
+    source = None if mapping is None else value_of(mapping, "input")
+    if isinstance(source, SceneNode):
+        source = first(source, TOPOLOGIES)
+    if source is None or source is component:
+        return mesh
+    found = mesh_of(source)
+    points = mesh.points if len(mesh.points) else found.points
+    return mesh._replace(points=points, tets=found.hexahedra[:, INTO_TETS].reshape(-1, 4))
 
 
 def _source_of(component: SceneComponent) -> LoadedMesh | None:
@@ -389,7 +404,8 @@ def _grid(component: SceneComponent) -> LoadedMesh:
                for dx, dy, dz in ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0),
                                   (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1))]  # fmt: skip
     hexahedra = np.stack(corners, axis=1) if min(count) > 1 else _cells(8)
-    placement = placement_of(component)
+    placement, offset = placement_of(component), array_of(component, 3, "p0")
+    points = points if offset is None else points + offset[0]
     edges = np.stack([np.arange(len(points) - 1), np.arange(1, len(points))], axis=1)
     return LoadedMesh(placement.place(points), _cells(4), hexahedra, _cells(3),
                       edges if sorted(count)[1] == 1 else _cells(2))  # fmt: skip
@@ -675,7 +691,21 @@ def _state_value(state: SceneComponent, name: str) -> Any:
     return None
 
 
+def _mapped_values(mapper: SceneComponent, name: str) -> Any:
+    """The values of an IndexValueMapper: one value at some indices, others as they come in."""
+    if name != "outputValues":
+        return None
+    before, chosen = array_of(mapper, 1, "inputValues"), indices_of(mapper, "indices")
+    value = number_of(mapper, "value", otherwise=0.0)
+    chosen = np.empty(0, np.int64) if chosen is None else chosen
+    values = np.full(max(int(chosen.max(initial=-1)) + 1, 0 if before is None else len(before)),
+                     number_of(mapper, "defaultValue", otherwise=0.0))
+    values[: 0 if before is None else len(before)] = () if before is None else before
+    values[chosen] = value
+    return values
+
+
 _COMPUTED: dict[str, Callable[[SceneComponent, str], Any]] = {
     **dict.fromkeys((*LOADERS, *TOPOLOGIES), _mesh_value), **dict.fromkeys(REGIONS, _roi_value),
-    **dict.fromkeys(STATES, _state_value),
+    **dict.fromkeys(STATES, _state_value), "IndexValueMapper": _mapped_values,
 }  # fmt: skip

@@ -44,15 +44,24 @@ class _Touching(NamedTuple):
 
     Attributes:
         name: Name of its body or obstacle.
-        groups: Groups of which a common one forbids contact.
+        groups: Groups of each of its surfaces; a common one forbids contact.
         can_move: Whether it is no obstacle.
-        touches_itself: Whether it may touch itself.
+        touches_itself: Whether a surface of it may touch itself.
     """
 
     name: str
-    groups: frozenset[int]
+    groups: frozenset[frozenset[int]]
     can_move: bool
     touches_itself: bool
+
+    def may_touch(self, other: _Touching) -> bool:
+        """Whether surfaces of both may touch.
+
+        Args:
+            other: The other; itself for two surfaces of it.
+        """
+        surfaces = [(one, two) for one in self.groups for two in other.groups if other is not self or one != two]
+        return any(not one & two for one, two in surfaces)
 
 
 @rule(CONTACTS, *INTERSECTIONS)
@@ -77,9 +86,9 @@ def contact(conversion: Conversion, component: SceneComponent) -> str | None:
                     groups=found.groups | before.groups,
                     touches_itself=found.touches_itself or before.touches_itself)  # fmt: skip
     every = list(touching.values())
-    pairs = [[one.name, one.name] for one in every if one.touches_itself and one.can_move]
+    pairs = [[one.name, one.name] for one in every if one.can_move and (one.touches_itself or one.may_touch(one))]
     pairs += [[one.name, other.name] for index, one in enumerate(every) for other in every[index + 1 :]
-              if (one.can_move or other.can_move) and not one.groups & other.groups]  # fmt: skip
+              if (one.can_move or other.can_move) and one.may_touch(other)]  # fmt: skip
     _drop_lonely_obstacles(conversion, {name for pair in pairs for name in pair})
     if not pairs:
         return "nothing that may touch"
@@ -102,7 +111,7 @@ def _touching(conversion: Conversion, model: SceneComponent) -> _Touching | None
         return None
     groups = indices_of(model, "group")
     itself = is_true(model, "selfCollision", False)
-    chosen = frozenset(() if groups is None else groups.tolist())
+    chosen = frozenset((frozenset(() if groups is None else groups.tolist()),))
     carrier = conversion.carrier(state)
     if carrier is None:
         if nearest(state.node, MOVERS) is not None and first(state.node, ("UniformMass",)) is None and not mapped_from(state):

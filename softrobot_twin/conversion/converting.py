@@ -21,7 +21,7 @@ from softrobot_twin.conversion import (  # noqa: F401 (they register rules)
     parts,
 )
 from softrobot_twin.conversion.computed_values import STATES, points_of
-from softrobot_twin.conversion.rules import Conversion
+from softrobot_twin.conversion.rules import UNREADABLE, Conversion
 from softrobot_twin.conversion.scene_text import scene_yaml
 from softrobot_twin.conversion.scene_tree import (
     ConversionError,
@@ -172,7 +172,7 @@ def _extent(root: SceneNode) -> float:
     for component in (one for node in walk(root) for one in node.components if one.kind in STATES):
         try:
             found.append(float(np.ptp(points_of(component), axis=0).max()))
-        except NotConverted:
+        except (NotConverted, *UNREADABLE):
             pass
     return max(found)
 

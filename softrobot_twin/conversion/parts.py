@@ -29,6 +29,7 @@ from softrobot_twin.conversion.computed_values import (
     value_of,
 )
 from softrobot_twin.conversion.rules import (
+    FIXING,
     PARTS,
     BodyRecord,
     Conversion,
@@ -341,3 +342,19 @@ def joint(conversion: Conversion, component: SceneComponent) -> str | None:
         motor["rate"] = rounded(rate / conversion.time_step)
     conversion.add("hinge_motors", component, motor)
     return f"hinge motor {motor['name']}: {limits[0]:g} to {limits[1]:g} rad"
+
+
+@rule(FIXING, "Articulation", "ArticulationCenter")
+def articulation(conversion: Conversion, component: SceneComponent) -> str | None:
+    """Nothing: the actuator of the hinge has read it.
+
+    Args:
+        conversion: The conversion.
+        component: The hinge, or its place.
+
+    Raises:
+        NotConverted: No actuator did.
+    """
+    if not component.read:
+        raise NotConverted("a hinge without a JointActuator")
+    return None

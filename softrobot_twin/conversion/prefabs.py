@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from functools import partial
@@ -31,17 +32,17 @@ def make(prefab: str, *positional: Any, **named: Any) -> Node:
     """
     told = TABLE[prefab]
     values = dict(told["given"])
-    if positional and (isinstance(positional[0], Node) or hasattr(positional[0], "node")):
+    if positional and isinstance(positional[0], Node | Scene):
         named = {told["into"][0]: positional[0]} | named
         positional = positional[1:]
     named = dict(zip(values, positional, strict=False)) | named
     above = next((named[name] for name in told["into"] if named.get(name) is not None), None)
     values |= {key: value for key, value in named.items() if value is not None}
-    above = getattr(above, "node", above)
+    above = above.node if isinstance(above, Scene) else above
     node = above if told.get("here") else Node(values["name"])
     for kind, fields in told["components"]:
         own = {key: _filled(value, values) for key, value in fields.items()}
-        if own.pop("when", True):
+        if own.pop("when", True) and not own.pop("unless", False):
             kind = _filled(kind, values)
             if kind == "Loader":
                 kind = _LOADERS.get(str(own["filename"]).rpartition(".")[2].lower(), "MeshVTKLoader")
@@ -178,6 +179,22 @@ class Vec3(list):
 
     getNorm = property(lambda self: lambda: float(np.linalg.norm(self)))
     rotate = property(lambda self: lambda vector: Vec3(Rotation.from_quat(self).apply(vector)))
+    rotateFromQuat = property(lambda self: lambda turn: Vec3(Rotation.from_quat(turn).apply(self)))
+    toList = tolist = property(lambda self: lambda: list(self))
+
+    def normalize(self) -> None:
+        """Gives it the length one."""
+        self[:] = np.divide(self, np.linalg.norm(self))
+
+    @staticmethod
+    def createFromAxisAngle(axis: Any, angle: float) -> Vec3:
+        """A quaternion of a turn about an axis.
+
+        Args:
+            axis: The axis.
+            angle: The angle [rad].
+        """
+        return Vec3(Rotation.from_rotvec(angle * np.divide(axis, np.linalg.norm(axis))).as_quat())
 
     @staticmethod
     def createFromEuler(angles: Any, axes: str = "sxyz", inDegree: bool = False) -> Vec3:
@@ -226,6 +243,6 @@ KNOWN: dict[str, Any] = {
     "addOrientedBoxRoi": oriented_box_roi, "Vec3": Vec3, "Quat": Vec3, "vec3": _Vectors,
     "to_radians": math.radians, "to_degrees": math.degrees, "sdiv": lambda a, b: list(np.divide(a, b)),
     "sin": math.sin, "cos": math.cos, "pi": math.pi, "setData": set_data, "SofaPrefab": lambda made: made,
-    "SofaObject": object, "animate": animate, "AnimationManager": Nothing(), "ShowGrid": Nothing(),
+    "SofaObject": object, "animate": animate, "loadPointListFromFile": lambda file: json.loads(Path(file).read_text()), "AnimationManager": Nothing(), "ShowGrid": Nothing(),
 }  # fmt: skip
 """What the helper packages offer, by name; behind ``inverse.`` what those for inverse problems do."""

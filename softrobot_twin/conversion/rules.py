@@ -34,6 +34,7 @@ from softrobot_twin.conversion.scene_tree import (
     walk,
 )
 from softrobot_twin.conversion.units import Units
+from softrobot_twin.errors import one_line
 
 NOT_PHYSICAL = re.compile(
     r"RequiredPlugin|VisualStyle|Visual.*|Ogl.*|.*AnimationLoop|.*VisualManagerLoop|BackgroundSetting|"
@@ -46,7 +47,7 @@ NOT_PHYSICAL = re.compile(
     r"APIVersion|AddResourceRepository|AddDataRepository|Sofa.*Settings|.*Monitor|Data.*Monitor|"
     r"TransferFunction|TextureInterpolation|ConstraintAnimationLoop|SelectionColor|AttachBodyButtonSetting|"
     r"QPInverseProblemSolver|QPInverse.*|BoxR[Oo][Ii]|SphereROI|ComplementaryROI|SubsetTopology|DataDisplay|ViewportController|.*TopologicalMapping|VolumeFrom(Tetrahedrons|Triangles)|"
-    r"ArticulatedHierarchyContainer|ArticulationCenter|Articulation|GenerateRigidMass|StopperConstraint_none|TestMessageHandler|SofaDefaultPathSetting")
+    r"ArticulatedHierarchyContainer|GenerateRigidMass|IndexValueMapper|CubeTopology|Eigen.*|.*LinearSystem|.*Ordering.*|StopperConstraint_none|TestMessageHandler|SofaDefaultPathSetting")
 """Kinds of components that are drawn, or that solve what is solved here in another way."""
 NOT_PHYSICAL_FIELDS = re.compile(
     r"show.*|draw.*|print.*|display.*|compute.*|update.*|do[A-Z].*|template|name|listening|tags|src|color.*|"
@@ -58,6 +59,8 @@ NOT_PHYSICAL_FIELDS = re.compile(
 """Fields that are drawn, or that say how SOFA solves."""
 
 
+UNREADABLE = (ValueError, TypeError, IndexError, KeyError, ArithmeticError, RecursionError)
+"""Errors of rules where a file has values of another kind or shape."""
 _IDLE_EVENTS = ("init", "bwdInit", "reset", "onIdleEvent", "onSimulationInitDoneEvent")
 
 
@@ -256,6 +259,10 @@ class Conversion:
                 told = RULES[component.kind].convert(self, component)
             except NotConverted as error:
                 self.missing.append((component, str(error)))
+                continue
+            except UNREADABLE as error:  # values that nobody foresaw, of a foreign file
+                reason = "its links go in a circle" if isinstance(error, RecursionError) else one_line(error)
+                self.missing.append((component, f"cannot be read ({type(error).__name__}: {reason})"))
                 continue
             if told is not None:
                 self.told.append((component, told))

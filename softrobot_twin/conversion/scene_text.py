@@ -13,8 +13,8 @@ SOURCE = "#"
 """Key of an entry for the comment above it; a list of texts has a line for each."""
 _UNITS = {
     "gravity": "m/s²", "scale": "m per unit of the file", "rotation": "rad", "translation": "m",
-    "young_modulus": "Pa", "density": "kg/m³", "total_mass": "kg", "mass": "kg or how it is distributed",
-    "stiffness": "N/m, or s in damping", "shortening": "m", "tension": "N", "rate": "per s",
+    "young_modulus": "Pa", "density": "kg/m³", "total_mass": "kg", "mass": "kg", "damping.mass": "1/s", "damping.stiffness": "s",
+    "stiffness": "N/m", "rest_length": "m", "shortening": "m", "tension": "N", "rate": "per s",
     "pressure": "Pa", "growth": "m³", "pull_point": "m", "position": "m", "angle": "rad",
     "alarm_distance": "m", "contact_distance": "m", "constants": "Pa",
 }  # fmt: skip
@@ -36,8 +36,8 @@ def scene_yaml(scene: Mapping[str, Any], head: list[str]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _entry(key: str, value: Any, indent: int) -> Iterator[str]:
-    """The lines of a key and its value."""
+def _entry(key: str, value: Any, indent: int, above: str = "") -> Iterator[str]:
+    """The lines of a key and its value, in an entry with the key `above`."""
     space = " " * indent
     if isinstance(value, list) and value and isinstance(value[0], Mapping):
         yield f"{space}{key}:"
@@ -51,9 +51,10 @@ def _entry(key: str, value: Any, indent: int) -> Iterator[str]:
             yield f"{space}{key}:"
             for own, part in value.items():
                 if own != SOURCE:
-                    yield from _entry(own, part, indent + 2)
+                    yield from _entry(own, part, indent + 2, key)
             return
-    unit = _UNITS.get(key, "") if indent or key == "gravity" else ""
+    has_unit = (indent or key == "gravity") and not isinstance(value, str)
+    unit = _UNITS.get(f"{above}.{key}", _UNITS.get(key, "")) if has_unit else ""
     text = f"{space}{key}: {_flow(value)}"
     if len(text) > _WIDTH and isinstance(value, list):
         yield f"{space}{key}: ["

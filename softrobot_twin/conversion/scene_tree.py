@@ -107,7 +107,7 @@ def root_of(node: SceneNode) -> SceneNode:
 
 
 def walk(node: SceneNode, seen: set[int] | None = None) -> Iterator[SceneNode]:
-    """A node and all below it, each once.
+    """A node and all below it that are active, each once.
 
     Args:
         node: The node.
@@ -119,7 +119,8 @@ def walk(node: SceneNode, seen: set[int] | None = None) -> Iterator[SceneNode]:
     seen.add(id(node))
     yield node
     for child in node.children:
-        yield from walk(child, seen)
+        if str(child.fields.get("activated", True)).lower() not in ("0", "false"):
+            yield from walk(child, seen)
 
 
 def above(node: SceneNode) -> Iterator[SceneNode]:

@@ -134,7 +134,7 @@ class Data:
             return _as_read(self.owner.fields.get(self.label))
         try:
             return _as_read(Recorder.value_of(self.owner, self.label))
-        except NotConverted:
+        except (NotConverted, RecursionError, ValueError, IndexError):
             return None
 
     def __setattr__(self, name: str, value: Any) -> None:

@@ -11,7 +11,7 @@ SCENES = {
     "diamond.py": (0, 1.0), "stiff_layer.py": (0, 0.02), "pneumatic_fingers.py": (3, 0.01), "grid.py": (0, 0.01),
     "rubber.py": (0, 0.01), "prefabs.py": (0, 0.01), "rigid_end.py": (0, 0.01), "beam.py": (0, 0.01),
     "centre.py": (0, 0.05), "foreign.py": (3, 0.01), "broken.py": (3, 0.01), "bar.scn": (0, 0.01),
-    "gid.py": (0, 0.01), "articulated.py": (0, 0.01),
+    "gid.py": (0, 0.01), "articulated.py": (0, 0.01), "layers.scn": (0, 0.01),
 }  # fmt: skip
 
 
@@ -165,6 +165,33 @@ def test_unequal_factors_of_scale_are_written_into_a_mesh(convert):
     assert convert("bar.scn").scene.deformables[0].mesh.file.name == "bar_bar.msh"
 
 
+def test_a_servo_of_a_hinge_is_a_motor_on_a_stiff_arm(convert):
+    scene = convert("articulated.py").scene
+    (arm,), (motor,) = scene.beams, scene.hinge_motors
+    assert arm.points == ((0.0, 0.0, 0.0), (0.045, 0.0, 0.0))
+    assert (arm.joined[0].to, arm.joined[0].by, arm.joined[0].axis) == ("world", "hinge", (0.0, 0.0, 1.0))
+    assert (motor.beam, motor.angle, motor.rate) == ("elbow", (-1.0, 1.0), 1.0)
+    assert scene.effectors[0].body == "elbow"
+
+
+def test_a_list_of_moduli_makes_parts_and_springs_hold_at_other_places(convert):
+    scene = convert("layers.scn").scene
+    body = scene.deformables[0]
+    assert (body.material.young_modulus, body.materials[0].young_modulus) == (3e4, 3e5)
+    near, far = scene.springs[0].ends
+    np.testing.assert_allclose(np.subtract(far.point, near.point), [0.0, 0.0, 0.001], atol=1e-12)
+    assert [one.pair for one in scene.contact.between] == [("block", "floor")]
+
+
+def test_surfaces_of_one_body_in_other_groups_may_touch_each_other(convert, folder):
+    text = (folder / "layers.scn").read_text().replace("<TriangleCollisionModel/>", (
+        '<TriangleCollisionModel group="1"/><Node name="shell"><MeshOBJLoader name="l" filename="mesh/cube.obj" '
+        'scale="0.05" translation="0.05 0.05 0.15"/><MeshTopology src="@l"/><MechanicalObject/>'
+        '<TriangleCollisionModel group="2"/><BarycentricMapping/></Node>'))
+    pairs = [one.pair for one in convert("shells.scn", text).scene.contact.between]
+    assert ("block", "block") in pairs
+
+
 # --- what is refused, or told ---------------------------------------------------------------------
 
 
@@ -212,6 +239,20 @@ def test_a_file_that_is_no_scene_gives_a_reason_and_exit_code_two(convert, name,
 def test_entities_of_xml_are_refused(convert):
     converted = convert("attack.scn")
     assert converted.code == 2 and "attack.scn:2: has a document type" in converted.told
+
+
+@pytest.mark.parametrize("field, reason", [
+    ('youngModulus="@other.youngModulus"/><MechanicalObject name="other" youngModulus="@FEM.youngModulus"', "in a circle"),
+    ('youngModulus="soft"', "is no list of numbers"), ('youngModulus="1 2 3"', "3 moduli"),
+    ('youngModulus="0"', "is zero"), ('poissonRatio="0.5"', "must be below 0.5"),
+    ('youngModulus="@nowhere.E"', "leads nowhere"), ('poissonRatio="0 . 3"', "is no list of numbers"),
+])  # fmt: skip
+def test_odd_values_are_refused_by_component_and_line(convert, folder, field, reason):
+    text = (folder / "bar.scn").read_text().replace('<FastTetrahedralCorotationalForceField youngModulus="600"',
+                                                    f'<TetrahedronFEMForceField name="FEM" {field}')
+    text = re.sub(r' poissonRatio="0.4" method="qr"(?=/>)', "", text) if "poisson" in field else text
+    converted = convert("odd.scn", text)
+    assert converted.code == 2 and re.search(rf"TetrahedronFEMForceField \(odd.scn:11\).*{reason}", converted.told)
 
 
 def test_a_scene_that_does_not_end_is_stopped(convert):
