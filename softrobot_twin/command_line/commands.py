@@ -303,7 +303,7 @@ def convert(
         file (SCENE): Scene of SOFA: .py, .pyscn, .scn or .xml.
         output (FILE.yaml): Scene to write (default: the file's name, in the current folder).
         units: Units of the file, which states none (default: by its gravity).
-        time_limit (S): Longest time that a Python scene may run (default $default s).
+        time_limit (S): Longest time that a Python scene may run (default 60 s).
         force: Replace a scene that exists.
     """
     from softrobot_twin.conversion.converting import convert as convert_scene

@@ -50,9 +50,11 @@ def _note_impulse(conversion: Conversion) -> None:
         conversion.notes.append(note)
 
 
-def _name_of(component: SceneComponent) -> str:
-    """Name of an entry: the component's own, or that of its node."""
-    return component.node.name if component.name == component.kind else component.name
+def _name_of(conversion: Conversion, component: SceneComponent) -> str:
+    """Name of an entry: the component's own, or that of its node where another one has the same."""
+    same = [one for one in conversion.components if (one.kind, one.name) == (component.kind, component.name)]
+    nodes = {id(one.node) for one in same}
+    return component.node.name if component.name == component.kind or len(nodes) > 1 else component.name
 
 
 def _limits(component: SceneComponent, low: str, high: str, factor: float, sign: float = 1.0) -> list | None:
@@ -87,7 +89,7 @@ def cable(conversion: Conversion, component: SceneComponent) -> str | None:
     points = conversion.points(state)
     chosen = indices_of(component, "indices")
     path = points[chosen if chosen is not None and len(chosen) else [0]]
-    entry: dict[str, Any] = {"name": conversion.name(_name_of(component), component.node.name), "body": carrier}
+    entry: dict[str, Any] = {"name": conversion.name(_name_of(conversion, component), component.node.name), "body": carrier}
     if is_true(component, "hasPullPoint", True):
         pull = array_of(component, 3, "pullPoint")
         entry["pull_point"] = conversion.length(np.zeros(3) if pull is None else pull[0])
@@ -163,7 +165,7 @@ def cavity(conversion: Conversion, component: SceneComponent) -> str | None:
         mesh = mesh._replace(triangles=np.concatenate([mesh.triangles, halves]), file=None)
     if not len(mesh.triangles):
         raise NotConverted("its surface has no triangles")
-    name = conversion.name(_name_of(component), component.node.name)
+    name = conversion.name(_name_of(conversion, component), component.node.name)
     wall = {"body": carrier, **surface_file(conversion, record, mesh, name)}
     entry: dict[str, Any] = {"name": name, "walls": [wall]}
     entry = conversion.add("cavities", component, entry)
@@ -279,7 +281,7 @@ def position_effector(conversion: Conversion, component: SceneComponent) -> str 
             raise NotConverted("its directions are not the axes of the world")
     points, goals = conversion.points(state), _goal(conversion, component, 7 if rigid else 3)
     weight = number_of(component, "weight", otherwise=1.0) or 1.0
-    base = conversion.name(_name_of(component))
+    base = conversion.name(_name_of(conversion, component))
     made = []
     for place, index in enumerate(chosen):
         name = base if len(chosen) == 1 else conversion.name(f"{base}_{place + 1}")
@@ -327,7 +329,7 @@ def centre_effector(conversion: Conversion, component: SceneComponent) -> str | 
         raise NotConverted("its points are on no body that is converted")
     if len(points) > MOST_POINTS:
         raise NotConverted(f"the mean of {len(points)} points; at most {MOST_POINTS} are written")
-    name = conversion.name(_name_of(component))
+    name = conversion.name(_name_of(conversion, component))
     entry: dict[str, Any] = {"name": name, "body": carrier, "points": rounded(points)}
     axes = array_of(component, 1, "axis", "useDirections")
     if axes is not None and len(axes) == 3 and not axes.all():

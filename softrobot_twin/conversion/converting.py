@@ -33,10 +33,11 @@ from softrobot_twin.conversion.scene_tree import (
 )
 from softrobot_twin.conversion.scene_xml import read_xml
 from softrobot_twin.conversion.units import units_of
-from softrobot_twin.errors import SoftRobotTwinError, one_line
+from softrobot_twin.errors import one_line
 from softrobot_twin.scene.loading import read_yaml, scene_from_mapping
 from softrobot_twin.scene.schema import Scene
 from softrobot_twin.simulation import Simulation
+from softrobot_twin.study.first_scene import SceneExistsError
 from softrobot_twin.study.output_file import OutputError, output_file
 from softrobot_twin.study.terminal import console, print_apart, table, terminal_status
 
@@ -65,7 +66,7 @@ def convert(file: Path, output: Path, units: str | None, seconds: float, replace
     if output.suffix.lower() not in (".yaml", ".yml"):
         raise OutputError(output, "a scene is a .yaml file")
     if output.exists() and not replace:
-        raise OutputError(output, "exists already; name another file by --output, or replace it by --force")
+        raise SceneExistsError(output, "exists already; name another file by --output, or replace it by --force")
     with terminal_status(f"reading {file.name}"):
         root, stopped = read_scene(file, seconds)
     conversion = converted(root, output, units)
@@ -181,7 +182,7 @@ def _why_no_body(conversion: Conversion) -> str:
     reasons = [f"{reason}" if component is None else f"{component.kind} ({component.where}) {reason}"
                for component, reason in conversion.missing]  # fmt: skip
     kinds = sorted({one.kind for one in conversion.components})
-    told = "; ".join(reasons[:5]) or f"its components are {', '.join(kinds[:20]) or 'none'}"
+    told = "; ".join(reasons[:5]) or (f"its components are {', '.join(kinds[:20])}" if kinds else "it has no components")
     return f"no body can be converted: {told}"
 
 
@@ -254,5 +255,3 @@ def _report(conversion: Conversion, file: Path) -> None:
                     f"{conversion.output} --steps 20 --rate {1.0 / conversion.time_step:g} --output run.csv",
                     soft_wrap=True)  # fmt: skip
 
-
-__all__ = ["SoftRobotTwinError", "convert", "converted", "read_scene", "written"]
