@@ -69,7 +69,10 @@ STIFF = 100.0
 """Springs at rest shapes that are this much stiffer than an element are fixed."""
 MOST_SPRINGS = 500
 """Soft springs of more points are not written."""
+MOST_PARTS = 50
+"""A body with more different moduli is not written."""
 NEWTON_ITERATIONS = 10
+"""Greatest number of linearizations in a step of a converted scene."""
 
 
 class _Elastic(NamedTuple):
@@ -110,8 +113,7 @@ def motion(conversion: Conversion, component: SceneComponent) -> str | None:
                            "a scene has one")  # fmt: skip
     if component.kind in OTHER_MOTION:
         conversion.notes.append(f"{component.kind} ({component.where}) becomes backward Euler")
-    for name in ("rayleighStiffness", "rayleighMass", "vdamping", "trapezoidalScheme"):
-        component.read.add(name)
+    component.read |= {"rayleighStiffness", "rayleighMass"}
     if is_true(component, "trapezoidalScheme", False):
         raise NotConverted("its trapezoidal scheme: time_scheme generalized_alpha is near to it")
     return f"integration {word}"
@@ -143,27 +145,29 @@ def body(conversion: Conversion, component: SceneComponent) -> str | None:
     mesh = _body_mesh(state, fields)
     cells = mesh.hexahedra if len(mesh.hexahedra) else mesh.tets
     laws = [_elastic(one, state, cells) for one in fields]
-    groups = _grouped(conversion, laws, len(cells))
-    volumes = _volumes(mesh)
+    held = np.any([one.cells for one in laws], axis=0)
+    if not held.all():  # nothing holds the others: here they do not exist
+        cells, laws = cells[held], [_Elastic(*(part[held] if isinstance(part, np.ndarray) else part for part in one))
+                                    for one in laws]
+        mesh = mesh._replace(file=None, **{"hexahedra" if len(mesh.hexahedra) else "tets": cells})
+    groups, volumes = _grouped(conversion, laws, len(cells)), _volumes(mesh)
+    groups.sort(key=lambda one: -float(volumes[one[1]].sum()))
+    (base, _), *parts = groups
+    named = [(f"part_{index + 1}", *one) for index, one in enumerate(parts)]
     name = conversion.name(state.node.name)
-    base = max(groups, key=lambda one: float(volumes[one[1]].sum()))
     entry: dict[str, Any] = {SOURCE: [source_of(component)], "name": name}
-    record = BodyRecord(name, entry, state, mesh)
-    conversion.bodies[id(state)] = record
-    entry["mesh"] = _mesh_entry(conversion, record, [(f"part_{index + 1}", group) for index, (_, group)
-                                in enumerate(one for one in groups if one is not base)])  # fmt: skip
+    record = conversion.bodies[id(state)] = BodyRecord(name, entry, state, mesh)
+    entry["mesh"] = _mesh_entry(conversion, record, [(part, chosen) for part, _, chosen in named])
     entry["element"] = "hexahedral" if len(mesh.hexahedra) else "linear"
-    entry["material"] = dict(base[0])
-    parts = [{"region": f"part_{index + 1}", **made} for index, (made, _) in enumerate(
-        one for one in groups if one is not base)]  # fmt: skip
+    entry["material"] = dict(base)
     if parts:
-        entry["materials"] = parts
+        entry["materials"] = [{"region": part, **made} for part, made, _ in named]
     _add_mass(conversion, record, volumes, bool(parts))
     _add_damping(conversion, record)
     conversion.scene.setdefault("bodies", []).append(entry)
     size = " × ".join(f"{1e3 * conversion.units.metre * one:.4g}" for one in np.ptp(mesh.points, axis=0))
-    return f"body {name}: {len(mesh.points)} nodes, {size} mm, {_moduli_in_words(base[0])}" + (
-        f", {len(parts)} stiffer or softer part{'s' if len(parts) > 1 else ''}" if parts else "")
+    more = f", {len(parts)} stiffer or softer part{'s'[:len(parts) > 1]}" if parts else ""
+    return f"body {name}: {len(mesh.points)} nodes, {size} mm, {_moduli_in_words(base)}{more}"
 
 
 def _moduli_in_words(material: dict[str, Any]) -> str:
@@ -175,21 +179,17 @@ def _moduli_in_words(material: dict[str, Any]) -> str:
 def _body_mesh(state: SceneComponent, fields: list[SceneComponent]) -> LoadedMesh:
     """The points of a state, and the cells that its force fields act on."""
     mesh = state_mesh(state)
-    own = first(state.node, TOPOLOGIES)
-    found = [mesh_of(one) for one in ([own] if own is not None else [])]
-    found = [one for one in found if len(one.tets) or len(one.hexahedra)]
+    own = [one for one in (first(state.node, TOPOLOGIES),) if one is not None]
+    tops = own + [one for one in map(topology_of, (one.node for one in fields)) if one is not None and one not in own]
+    found = [one for one in map(mesh_of, tops) if len(one.tets) or len(one.hexahedra)][: 1 if own else None]
     if not found:
-        tops = [top for top in (topology_of(one.node) for one in fields) if top is not None]
-        found = [mesh_of(top) for top in tops]
-    if not found:
-        raise NotConverted("its node has no topology")
+        raise NotConverted("its node has no topology with cells")
     tets = np.unique(np.concatenate([one.tets for one in found]), axis=0) if len(found) > 1 else found[0].tets
     hexahedra = found[0].hexahedra
-    if any(one.kind.startswith(("Tetra", "Fast", "Standard", "ParallelTetra")) for one in fields) and len(hexahedra) and not len(tets):
-        tets, hexahedra = hexahedra[:, INTO_TETS].reshape(-1, 4), hexahedra[:0]
-    if len(tets) and len(hexahedra):
-        hexahedra = hexahedra if fields[0].kind.startswith("Hexa") else hexahedra[:0]
-        tets = tets[:0] if len(hexahedra) else tets
+    if len(hexahedra) and any(one.kind.startswith("Hexa") for one in fields):
+        tets = tets[:0]
+    elif len(hexahedra):
+        tets, hexahedra = tets if len(tets) else hexahedra[:, INTO_TETS].reshape(-1, 4), hexahedra[:0]
     if not len(tets) and not len(hexahedra):
         raise NotConverted("its topology has neither tetrahedra nor hexahedra")
     if max(int(part.max(initial=-1)) for part in (tets, hexahedra)) >= len(mesh.points):
@@ -257,10 +257,7 @@ def _grouped(conversion: Conversion, laws: list[_Elastic], count: int) -> list[t
         raise NotConverted("its force fields have several laws, whose sum is none here")
     mu = sum(np.where(one.cells, one.mu, 0.0) for one in laws) * conversion.units.pressure
     lame = sum(np.where(one.cells, one.lame, 0.0) for one in laws) * conversion.units.pressure
-    if not np.any([one.cells for one in laws], axis=0).all():
-        conversion.notes.append("cells without a force field take the softest material")
-    law = laws[0]
-    pressure = conversion.units.pressure
+    law, pressure = laws[0], conversion.units.pressure
     if law.entry:
         own = {key: [rounded(part * (pressure if key != "alpha" else 1.0)) for part in value]
                if isinstance(value, list) else rounded(value * pressure)
@@ -268,17 +265,14 @@ def _grouped(conversion: Conversion, laws: list[_Elastic], count: int) -> list[t
         made = {"law": law.law, "constants": own, "bulk_modulus": rounded(law.entry["bulk_modulus"] * pressure)}
         return [(made, np.arange(count))]
     pairs = np.stack([mu, lame], axis=1)
-    pairs = np.where(mu[:, None] > 0.0, pairs, pairs[mu > 0.0].min(axis=0)) if (mu > 0.0).any() else pairs
-    if not (pairs[:, 0] > 0.0).all():
+    if not (mu > 0.0).all():
         raise NotConverted("its Young's modulus is zero")
-    made = []
-    for index, (one, two) in enumerate(unique := np.unique(np.round(pairs, 9), axis=0)):
-        chosen = np.flatnonzero((np.round(pairs, 9) == unique[index]).all(axis=1))
-        made.append(({"law": law.law, "young_modulus": rounded(one * (3 * two + 2 * one) / (two + one)),
-                      "poisson_ratio": rounded(two / (2.0 * (two + one)))}, chosen))  # fmt: skip
-    if len(made) > 50:
-        raise NotConverted(f"has {len(made)} different moduli")
-    return made
+    _, place, kinds = np.unique(np.round(pairs / pairs.max(), 10), axis=0, return_index=True, return_inverse=True)
+    if len(place) > MOST_PARTS:
+        raise NotConverted(f"has {len(place)} different moduli, more than {MOST_PARTS}")
+    return [({"law": law.law, "young_modulus": rounded(one * (3 * two + 2 * one) / (two + one)),
+              "poisson_ratio": rounded(two / (2.0 * (two + one)))}, np.flatnonzero(np.ravel(kinds) == kind))
+            for kind, (one, two) in enumerate(pairs[place])]
 
 
 def _volumes(mesh: LoadedMesh) -> np.ndarray:
@@ -331,10 +325,13 @@ def _add_mass(conversion: Conversion, record: BodyRecord, volumes: np.ndarray, h
         material["density"] = MASSLESS
         return
     mass = masses[0]
-    total, density = number_of(mass, "totalMass", "totalmass"), number_of(mass, "massDensity")
+    total, density = number_of(mass, "totalMass", "totalmass"), array_of(mass, 1, "massDensity")
     vertex = number_of(mass, "vertexMass", "mass")
-    if density is not None and mass.kind != "UniformMass":
-        material["density"] = rounded(density * conversion.units.density)
+    if mass.kind != "UniformMass" and total is None and vertex is None:
+        density = np.ones(1) if density is None or not len(density) else density
+        material["density"] = rounded(density[0] * conversion.units.density)
+        if np.ptp(density) > 0.0:
+            conversion.missing.append((mass, "its densities differ: the first one is taken for the body"))
     else:
         if total is None:
             total = 1.0 if vertex is None else vertex * len(record.mesh.points)
@@ -358,6 +355,9 @@ def mass(conversion: Conversion, component: SceneComponent) -> str | None:
     record = None if state is None else conversion.bodies.get(id(state))
     if record is None:
         return None
+    if any(one is not component and state_of(one.node) is state for one in conversion.components
+           if one.kind in MASSES and one.place < component.place):
+        raise NotConverted("a second mass of its body")
     material = record.entry["material"]
     return (f"{record.name}: {1e3 * material['total_mass']:.4g} g" if "total_mass" in material
             else f"{record.name}: {material['density']:.4g} kg/m³")  # fmt: skip
