@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from softrobot_twin.conversion import (  # noqa: F401 (they register rules)
-    actuators,
-    bodies,
-    contacts,
-    parts,
+    actuator_rules,
+    body_rules,
+    contact_rules,
+    frame_rules,
 )
 from softrobot_twin.conversion.computed_values import STATES, points_of
 from softrobot_twin.conversion.rules import UNREADABLE, Conversion
@@ -163,7 +163,7 @@ def converted(root: SceneNode, output: Path, units: str | None) -> Conversion:
     conversion.scene = {"name": conversion.name(output.stem), "gravity": conversion.length(vector)}
     conversion._names.clear()
     conversion.run()
-    conversion.scene["solver"] = {"newton_iterations": bodies.NEWTON_ITERATIONS}
+    conversion.scene["solver"] = {"newton_iterations": body_rules.NEWTON_ITERATIONS}
     return conversion
 
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from softrobot_twin.conversion.actuators import obj_text
-from softrobot_twin.conversion.bodies import EULER_IMPLICIT, MASSES, OTHER_MOTION, STATIC
+from softrobot_twin.conversion.actuator_rules import obj_text
+from softrobot_twin.conversion.body_rules import EULER_IMPLICIT, MASSES, OTHER_MOTION, STATIC
 from softrobot_twin.conversion.computed_values import (
     STATES,
     LoadedMesh,

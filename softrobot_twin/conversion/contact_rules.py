@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 
-from softrobot_twin.conversion.actuators import surface_file
+from softrobot_twin.conversion.actuator_rules import surface_file
 from softrobot_twin.conversion.computed_values import (
     indices_of,
     is_rigid,
@@ -17,7 +17,7 @@ from softrobot_twin.conversion.computed_values import (
     number_of,
     value_of,
 )
-from softrobot_twin.conversion.parts import MOVERS, shape_entry, surface_of
+from softrobot_twin.conversion.frame_rules import MOVERS, shape_entry, surface_of
 from softrobot_twin.conversion.rules import (
     CONTACTS,
     BodyRecord,

@@ -182,7 +182,17 @@ def _in_words(entry: dict[str, Any]) -> str:
 
 
 def surface_file(conversion: Conversion, record: BodyRecord, mesh: LoadedMesh, name: str) -> dict[str, Any]:
-    """The file of a wall: the scene's own where it is placed like the body, else one that is written."""
+    """The file of a surface: the scene's own where it is placed like the body, else one that is written.
+
+    Args:
+        conversion: The conversion.
+        record: The body that carries the surface.
+        mesh: The surface, in the unit of the file.
+        name: Name of the cavity, or of what else it is, for a file that is written.
+
+    Returns:
+        Keys `file` and `scale` of an entry.
+    """
     body = record.mesh.placement if record.entry["mesh"].get("scale") is not None else UNMOVED
     metre = conversion.units.metre
     same_place = (np.allclose(mesh.placement.translation, body.translation)
