@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -33,9 +34,8 @@ from softrobot_twin.conversion.scene_tree import (
 )
 from softrobot_twin.conversion.scene_xml import read_xml
 from softrobot_twin.conversion.units import units_of
-from softrobot_twin.errors import one_line
+from softrobot_twin.errors import SoftRobotTwinError, one_line
 from softrobot_twin.scene.loading import read_yaml, scene_from_mapping
-from softrobot_twin.scene.schema import Scene
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.study.first_scene import SceneExistsError
 from softrobot_twin.study.output_file import OutputError, output_file
@@ -77,7 +77,7 @@ def convert(file: Path, output: Path, units: str | None, seconds: float, replace
     if not (conversion.bodies or conversion.scene.get("beams") or conversion.scene.get("rigid_bodies")):
         raise ConversionError(file, _why_no_body(conversion))
     with terminal_status("building the scene"):
-        scene = written(conversion, file)
+        write(conversion, file, replace)
     _report(conversion, file)
     return INCOMPLETE if conversion.missing else CONVERTED
 
@@ -191,24 +191,27 @@ ORDER = ("name", "gravity", "integration", "bodies", "rigid_bodies", "beams", "o
 """Sections of a scene, in the order of the file."""
 
 
-def written(conversion: Conversion, file: Path) -> Scene:
+def write(conversion: Conversion, file: Path, replace: bool) -> None:
     """Writes the scene and the files beside it, when it can be built.
 
     Args:
         conversion: The conversion.
         file: Its source.
+        replace: Whether existing files are replaced.
 
     Raises:
-        SoftRobotTwinError: The scene cannot be built.
+        SoftRobotTwinError: The scene cannot be built, or a file exists.
     """
     output, folder = conversion.output, conversion.output.resolve().parent
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, write in conversion.files.items():
-        with output_file(folder / name) as partial:
-            write(partial)
     for kind, columns in (("commands", conversion.commands), ("targets", conversion.targets)):
         if columns and (kind == "targets" or any(columns.values())):
-            _write_rows(conversion, folder / f"{output.stem}_{kind}.csv", columns)
+            conversion.files[f"{output.stem}_{kind}.csv"] = partial(_write_rows, conversion, kind, columns)
+    there = [folder / name for name in conversion.files if (folder / name).exists()]
+    if there and not replace:
+        raise SceneExistsError(there[0], "exists already, and would be written; --force replaces it")
+    for name, write_file in conversion.files.items():
+        with output_file(folder / name) as part:
+            write_file(part)
     order = {key: conversion.scene[key] for key in ORDER if key in conversion.scene}
     units = conversion.units
     text = scene_yaml(order, [
@@ -216,22 +219,24 @@ def written(conversion: Conversion, file: Path) -> Scene:
         f"Its step is {conversion.time_step:g} s: give simulate --rate {1.0 / conversion.time_step:g}.",
         *conversion.notes,
         *(f"Not converted: {_in_words(component, reason)}" for component, reason in conversion.missing)])  # fmt: skip
-    scene = scene_from_mapping(read_yaml(text), output.resolve())
-    Simulation(scene)
-    with output_file(output) as partial:
-        partial.write_text(text, encoding="utf-8")
-    return scene
+    try:
+        Simulation(scene_from_mapping(read_yaml(text), output.resolve()))
+    except SoftRobotTwinError:
+        for name in conversion.files:
+            (folder / name).unlink(missing_ok=True)
+        raise
+    with output_file(output) as part:
+        part.write_text(text, encoding="utf-8")
 
 
-def _write_rows(conversion: Conversion, path: Path, columns: Mapping[str, Any]) -> None:
-    """A file of commands or targets that holds the values of the scene."""
+def _write_rows(conversion: Conversion, kind: str, columns: Mapping[str, Any], path: Path) -> None:
+    """A file of commands or targets that holds the values of the scene; commands begin at rest."""
     rows = [",".join(["time_s", *columns])]
     for step in range(SETTLING_STEPS + 1):
-        share = 0.0 if step == 0 and path.stem.endswith("commands") else 1.0
+        share = 0.0 if step == 0 and kind == "commands" else 1.0
         rows.append(",".join(f"{value:.10g}" for value in (
             step * conversion.time_step, *(share * value for value in columns.values()))))
-    with output_file(path) as partial:
-        partial.write_text("\n".join(rows) + "\n")
+    path.write_text("\n".join(rows) + "\n")
 
 
 def _in_words(component, reason: str) -> str:

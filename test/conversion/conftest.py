@@ -54,7 +54,7 @@ def convert(folder, capsys):
             (folder / name).write_text(text)
         output = folder / f"{Path(name).stem}.yaml"
         output.unlink(missing_ok=True)
-        code = main(["convert", str(folder / name), "--output", str(output), *options])
+        code = main(["convert", str(folder / name), "--output", str(output), "--force", *options])
         told = capsys.readouterr()
         return Converted(code, output, told.out + told.err)
 

@@ -5,6 +5,8 @@ import re
 import numpy as np
 import pytest
 
+from softrobot_twin.__main__ import main
+
 GOOD = {"ok", "linearized", "rate_limited"}
 # Exit code and step [s] of each scene.
 SCENES = {
@@ -260,8 +262,16 @@ def test_a_scene_that_does_not_end_is_stopped(convert):
     assert converted.code == 2 and "ran longer than 2 s" in converted.told
 
 
-def test_an_existing_scene_is_kept(convert, folder):
-    (folder / "kept.yaml").write_text("name: mine\n")
-    from softrobot_twin.__main__ import main
+@pytest.mark.parametrize("kept", ["kept.yaml", "kept_bar.msh"])
+def test_existing_files_are_kept(folder, kept):
+    (folder / kept).write_text("mine\n")
     assert main(["convert", str(folder / "grid.py"), "--output", str(folder / "kept.yaml")]) == 2
-    assert (folder / "kept.yaml").read_text() == "name: mine\n"
+    assert (folder / kept).read_text() == "mine\n"
+    (folder / kept).unlink()
+
+
+def test_a_scene_that_cannot_be_built_leaves_no_file(convert, folder):
+    text = (folder / "grid.py").read_text().replace('indices="@end.indices"', "indices=[0]")
+    converted = convert("loose.py", text)
+    assert converted.code == 2 and "the body is not held" in converted.told
+    assert not list(folder.glob("loose*.msh")) and not converted.path.exists()
