@@ -410,8 +410,9 @@ class Prefab(Node):
         """
         usual = {one["name"]: one.get("default") for name in ("properties", "prefabParameters", "prefabData")
                  for one in getattr(type(self), name, ())}  # fmt: skip
-        name = more.pop("name", None) or usual.pop("name", None) or type(self).__name__
-        super().__init__(name, **{key: recorded(value) for key, value in (usual | more).items()})
+        values = usual | {key: value for key, value in more.items() if value is not None}
+        name = values.pop("name", None) or type(self).__name__
+        super().__init__(name, **{key: recorded(value) for key, value in values.items()})
         for parent in given:
             if isinstance(parent, Node):
                 parent.addChild(self)
