@@ -354,6 +354,8 @@ def mass(conversion: Conversion, component: SceneComponent) -> str | None:
     state = state_of(component.node)
     record = None if state is None else conversion.bodies.get(id(state))
     if record is None:
+        if state is not None and id(state) not in conversion.frames and _is_moving(conversion, state):
+            raise NotConverted("the points that it belongs to move, and are no body that is converted")
         return None
     if any(one is not component and state_of(one.node) is state for one in conversion.components
            if one.kind in MASSES and one.place < component.place):

@@ -262,6 +262,14 @@ def test_a_scene_that_does_not_end_is_stopped(convert):
     assert converted.code == 2 and "ran longer than 2 s" in converted.told
 
 
+def test_masses_and_velocities_that_are_not_read_are_listed(convert, folder):
+    text = (folder / "bar.scn").read_text().replace('name="dofs"', 'name="dofs" velocity="0 0 5"').replace(
+        '<Node name="chains">', '<Node name="ball"><MechanicalObject/><UniformMass/></Node><Node name="chains">')
+    told = convert("moving.scn", text).told
+    assert re.search(r"MechanicalObject +moving.scn:9 +its field velocity = 0 0 5 has no counterpart", told)
+    assert re.search(r"UniformMass +moving.scn:14 +the points that it belongs to move", told)
+
+
 @pytest.mark.parametrize("kept", ["kept.yaml", "kept_bar.msh"])
 def test_existing_files_are_kept(folder, kept):
     (folder / kept).write_text("mine\n")
