@@ -47,15 +47,15 @@ NOT_PHYSICAL = re.compile(
     r"APIVersion|AddResourceRepository|AddDataRepository|Sofa.*Settings|.*Monitor|Data.*Monitor|"
     r"TransferFunction|TextureInterpolation|ConstraintAnimationLoop|SelectionColor|AttachBodyButtonSetting|"
     r"QPInverseProblemSolver|QPInverse.*|BoxR[Oo][Ii]|SphereROI|ComplementaryROI|SubsetTopology|DataDisplay|ViewportController|.*TopologicalMapping|VolumeFrom(Tetrahedrons|Triangles)|"
-    r"ArticulatedHierarchyContainer|GenerateRigidMass|IndexValueMapper|CubeTopology|Eigen.*|.*LinearSystem|.*Ordering.*|StopperConstraint_none|TestMessageHandler|SofaDefaultPathSetting")
+    r"ArticulatedHierarchyContainer|GenerateRigidMass|IndexValueMapper|CubeTopology|Eigen.*|.*LinearSystem|.*Ordering.*|SofaDefaultPathSetting")
 """Kinds of components that are drawn, or that solve what is solved here in another way."""
 NOT_PHYSICAL_FIELDS = re.compile(
     r"show.*|draw.*|print.*|display.*|compute.*|update.*|do[A-Z].*|template|name|listening|tags|src|color.*|"
-    r"bbox|verbose|debug|help|vis.*|createTriangleArray|flipNormals|triangulate|generatePlateau|"
+    r"bbox|verbose|debug|help|visu.*|createTriangleArray|flipNormals|triangulate|generatePlateau|"
     r"mapForces|mapMasses|mapConstraints|mapMatrices|.*Visualization|topology|mstate|mechanicalState|"
     r"handleEventTriggersUpdate|assembling|gatherPt|gatherBsize|isToPrint|angularStiffness|reserve|"
     r"recompute_indices|handleDynamicMapping|.*Scale$|size|threshold|tolerance|iterations|"
-    r"translation2_none|noSym|initialPoints|velocity_none|force_none|path|eulerAngle_none|rest_position")
+    r"noSym|initialPoints|path|rest_position")
 """Fields that are drawn, or that say how SOFA solves."""
 
 
