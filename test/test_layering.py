@@ -34,7 +34,9 @@ ALLOWED_ROOMS = {
     "ros": CORE | {"control", "view", "record"},
     "study": CORE | {"control", "view", "record"},
     "scripting": CORE | {"control", "study", "view"},
-    "command_line": {"study", "ros", "demo_command", "replay_command"},
+    # It builds what it writes, and prints as studies do.
+    "conversion": {"geometry", "scene", "simulation", "study"},
+    "command_line": {"study", "ros", "conversion", "demo_command", "replay_command"},
 }
 # Rooms inside the simulation, each of which imports only those before it and its vocabulary. The other
 # files at the top of the simulation put these rooms together, and only `runs` imports them.

@@ -36,8 +36,9 @@ from softrobot_twin.study.training_options import (
 )
 
 EXIT_CODES = fill("exit codes: 0 done, 1 done but a row, a process or a check failed, 2 the input or "
-                  "an argument cannot be used, 3 simulate: the last row is not_converged or "
-                  "inverted, or commanded beyond a limit, 130 stopped by Ctrl-C", TEXT_WIDTH)
+                  "an argument cannot be used, 3 simulate: the last row is not_converged, inverted or "
+                  "beyond a limit; convert: something has no counterpart, 130 stopped by Ctrl-C",
+                  TEXT_WIDTH)
 
 
 class OptionError(NamedError):
@@ -283,6 +284,32 @@ def init(
 
     scale = None if unit is None else UNITS[unit]
     return first_scene.init(mesh, output, size=size, scale=scale, replace=force)
+
+
+def convert(
+    file: Path, *, output: Path | None = None,
+    units: Annotated[str | None, Read(choices=("mm-kg-s", "mm-g-s", "cm-kg-s", "m-kg-s"))] = None,
+    time_limit: Annotated[float, Read(seconds)] = 60.0, force: bool = False,
+) -> int:  # fmt: skip
+    """Convert a scene of SOFA.
+
+    Write a scene from one of SOFA, with a comment on the source of each entry. What has no counterpart
+    is listed, with exit code 3. A Python scene is a program: it runs in a process of its own.
+
+    Examples:
+        softrobot_twin convert robot.py --output robot.yaml
+        softrobot_twin convert robot.scn --units mm-g-s --output robot.yaml
+
+    Args:
+        file (SCENE): Scene of SOFA: .py, .pyscn, .scn or .xml.
+        output (FILE.yaml): Scene to write (default: the file's name, in the current folder).
+        units: Units of the file, which states none (default: by its gravity).
+        time_limit (S): Longest time that a Python scene may run (default 60 s).
+        force: Replace a scene that exists.
+    """
+    from softrobot_twin.conversion.converting import convert as convert_scene
+
+    return convert_scene(file, output or Path(f"{file.stem}.yaml"), units, time_limit, force)
 
 
 def simulate(
@@ -788,7 +815,7 @@ def completion(shell: Annotated[str, Read(choices=("bash", "zsh", "tcsh"))]) -> 
 
 
 COMMANDS = (
-    mesh, init, simulate, plot, explain, calibrate, workspace, bench, accuracy, choose, reduce,
+    mesh, init, convert, simulate, plot, explain, calibrate, workspace, bench, accuracy, choose, reduce,
     reduce_vertebrae, replay, demo, completion,
 )  # fmt: skip
 """The commands in the order of their list."""

@@ -1,0 +1,262 @@
+"""``softrobot_twin convert``: writes a scene of SOFA as a scene of this package, and a report."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from softrobot_twin.conversion import (  # noqa: F401 (they register rules)
+    actuator_rules,
+    body_rules,
+    contact_rules,
+    frame_rules,
+)
+from softrobot_twin.conversion.computed_values import STATES, points_of
+from softrobot_twin.conversion.rules import UNREADABLE, Conversion
+from softrobot_twin.conversion.scene_text import scene_yaml
+from softrobot_twin.conversion.scene_tree import (
+    ConversionError,
+    NotConverted,
+    SceneNode,
+    from_plain,
+    numbers,
+    walk,
+)
+from softrobot_twin.conversion.scene_xml import read_xml
+from softrobot_twin.conversion.units import units_of
+from softrobot_twin.errors import SoftRobotTwinError, one_line
+from softrobot_twin.scene.loading import read_yaml, scene_from_mapping
+from softrobot_twin.simulation import Simulation
+from softrobot_twin.study.first_scene import SceneExistsError
+from softrobot_twin.study.output_file import OutputError, output_file
+from softrobot_twin.study.terminal import console, print_apart, table, terminal_status
+
+CONVERTED, INCOMPLETE = 0, 3
+"""Exit codes: all is converted; a scene, but something is not."""
+SETTLING_STEPS = 20
+"""Rows of the files of commands and targets."""
+
+
+def convert(file: Path, output: Path, units: str | None, seconds: float, replace: bool) -> int:
+    """Converts a file and reports.
+
+    Args:
+        file: The scene, ``.py``, or XML (``.scn``, ``.xml``).
+        output: The scene that is written.
+        units: Name of its units; None to find them by gravity.
+        seconds: Longest time that the file may run [s].
+        replace: Whether an existing scene is replaced.
+
+    Returns:
+        Exit code.
+
+    Raises:
+        SoftRobotTwinError: No scene can be made.
+    """
+    if output.suffix.lower() not in (".yaml", ".yml"):
+        raise OutputError(output, "a scene is a .yaml file")
+    if output.exists() and not replace:
+        raise SceneExistsError(output, "exists already; name another file by --output, or replace it by --force")
+    with terminal_status(f"reading {file.name}"):
+        root, stopped = read_scene(file, seconds)
+    conversion = converted(root, output, units)
+    conversion.missing[:0] = [(None, reason) for reason in stopped]
+    absent = root.fields.get("absent")
+    if absent:
+        conversion.notes.append(f"modules that are not installed do nothing here: {', '.join(absent)}")
+    if not (conversion.bodies or conversion.scene.get("beams") or conversion.scene.get("rigid_bodies")):
+        raise ConversionError(file, _why_no_body(conversion))
+    with terminal_status("building the scene"):
+        write(conversion, file, replace)
+    _report(conversion, file)
+    return INCOMPLETE if conversion.missing else CONVERTED
+
+
+def read_scene(file: Path, seconds: float) -> tuple[SceneNode, list[str]]:
+    """The tree of a file, and why it is not whole.
+
+    Args:
+        file: The file.
+        seconds: Longest time that Python may run [s].
+
+    Raises:
+        ConversionError: It is no scene.
+    """
+    if not file.is_file():
+        raise ConversionError(file, "is no file")
+    if file.suffix.lower() in (".scn", ".xml"):
+        root = read_xml(file)
+        root.fields["folder"] = str(file.resolve().parent)
+        return root, []
+    if file.suffix.lower() not in (".py", ".pyscn"):
+        raise ConversionError(file, "is neither .py nor .scn nor .xml")
+    recorded = _recorded(file, seconds)
+    reasons = []
+    if "error" in recorded:
+        place = recorded.get("line")
+        line = None if place is None or Path(place[0]).name != file.name else place[1]
+        if recorded.get("no_scene") or len(recorded["nodes"]) == 1 and not recorded["nodes"][0]["components"]:
+            raise ConversionError(file, recorded["error"], line)
+        where = "" if place is None else f" at {Path(place[0]).name}:{place[1]}"
+        reasons = [f"the file stopped{where} ({recorded['error']}): what follows is not converted"]
+    reasons += [f"{name} ({Path(place).name}:{line}) is not known: what it adds or moves is not converted"
+                for name, place, line in recorded["unknown"]]  # fmt: skip
+    root = from_plain(recorded)
+    root.fields["absent"] = recorded["missing"]
+    return root, reasons
+
+
+def _recorded(file: Path, seconds: float) -> dict[str, Any]:
+    """What `scene_process` writes; foreign code, in a process of its own, with a time limit."""
+    with tempfile.TemporaryDirectory(prefix="softrobot_twin_convert_") as folder:
+        tree = Path(folder, "tree.json")
+        command = [sys.executable, "-m", "softrobot_twin.conversion.scene_process",
+                   str(file.resolve()), str(tree)]  # fmt: skip
+        package = str(Path(__file__).resolve().parents[2])
+        paths = os.pathsep.join(filter(None, (package, os.environ.get("PYTHONPATH"))))
+        process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+            start_new_session=True, cwd=folder, env={**os.environ, "PYTHONPATH": paths, "PYTHONDONTWRITEBYTECODE": "1"})  # fmt: skip
+        try:
+            _, errors = process.communicate(timeout=seconds)
+        except subprocess.TimeoutExpired:
+            raise ConversionError(file, f"ran longer than {seconds:g} s and was stopped: --time-limit gives "
+                                  "it more") from None  # fmt: skip
+        finally:
+            # Processes that the scene began go too.
+            try:
+                os.killpg(process.pid, signal.SIGKILL)
+            except ProcessLookupError:
+                pass
+            process.wait()
+        try:
+            return json.loads(tree.read_text())
+        except (OSError, ValueError):
+            last = one_line(Exception(errors))[-300:] or f"ended with code {process.returncode}"
+            raise ConversionError(file, f"could not be run: {last}") from None
+
+
+def converted(root: SceneNode, output: Path, units: str | None) -> Conversion:
+    """A tree as the sections of a scene.
+
+    Args:
+        root: The tree.
+        output: The scene file that will be written.
+        units: Name of its units; None to find them by gravity.
+    """
+    gravity = root.fields.get("gravity")
+    try:
+        vector = np.array([0.0, -9.81, 0.0]) if gravity is None else numbers(gravity)[:3]
+    except NotConverted:
+        gravity, vector = None, np.array([0.0, -9.81, 0.0])
+    conversion = Conversion(root, units_of(None if gravity is None else vector, _extent(root), units), output)
+    conversion.scene = {"name": conversion.name(output.stem), "gravity": conversion.length(vector)}
+    conversion._names.clear()
+    conversion.run()
+    conversion.scene["solver"] = {"newton_iterations": body_rules.NEWTON_ITERATIONS}
+    return conversion
+
+
+def _extent(root: SceneNode) -> float:
+    """Largest extent of what has points, in the unit of the file."""
+    found = [0.0]
+    for component in (one for node in walk(root) for one in node.components if one.kind in STATES):
+        try:
+            found.append(float(np.ptp(points_of(component), axis=0).max()))
+        except (NotConverted, *UNREADABLE):
+            pass
+    return max(found)
+
+
+def _why_no_body(conversion: Conversion) -> str:
+    reasons = [f"{reason}" if component is None else f"{component.kind} ({component.where}) {reason}"
+               for component, reason in conversion.missing]  # fmt: skip
+    kinds = sorted({one.kind for one in conversion.components})
+    told = "; ".join(reasons[:5]) or (f"its components are {', '.join(kinds[:20])}" if kinds else "it has no components")
+    return f"no body can be converted: {told}"
+
+
+ORDER = ("name", "gravity", "integration", "bodies", "rigid_bodies", "beams", "obstacles", "springs", "contact",
+         "cables", "cavities", "slides", "hinge_motors", "motors", "effectors", "solver")  # fmt: skip
+"""Sections of a scene, in the order of the file."""
+
+
+def write(conversion: Conversion, file: Path, replace: bool) -> None:
+    """Writes the scene and the files beside it, when it can be built.
+
+    Args:
+        conversion: The conversion.
+        file: Its source.
+        replace: Whether existing files are replaced.
+
+    Raises:
+        SoftRobotTwinError: The scene cannot be built, or a file exists.
+    """
+    output, folder = conversion.output, conversion.output.resolve().parent
+    for kind, columns in (("commands", conversion.commands), ("targets", conversion.targets)):
+        if columns and (kind == "targets" or any(columns.values())):
+            conversion.files[f"{output.stem}_{kind}.csv"] = partial(_write_rows, conversion, kind, columns)
+    there = [folder / name for name in conversion.files if (folder / name).exists()]
+    if there and not replace:
+        raise SceneExistsError(there[0], "exists already, and would be written; --force replaces it")
+    for name, write_file in conversion.files.items():
+        with output_file(folder / name) as part:
+            write_file(part)
+    order = {key: conversion.scene[key] for key in ORDER if key in conversion.scene}
+    units = conversion.units
+    text = scene_yaml(order, [
+        f"Converted from {file.name}. SI units; the file's are {units.name} ({units.reason}).",
+        f"Its step is {conversion.time_step:g} s: give simulate --rate {1.0 / conversion.time_step:g}.",
+        *conversion.notes,
+        *(f"Not converted: {_in_words(component, reason)}" for component, reason in conversion.missing)])  # fmt: skip
+    try:
+        Simulation(scene_from_mapping(read_yaml(text), output.resolve()))
+    except SoftRobotTwinError:
+        for name in conversion.files:
+            (folder / name).unlink(missing_ok=True)
+        raise
+    with output_file(output) as part:
+        part.write_text(text, encoding="utf-8")
+
+
+def _write_rows(conversion: Conversion, kind: str, columns: Mapping[str, Any], path: Path) -> None:
+    """A file of commands or targets that holds the values of the scene; commands begin at rest."""
+    rows = [",".join(["time_s", *columns])]
+    for step in range(SETTLING_STEPS + 1):
+        share = 0.0 if step == 0 and kind == "commands" else 1.0
+        rows.append(",".join(f"{value:.10g}" for value in (
+            step * conversion.time_step, *(share * value for value in columns.values()))))
+    path.write_text("\n".join(rows) + "\n")
+
+
+def _in_words(component, reason: str) -> str:
+    return reason if component is None else f"{component.kind} {component.path} ({component.where}) {reason}"
+
+
+def _report(conversion: Conversion, file: Path) -> None:
+    """Prints what was converted, in SI units, and what was not."""
+    units = conversion.units
+    made = table(f"{conversion.output}: {file.name} in {units.name} ({units.reason})", "component", "line", "became")
+    for component, told in conversion.told:
+        made.add_row(component.kind, component.where, told)
+    lost = None
+    if conversion.missing:
+        lost = table("not converted", "component", "line", "why")
+        for component, reason in conversion.missing:
+            lost.add_row("" if component is None else component.kind,
+                         "" if component is None else component.where, reason)  # fmt: skip
+    print_apart(made, lost, *conversion.notes)
+    console().print(f"Look at it: softrobot_twin explain {conversion.output}\nRun it:     softrobot_twin simulate "
+                    f"{conversion.output} --steps 20 --rate {1.0 / conversion.time_step:g} --output run.csv",
+                    soft_wrap=True)  # fmt: skip
+

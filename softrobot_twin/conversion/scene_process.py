@@ -1,0 +1,139 @@
+"""Runs a SOFA scene in Python against stand-ins of SOFA's modules, in a process of its own.
+
+``python -m softrobot_twin.conversion.scene_process SCENE.py TREE.json`` writes the tree of what the
+file's ``createScene`` builds. Nothing is simulated: components only keep their values. Modules that
+are not installed are stood in by objects that accept everything, and are told.
+"""
+
+from __future__ import annotations
+
+import importlib.abc
+import importlib.machinery
+import importlib.util
+import json
+import os
+import runpy
+import sys
+import traceback
+import types
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from softrobot_twin.conversion import computed_values, prefabs, stand_ins
+from softrobot_twin.conversion.scene_tree import to_plain
+from softrobot_twin.conversion.stand_ins import Controller, Node, Nothing, Prefab
+
+SOFA = ("Sofa", "SofaRuntime", "SofaGui", "SofaImGui", "SofaTypes", "SofaDeformable")
+"""Modules that SOFA itself has; they are always stood in."""
+HELPERS = ("stlib3", "splib3", "softrobots", "stlib", "splib")
+"""Packages whose prefabs are known; what is installed goes before."""
+
+
+class _Module(types.ModuleType):
+    """A module in which every name stands for something."""
+
+    __path__: list[str] = []
+
+    def __init__(self, name: str):
+        super().__init__(name)
+        self.__file__ = f"<{name}>"
+        is_known = name.split(".")[0] in HELPERS
+        known = prefabs.KNOWN if is_known else {}
+        if "inverse" in name.split("."):
+            known = known | {key.removeprefix("inverse."): one for key, one in known.items() if "." in key}
+        self.__all__ = [key for key in known if "." not in key]
+        self.__dict__.update(known)
+        if name.split(".")[0] == "Sofa":
+            self.__dict__.update(Node=Node, Controller=Controller, Prefab=Prefab, RawPrefab=Prefab,
+                                 Object=stand_ins.Component, DataEngine=Controller, ForceField=Controller,
+                                 Core=self)  # fmt: skip
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return Nothing(label="" if self.__name__.split(".")[0] in SOFA else f"{self.__name__}.{name}")
+
+
+class _StandIns(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+    """Finds modules of some names, or those that nothing else finds."""
+
+    def __init__(self, names: tuple[str, ...] = (), missing: list[str] | None = None):
+        self.names, self.missing = names, missing
+
+    def find_spec(self, name, path=None, target=None):
+        """See `importlib`; a module below one that is stood in is stood in too.
+
+        Args:
+            name: Dotted name.
+            path: Folders of the package; not read.
+            target: Not read.
+        """
+        top = name.split(".")[0]
+        if self.missing is None:
+            is_ours = top in self.names
+        else:
+            is_ours = top == name or isinstance(sys.modules.get(top), _Module)
+            if is_ours and top == name and top not in self.missing:
+                self.missing.append(top)
+        return importlib.machinery.ModuleSpec(name, self, is_package=True) if is_ours else None
+
+    def create_module(self, spec):
+        """The module.
+
+        Args:
+            spec: Its name.
+        """
+        return _Module(spec.name)
+
+    def exec_module(self, module):
+        """Nothing runs in it.
+
+        Args:
+            module: The module.
+        """
+
+
+def record(file: Path) -> dict:
+    """Runs a file and records its scene.
+
+    Args:
+        file: The Python file.
+
+    Returns:
+        The tree as `to_plain` writes it, with ``missing`` modules, and with ``error`` and its
+        ``line`` where the file stopped.
+    """
+    missing: list[str] = []
+    sys.meta_path.insert(0, _StandIns(SOFA))
+    sys.meta_path.append(_StandIns(missing=missing))
+    folder = file.resolve().parent
+    sys.path.insert(0, str(folder))
+    sys.argv = [str(file)]
+    os.chdir(folder)
+    root = Node("root", folder=str(folder))
+    stand_ins.Recorder.folder, stand_ins.Recorder.value_of = folder, computed_values.value_of
+    recorded: dict[str, Any] = {}
+    try:
+        names = runpy.run_path(str(file), run_name="scene")
+        if "createScene" not in names:
+            recorded["error"], recorded["no_scene"] = "has no function createScene", True
+        else:
+            names["createScene"](root)
+    except BaseException as error:  # foreign code may raise anything, and call exit
+        frames = [frame for frame in traceback.extract_tb(error.__traceback__)
+                  if Path(frame.filename).is_relative_to(folder)]  # fmt: skip
+        recorded["error"] = f"{type(error).__name__}: {' '.join(str(error).split())[:300]}"
+        if frames:
+            recorded["line"] = [frames[-1].filename, frames[-1].lineno]
+    return recorded | to_plain(root) | {
+        "missing": [name for name in missing if name not in HELPERS], "unknown": stand_ins.Recorder.unknown}
+
+
+if __name__ == "__main__":
+    np.set_printoptions(threshold=sys.maxsize)
+    Path(sys.argv[2]).resolve().write_text("")
+    _output = Path(sys.argv[2]).resolve()
+    _output.write_text(json.dumps(record(Path(sys.argv[1]))))
+    os._exit(0)  # threads and exit hooks of the scene do not keep the process

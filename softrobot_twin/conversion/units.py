@@ -1,0 +1,70 @@
+"""Units of SOFA scenes, which state none: they follow from gravity, or are given."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+SYSTEMS = {"mm-kg-s": (1e-3, 1.0), "mm-g-s": (1e-3, 1e-3), "cm-kg-s": (1e-2, 1.0), "m-kg-s": (1.0, 1.0)}
+"""Metres and kilograms in the units of each system."""
+_OF_GRAVITY = {9810.0: "mm-kg-s", 981.0: "cm-kg-s", 9.81: "m-kg-s"}
+LARGEST_IN_METRES = 2.0
+"""A larger body is in millimetres, where gravity tells nothing."""
+# As near as this, as a ratio, gravity is that of the earth; some files have 9180 for 9810.
+_NEAR = 1.1
+
+
+class Units(NamedTuple):
+    """Units of a scene; the second is its unit of time.
+
+    Attributes:
+        name: Such as ``mm-kg-s``.
+        metre: Metres in its unit of length.
+        kilogram: Kilograms in its unit of mass.
+        reason: Why these.
+    """
+
+    name: str
+    metre: float
+    kilogram: float
+    reason: str
+
+    @property
+    def force(self) -> float:
+        """Newtons in its unit of force."""
+        return self.kilogram * self.metre
+
+    @property
+    def pressure(self) -> float:
+        """Pascals in its unit of pressure."""
+        return self.kilogram / self.metre
+
+    @property
+    def density(self) -> float:
+        """kg/m³ in its unit of density."""
+        return self.kilogram / self.metre**3
+
+    @property
+    def stiffness(self) -> float:
+        """N/m in its unit of stiffness."""
+        return self.kilogram
+
+
+def units_of(gravity: np.ndarray | None, extent: float, given: str | None) -> Units:
+    """The units of a scene.
+
+    Args:
+        gravity: Its gravity, shape (3,); None where the file gives none.
+        extent: Largest extent of its bodies, in the unit of the file.
+        given: Name of the system that the user gives; None to guess it.
+    """
+    if given is not None:
+        return Units(given, *SYSTEMS[given], "as given")
+    size = 0.0 if gravity is None else float(np.linalg.norm(gravity))
+    for value, name in _OF_GRAVITY.items():
+        if size and 1.0 / _NEAR < size / value < _NEAR:
+            return Units(name, *SYSTEMS[name], f"gravity is {size:g}")
+    reason = "the file sets no gravity" if gravity is None else f"gravity {size:g} tells nothing"
+    name = "mm-kg-s" if extent > LARGEST_IN_METRES else "m-kg-s"
+    return Units(name, *SYSTEMS[name], f"guessed: {reason}, the largest extent is {extent:.4g}; --units says it")

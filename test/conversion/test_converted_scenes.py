@@ -1,0 +1,285 @@
+"""Scenes of SOFA of all kinds: what they become, and that they run."""
+
+import re
+
+import numpy as np
+import pytest
+
+from softrobot_twin.__main__ import main
+
+GOOD = {"ok", "linearized", "rate_limited"}
+# Exit code and step [s] of each scene.
+SCENES = {
+    "diamond.py": (0, 1.0), "stiff_layer.py": (0, 0.02), "pneumatic_fingers.py": (3, 0.01), "grid.py": (0, 0.01),
+    "rubber.py": (0, 0.01), "prefabs.py": (0, 0.01), "rigid_end.py": (0, 0.01), "beam.py": (0, 0.01),
+    "centre.py": (0, 0.05), "foreign.py": (3, 0.01), "broken.py": (3, 0.01), "bar.scn": (0, 0.01),
+    "gid.py": (0, 0.01), "articulated.py": (0, 0.01), "layers.scn": (0, 0.01),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_a_scene_is_converted_and_runs_twenty_steps(convert, run_alone, name):
+    code, time_step = SCENES[name]
+    converted = convert(name)
+    assert converted.code == code, converted.told
+    _, statuses = run_alone(converted.scene, time_step)
+    assert set(statuses) <= GOOD
+
+
+def test_each_entry_has_a_comment_with_its_source(convert):
+    text = convert("diamond.py").text
+    for kind, line in (("TetrahedronFEMForceField", 21), ("CableActuator", 29), ("PositionEffector", 27)):
+        assert re.search(rf"# {kind} /robot\S*, diamond.py:{line}\n", text)
+
+
+def test_loader_and_state_place_the_file_of_the_body(convert):
+    mesh = convert("diamond.py").scene.deformables[0].mesh
+    assert mesh.scale == 1e-3 and mesh.file.name == "diamond.vtk"
+    np.testing.assert_allclose(mesh.rotation, [np.pi / 2, 0.0, 0.0])
+    np.testing.assert_allclose(mesh.translation, [0.0, 0.0, 0.035])
+
+
+def test_values_are_in_si_by_the_gravity_of_the_file(convert):
+    scene = convert("diamond.py").scene
+    body = scene.deformables[0]
+    assert body.material.young_modulus == 180e3 and body.material.total_mass == 0.5
+    assert body.fixed[0].box.minimum == (-0.015, -0.015, -0.04)
+    assert scene.cables[0].shortening == (-np.inf, 0.02)
+    assert scene.cables[0].pull_point == (0.0, 0.01, 0.03)
+    assert scene.gravity == (0.0, 0.0, -9.81)
+
+
+@pytest.mark.parametrize("units, young, length", [
+    ("mm-kg-s", 180e3, 0.125), ("mm-g-s", 180.0, 0.125), ("m-kg-s", 180.0, 125.0)])  # fmt: skip
+def test_units_that_are_given_go_before_gravity(convert, units, young, length):
+    scene = convert("diamond.py", None, "--units", units).scene
+    assert scene.deformables[0].material.young_modulus == pytest.approx(young)
+    assert scene.effectors[0].points[0][2] == pytest.approx(length)
+
+
+def test_a_goal_becomes_a_target_that_is_reached(convert, folder, run_alone):
+    converted = convert("diamond.py")
+    header, *rows = (folder / "diamond_targets.csv").read_text().splitlines()
+    assert header == "time_s,tip_x_m,tip_y_m,tip_z_m"
+    assert rows[-1] == "20,0,0,0.122"
+
+
+def test_force_fields_on_the_same_cells_add_up(convert):
+    body = convert("stiff_layer.py").scene.deformables[0]
+    assert body.material.young_modulus == 500e3
+    assert [part.young_modulus for part in body.materials] == [1.5e6]
+    assert body.material.density == pytest.approx(0.04 / (0.1 * 0.02 * 0.02))
+
+
+def test_a_value_that_an_actuator_has_is_a_command(convert, folder):
+    convert("stiff_layer.py")
+    header, first, *_, last = (folder / "stiff_layer_commands.csv").read_text().splitlines()
+    assert (header, first, last) == ("time_s,flexor_shortening_m", "0,0", "0.4,0.002")
+
+
+def test_forces_are_impulses_over_a_step_in_motion_in_time(convert, folder):
+    converted = convert("prefabs.py")
+    last = (folder / "prefabs_commands.csv").read_text().splitlines()[-1]
+    assert last.endswith(",0.0001")  # 0.001 mN s in 0.01 s
+    assert "impulses" in converted.told
+
+
+def test_a_cable_without_a_pull_point_begins_on_the_body(convert):
+    cable = convert("prefabs.py").scene.cables[0]
+    assert cable.pull_point_on == "body" and cable.pull_point == (0.02, 0.02, 0.01)
+    assert cable.points == ((0.09, 0.02, 0.01),)
+
+
+def test_a_controller_by_keys_is_a_note_and_another_is_not_converted(convert):
+    assert "by keys" in convert("stiff_layer.py").told
+    told = convert("pneumatic_fingers.py").told
+    assert re.search(r"Controller +pneumatic_fingers.py:\d+ +has no counterpart", told)
+
+
+def test_pairs_that_may_touch_follow_from_groups_and_from_what_can_move(convert):
+    scene = convert("pneumatic_fingers.py").scene
+    pairs = {frozenset(one.pair) for one in scene.contact.between}
+    assert pairs == {frozenset(pair) for pair in (
+        ("floor", "cube"), ("floor", "finger1"), ("floor", "finger2"), ("cube", "finger1"), ("cube", "finger2"))}
+    assert scene.contact.friction == 0.6
+    assert (scene.contact.alarm_distance, scene.contact.contact_distance) == (0.005, 0.001)
+    assert scene.obstacles[0].plane is not None
+
+
+def test_a_region_of_another_body_gives_its_points(convert):
+    first, second = convert("pneumatic_fingers.py").scene.deformables
+    assert first.fixed[0].box is not None
+    nodes = second.fixed[0].nodes
+    assert len(nodes) == 25
+
+
+def test_a_chamber_that_is_placed_like_its_body_keeps_its_file(convert):
+    wall = convert("pneumatic_fingers.py").scene.cavities[0].walls[0]
+    assert wall.file.name == "chamber.obj" and wall.scale == 1e-3
+
+
+def test_constants_of_rubber_are_those_of_the_law_here(convert):
+    material = convert("rubber.py").scene.deformables[0].material
+    assert material.law == "mooney_rivlin" and material.bulk_modulus == 4e6
+    assert material.constants == {"c10": 60e3, "c01": 20e3}
+
+
+def test_soft_springs_to_the_rest_shape_pull_back_from_it(convert):
+    springs = convert("rubber.py").scene.springs
+    assert len(springs) == 18
+    assert all(one.stiffness == 3.0 and one.rest_length == 0.0 for one in springs)
+    assert all(one.ends[0].point == one.ends[1].point for one in springs)
+
+
+def test_a_grid_is_written_as_hexahedra(convert, folder):
+    body = convert("grid.py").scene.deformables[0]
+    assert body.element == "hexahedral" and body.mass == "consistent"
+    assert body.mesh.file.name == "grid_bar.msh" and (folder / "grid_bar.msh").is_file()
+
+
+def test_rigid_parts_carry_points_of_their_body(convert):
+    scene = convert("rigid_end.py").scene
+    fixed, free = scene.rigid_bodies
+    assert (fixed.motion, free.motion) == ("fixed", "free")
+    assert len(scene.deformables[0].attached[1].nodes) == 18
+    np.testing.assert_allclose(free.position, [0.095, 0.01, 0.01])
+
+
+def test_frames_with_a_beam_field_are_a_beam(convert):
+    beam = convert("beam.py").scene.beams[0]
+    assert beam.elements == 8 and beam.fixed == ("start",)
+    assert (beam.section.rectangle.thickness, beam.section.rectangle.width) == (0.004, 0.006)
+    assert beam.thickness_direction == (0.0, 1.0, 0.0)
+    assert beam.material.young_modulus == 2e8 and beam.material.density == pytest.approx(1000.0)
+
+
+def test_motion_without_inertia_has_the_mass_as_drag(convert):
+    scene = convert("centre.py").scene
+    assert scene.integration == "first_order" and scene.deformables[0].damping.mass == 1.0
+
+
+def test_an_effector_may_be_the_mean_of_points(convert):
+    effector = convert("centre.py").scene.effectors[0]
+    np.testing.assert_allclose(np.mean(effector.points, axis=0), [0.1, 0.01, 0.01])
+
+
+def test_unequal_factors_of_scale_are_written_into_a_mesh(convert):
+    assert convert("bar.scn").scene.deformables[0].mesh.file.name == "bar_bar.msh"
+
+
+def test_a_servo_of_a_hinge_is_a_motor_on_a_stiff_arm(convert):
+    scene = convert("articulated.py").scene
+    (arm,), (motor,) = scene.beams, scene.hinge_motors
+    assert arm.points == ((0.0, 0.0, 0.0), (0.045, 0.0, 0.0))
+    assert (arm.joined[0].to, arm.joined[0].by, arm.joined[0].axis) == ("world", "hinge", (0.0, 0.0, 1.0))
+    assert (motor.beam, motor.angle, motor.rate) == ("elbow", (-1.0, 1.0), 1.0)
+    assert scene.effectors[0].body == "elbow"
+
+
+def test_a_list_of_moduli_makes_parts_and_springs_hold_at_other_places(convert):
+    scene = convert("layers.scn").scene
+    body = scene.deformables[0]
+    assert (body.material.young_modulus, body.materials[0].young_modulus) == (3e4, 3e5)
+    near, far = scene.springs[0].ends
+    np.testing.assert_allclose(np.subtract(far.point, near.point), [0.0, 0.0, 0.001], atol=1e-12)
+    assert [one.pair for one in scene.contact.between] == [("block", "floor")]
+
+
+def test_surfaces_of_one_body_in_other_groups_may_touch_each_other(convert, folder):
+    text = (folder / "layers.scn").read_text().replace("<TriangleCollisionModel/>", (
+        '<TriangleCollisionModel group="1"/><Node name="shell"><MeshOBJLoader name="l" filename="mesh/cube.obj" '
+        'scale="0.05" translation="0.05 0.05 0.15"/><MeshTopology src="@l"/><MechanicalObject/>'
+        '<TriangleCollisionModel group="2"/><BarycentricMapping/></Node>'))
+    pairs = [one.pair for one in convert("shells.scn", text).scene.contact.between]
+    assert ("block", "block") in pairs
+
+
+# --- what is refused, or told ---------------------------------------------------------------------
+
+
+def test_what_has_no_counterpart_is_listed_by_component_and_line(convert):
+    converted = convert("foreign.py")
+    for kind, line, why in (("PartialFixedProjectiveConstraint", 16, "along some axes"),
+                            ("TetrahedronFEMForceField", 14, "plasticMaxThreshold"),
+                            ("CableConstraint", 20, "pullPoint is not known"),
+                            ("ConstantForceField", 17, "no counterpart")):
+        assert re.search(rf"{kind} +foreign.py:{line} .*{why}", converted.told)
+        assert re.search(rf"# Not converted: {kind}", converted.text)
+    assert not converted.scene.cables
+
+
+def test_unknown_functions_that_get_a_node_are_listed(convert):
+    text = ("from stlib3.nowhere import Unheard\nfrom grid import createScene as grid\n"
+            "def createScene(root):\n    grid(root)\n    Unheard(root, stiffness=3)\n")
+    converted = convert("unheard.py", text)
+    assert converted.code == 3 and "stlib3.nowhere.Unheard (unheard.py:5) is not known" in converted.told
+
+
+def test_a_file_that_stops_is_converted_up_to_there_and_says_so(convert):
+    converted = convert("broken.py")
+    assert "stopped at broken.py:10 (AttributeError" in converted.told
+
+
+@pytest.mark.parametrize("name, text, reason", [
+    ("none.py", "x = 1\n", "none.py: has no function createScene"),
+    ("wrong.py", "def createScene(root)\n", "SyntaxError"),
+    ("empty.py", "def createScene(root):\n    root.addChild('a')\n", "no body can be converted"),
+    ("lost.py", "def createScene(root):\n    root.addObject('MeshVTKLoader', name='l', filename='no.vtk')\n"
+     "    root.addObject('MeshTopology', src='@l')\n    root.addObject('MechanicalObject')\n"
+     "    root.addObject('TetrahedronFEMForceField')\n", r"its file no\.vtk is not found"),
+    ("leave.py", "import sys\ndef createScene(root):\n    sys.exit(1)\n", "SystemExit"),
+    ("cut.scn", "<Node name='a'><Node>", "cut.scn:1: is no XML"),
+    ("other.scn", "<html/>", "begins with <html>, not with <Node>"),
+    ("scene.txt", "", "is neither .py nor .scn nor .xml"),
+])  # fmt: skip
+def test_a_file_that_is_no_scene_gives_a_reason_and_exit_code_two(convert, name, text, reason):
+    converted = convert(name, text)
+    assert converted.code == 2 and re.search(reason, converted.told)
+    assert not converted.path.exists()
+
+
+def test_entities_of_xml_are_refused(convert):
+    converted = convert("attack.scn")
+    assert converted.code == 2 and "attack.scn:2: has a document type" in converted.told
+
+
+@pytest.mark.parametrize("field, reason", [
+    ('youngModulus="@other.youngModulus"/><MechanicalObject name="other" youngModulus="@FEM.youngModulus"', "in a circle"),
+    ('youngModulus="soft"', "is no list of numbers"), ('youngModulus="1 2 3"', "3 moduli"),
+    ('youngModulus="0"', "is zero"), ('poissonRatio="0.5"', "must be below 0.5"),
+    ('youngModulus="@nowhere.E"', "leads nowhere"), ('poissonRatio="0 . 3"', "is no list of numbers"),
+])  # fmt: skip
+def test_odd_values_are_refused_by_component_and_line(convert, folder, field, reason):
+    text = (folder / "bar.scn").read_text().replace('<FastTetrahedralCorotationalForceField youngModulus="600"',
+                                                    f'<TetrahedronFEMForceField name="FEM" {field}')
+    text = re.sub(r' poissonRatio="0.4" method="qr"(?=/>)', "", text) if "poisson" in field else text
+    converted = convert("odd.scn", text)
+    assert converted.code == 2 and re.search(rf"TetrahedronFEMForceField \(odd.scn:11\).*{reason}", converted.told)
+
+
+def test_a_scene_that_does_not_end_is_stopped(convert):
+    converted = convert("endless.py", "while True: pass\n", "--time-limit", "2")
+    assert converted.code == 2 and "ran longer than 2 s" in converted.told
+
+
+def test_masses_and_velocities_that_are_not_read_are_listed(convert, folder):
+    text = (folder / "bar.scn").read_text().replace('name="dofs"', 'name="dofs" velocity="0 0 5"').replace(
+        '<Node name="chains">', '<Node name="ball"><MechanicalObject/><UniformMass/></Node><Node name="chains">')
+    told = convert("moving.scn", text).told
+    assert re.search(r"MechanicalObject +moving.scn:9 +its field velocity = 0 0 5 has no counterpart", told)
+    assert re.search(r"UniformMass +moving.scn:14 +the points that it belongs to move", told)
+
+
+@pytest.mark.parametrize("kept", ["kept.yaml", "kept_bar.msh"])
+def test_existing_files_are_kept(folder, kept):
+    (folder / kept).write_text("mine\n")
+    assert main(["convert", str(folder / "grid.py"), "--output", str(folder / "kept.yaml")]) == 2
+    assert (folder / kept).read_text() == "mine\n"
+    (folder / kept).unlink()
+
+
+def test_a_scene_that_cannot_be_built_leaves_no_file(convert, folder):
+    text = (folder / "grid.py").read_text().replace('indices="@end.indices"', "indices=[0]")
+    converted = convert("loose.py", text)
+    assert converted.code == 2 and "the body is not held" in converted.told
+    assert not list(folder.glob("loose*.msh")) and not converted.path.exists()
