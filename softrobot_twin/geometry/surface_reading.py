@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import io
 import re
 import warnings
@@ -23,14 +22,19 @@ from softrobot_twin.geometry.box_tree import box_tree, nearest_distances
 from softrobot_twin.geometry.closed_surface import flatten_regions
 from softrobot_twin.geometry.ear_clipping import clip_ears
 from softrobot_twin.geometry.mass_properties import MassProperties, surface_mass_properties
-from softrobot_twin.geometry.mesh_file_checks import check_file, check_positions, check_size
+from softrobot_twin.geometry.mesh_file_checks import (
+    check_file,
+    check_positions,
+    check_size,
+    damage_told,
+)
 from softrobot_twin.geometry.mesh_parts import read_gmsh
 from softrobot_twin.geometry.mesh_repair import first_of_duplicates
 from softrobot_twin.geometry.solid_shells import (
     connected_shells,
-    enclosed_volume,
     is_inside,
     nested,
+    outward_shells,
     refuse_open,
 )
 from softrobot_twin.geometry.surface import half_edges
@@ -352,20 +356,11 @@ def read_surface(
         MeshError: The file cannot be read, or contains no triangles.
     """
     path = Path(path)
-    suffix = path.suffix.lower()
     check_file(path, SUFFIXES, "surface")
     check_size(path)
-    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # of numpy, on text that is no number
-                read = _READERS.get(suffix, _by_trimesh)
-                points, blocks = read(path)
-        except MeshError:
-            raise
-        except (Exception, SystemExit) as error:  # a damaged file may raise any exception
-            detail = " ".join(str(error).split()) or "no reason given"
-            raise MeshError(path, f"cannot be read ({type(error).__name__}: {detail})") from None
+    with damage_told(path, "cannot be read"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of numpy, on text that is no number
+        points, blocks = _READERS.get(path.suffix.lower(), _by_trimesh)(path)
     fans = [np.asarray(block, np.int64)[:, [0, corner, corner + 1]] for block in blocks
             for corner in range(1, block.shape[1] - 1)]  # fmt: skip
     if sum(map(len, fans)) == 0:
@@ -495,7 +490,8 @@ def read_solid_surface(
     refuse_open(path, points, triangles, remedy)
     shells = connected_shells(triangles)
     if hull is not None and shells.any():
-        count = _solid_count(points, triangles, shells)
+        outward = outward_shells(points, triangles, shells)
+        count = len(nested(points, outward, shells))
         if count > 1:
             raise MeshError(path, f"consists of {count} separate solids; {remedy}; what is apart "
                             "needs an entry and a file for each solid")  # fmt: skip
@@ -505,16 +501,6 @@ def read_solid_surface(
         raise MeshError(path, error.reason) from None
     notes.extend(line for line in told if line not in notes)
     return SolidSurface(flatten_regions(points, triangles), triangles)
-
-
-def _solid_count(points: np.ndarray, triangles: np.ndarray, shell_of: np.ndarray) -> int:
-    """Number of solids between shells."""
-    outward = triangles.copy()
-    for shell in range(shell_of.max() + 1):
-        own = shell_of == shell
-        if enclosed_volume(points, outward[own]) < 0.0:
-            outward[own] = outward[own][:, ::-1]
-    return len(nested(points, outward, shell_of))
 
 
 def _convex_hull(path: Path, points: np.ndarray) -> SolidSurface:
