@@ -159,25 +159,17 @@ def _heights(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return np.where(longest > 0.0, areas / np.where(longest > 0.0, longest, 1.0), 0.0)
 
 
-def _open_halves(triangles: np.ndarray) -> np.ndarray:
-    """Triangle and corner of each edge that belongs to one triangle only, shape (count, 2)."""
-    _, _, place, counts = half_edges(triangles)
-    single = np.flatnonzero(counts[place] == 1)
-    return np.column_stack([single // 3, single % 3])
-
-
 def _cut_at_junctions(points, triangles, tolerance: float) -> np.ndarray:
     """Cuts triangles at points on their open edges; one point per edge in each round."""
     for _ in range(_MOST_ROUNDS):
-        places = _open_halves(triangles)
-        if not len(places):
+        halves, _, place, counts = half_edges(triangles)
+        is_open = counts[place] == 1
+        if not is_open.any():
             break
-        border = np.unique(triangles[places[:, 0]][np.arange(len(places)), places[:, 1]])
-        ends = triangles[places[:, 0]][np.arange(len(places)), (places[:, 1] + 1) % 3]
-        border = np.union1d(border, ends)
+        border = np.unique(halves[is_open])
         tree = cKDTree(points[border])
         cut, whole = [], np.ones(len(triangles), dtype=bool)
-        for t, corner in places:
+        for t, corner in zip(*np.divmod(np.flatnonzero(is_open), 3), strict=True):
             if not whole[t]:
                 continue
             i, j, k = np.roll(triangles[t], -corner)

@@ -881,7 +881,8 @@ class Demo:
                 return
             if time.monotonic() > deadline:
                 raise DemoError("twin", f"cannot be enabled: {answer.message}")
-            self.until(_after(0.2), _ANSWER_TIMEOUT, "twin", "")
+            due = time.monotonic() + 0.2
+            self.until(lambda: time.monotonic() >= due, _ANSWER_TIMEOUT, "twin", "")
 
     def _switch(self, parameter_name: str, value: bool) -> None:
         name = "/twin/set_parameters"
@@ -948,8 +949,3 @@ class Demo:
             loop_reports[-1].compute_p50 if loop_reports else math.nan,
             loop_reports[-1].missed - before if loop_reports else 0,
             self._recorder.cause)
-
-
-def _after(seconds: float) -> Callable[[], bool]:
-    due = time.monotonic() + seconds
-    return lambda: time.monotonic() >= due
