@@ -129,9 +129,7 @@ class MarkerPlausibility:
             self._repeats, self._measured = (measured == self._measured).all(axis=1), measured
         self._judge(misfits, bare, seen, stamp / NANOSECONDS)
 
-    def _judge(
-        self, misfits: np.ndarray, bare: np.ndarray | None, seen: np.ndarray, now: float
-    ) -> None:
+    def _judge(self, misfits: np.ndarray, bare: np.ndarray | None, seen: np.ndarray, now: float) -> None:
         known = now - self._seen_at <= DROPPED_AFTER
         known &= np.isfinite(self._expected[:, 0])
         changes = misfits - np.where(known[:, np.newaxis], self._expected, 0.0)

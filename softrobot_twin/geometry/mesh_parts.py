@@ -554,9 +554,7 @@ def cell_of_each(of_file: np.ndarray, cells: np.ndarray) -> np.ndarray:
     return cell_of_group[group[len(cells) :]]
 
 
-def placed_parts(
-    path: Path, parts: FileParts, cell_of: np.ndarray, node_of: np.ndarray
-) -> MeshParts:
+def placed_parts(path: Path, parts: FileParts, cell_of: np.ndarray, node_of: np.ndarray) -> MeshParts:
     """Renumbers the parts of a file after repair.
 
     Args:

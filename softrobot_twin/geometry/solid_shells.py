@@ -85,9 +85,7 @@ def connected_shells(triangles: np.ndarray) -> np.ndarray:
     return np.unique(pieces[triangles[:, 0]], return_inverse=True)[1]
 
 
-def outward_shells(
-    points: np.ndarray, triangles: np.ndarray, shell_of: np.ndarray
-) -> np.ndarray:
+def outward_shells(points: np.ndarray, triangles: np.ndarray, shell_of: np.ndarray) -> np.ndarray:
     """The triangles with the normals of each shell out of the space that the shell encloses.
 
     Args:

@@ -255,9 +255,7 @@ def _unfolded(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return triangles
 
 
-def _connected_fan(
-    triangles: np.ndarray, around: np.ndarray, first: int, apex: int
-) -> np.ndarray:
+def _connected_fan(triangles: np.ndarray, around: np.ndarray, first: int, apex: int) -> np.ndarray:
     """Triangles at an apex that are connected to the first one by edges from the apex."""
     fan, reached = {int(first)}, set(triangles[first].tolist()) - {int(apex)}
     while True:

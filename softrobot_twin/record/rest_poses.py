@@ -66,9 +66,7 @@ def poses_of_run(path: Path, simulation: Simulation) -> tuple[list[RestPose], st
 # --- tables --------------------------------------------------------------------------------------
 
 
-def poses_of_table(
-    source: Path | str | Mapping, simulation: Simulation
-) -> tuple[list[RestPose], str]:
+def poses_of_table(source: Path | str | Mapping, simulation: Simulation) -> tuple[list[RestPose], str]:
     """Poses at rest of a CSV file or a table of columns, and how many were dropped, in words.
 
     Without the column ``time_s`` each row is a pose at rest. Setpoints are as runs write them; measured

@@ -90,9 +90,7 @@ class RunDescription:
         return cls(**{**values, "files": files})
 
 
-def describe(
-    loop: TwinLoop, node: str, began: int, parameters: dict[str, object]
-) -> RunDescription:
+def describe(loop: TwinLoop, node: str, began: int, parameters: dict[str, object]) -> RunDescription:
     """Describes a run that begins.
 
     Args:

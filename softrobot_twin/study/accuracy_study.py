@@ -967,9 +967,7 @@ class Loads(NamedTuple):
     pressed: np.ndarray | None = None
 
 
-def study_meshes(
-    levels: list[MeshLevel], limits: Limits, hexahedra: Sequence[MeshLevel] = ()
-) -> Study:
+def study_meshes(levels: list[MeshLevel], limits: Limits, hexahedra: Sequence[MeshLevel] = ()) -> Study:
     """Measures every mesh with every element and law, and shows the progress.
 
     Args:
