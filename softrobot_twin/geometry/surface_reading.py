@@ -350,7 +350,8 @@ def read_surface(
     check_size(path)
     with damage_told(path, "cannot be read"), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of numpy, on text that is no number
-        points, blocks = _READERS.get(path.suffix.lower(), _by_trimesh)(path)
+        read = _READERS.get(path.suffix.lower())
+        points, blocks = _by_trimesh(path) if read is None else _flat_cells(read(str(path)))
     fans = [np.asarray(block, np.int64)[:, [0, corner, corner + 1]] for block in blocks
             for corner in range(1, block.shape[1] - 1)]  # fmt: skip
     if sum(map(len, fans)) == 0:
@@ -424,12 +425,7 @@ def _flat_cells(content: meshio.Mesh) -> tuple[np.ndarray, list[np.ndarray]]:
                             if block.type in _CORNERS_OF and len(block.data)]  # fmt: skip
 
 
-_READERS = {
-    ".vtk": lambda path: _flat_cells(read_legacy_vtk(str(path))),
-    ".vtu": lambda path: _flat_cells(read_vtk_xml(str(path))),
-    ".vtp": lambda path: _flat_cells(read_vtk_xml(str(path))),
-    ".msh": lambda path: _flat_cells(read_gmsh(str(path))),
-}
+_READERS = {".vtk": read_legacy_vtk, ".vtu": read_vtk_xml, ".vtp": read_vtk_xml, ".msh": read_gmsh}
 
 
 def _merged(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

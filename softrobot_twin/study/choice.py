@@ -448,8 +448,7 @@ class Models:
         Args:
             row: A row of a study.
         """
-        level = self._by_name[row.mesh]
-        return level.with_element(row.element)
+        return self._by_name[row.mesh].with_element(row.element)
 
     def rows(self, known: Sequence[AccuracyRow]) -> list[AccuracyRow]:
         """Rows of the reduced models: measured by ``accuracy``, or measured beside full ones now.
