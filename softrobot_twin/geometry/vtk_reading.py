@@ -264,7 +264,7 @@ class _Bytes(NamedTuple):
     def whole(self, header_size: int, size: int) -> bytes:
         """An array without compression, encoded with its header or, as the padding shows, apart."""
         header = self.data[self.start : self.start + self.length(header_size)]
-        if isinstance(header, bytes) or header.endswith("="):
+        if isinstance(header, bytes) or header.endswith("=" * (-header_size % 3)):
             return self.after(header_size, size)
         return self.take(0, header_size + size)[header_size:]
 
