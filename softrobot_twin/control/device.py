@@ -88,9 +88,7 @@ class CarriedDevice(Protocol):
     guided_names: tuple[str, ...]
     rigid_names: tuple[str, ...]
 
-    def apply_pose(
-        self, name: str, position: np.ndarray, quaternion: np.ndarray, now: float
-    ) -> None:
+    def apply_pose(self, name: str, position: np.ndarray, quaternion: np.ndarray, now: float) -> None:
         """Takes the newest pose of a guided body at a time [s]: position [m], (x, y, z, w).
 
         Args:
@@ -313,9 +311,7 @@ class MeasuredSetpoints(ActuatorInput):
             if now - arrived > timeout
         )  # fmt: skip
 
-    def _keep(
-        self, order: NameOrder, setpoints: np.ndarray, efforts: np.ndarray, time: float
-    ) -> None:
+    def _keep(self, order: NameOrder, setpoints: np.ndarray, efforts: np.ndarray, time: float) -> None:
         self.efforts = order.values(efforts) if len(efforts) else None
         self._take(order.named, order.values(setpoints) + order.offsets, time)
 
@@ -450,9 +446,7 @@ class DeviceWatch:
         time = np.where(is_new, np.maximum(LAG_RATE * np.minimum(since, LAG_TIME), since), LAG_TIME)
         return bool((is_new & (lag - before > self._rate * time + noise)).any())
 
-    def _is_between(
-        self, setpoints: np.ndarray, commanded: np.ndarray, noise: np.ndarray
-    ) -> bool:
+    def _is_between(self, setpoints: np.ndarray, commanded: np.ndarray, noise: np.ndarray) -> bool:
         """True for setpoints between the last measured ones and the command."""
         if self._measured is None:
             return False

@@ -63,9 +63,7 @@ class Engagement:
         is_without_model: The robot returns to rest without the model, because the model failed.
     """
 
-    def __init__(
-        self, simulation: Simulation, guidance: Guidance, device: MeasuredSetpoints | None
-    ):
+    def __init__(self, simulation: Simulation, guidance: Guidance, device: MeasuredSetpoints | None):
         self._simulation, self._guidance, self._device = simulation, guidance, device
         self.gate = CommandGate(
             simulation.actuator_names, simulation.rest_setpoints, simulation.limits
@@ -247,9 +245,7 @@ class Engagement:
         self._simulation.reset()
         return True
 
-    def _end_resynchronisation(
-        self, gives_up: bool, result: StepResult, time_step: float
-    ) -> bool:
+    def _end_resynchronisation(self, gives_up: bool, result: StepResult, time_step: float) -> bool:
         goal, gate = self.goal, self.gate
         if gives_up:
             self._simulation.reset()

@@ -17,6 +17,7 @@ import struct
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from typing import TYPE_CHECKING, BinaryIO
 
 # `yield_to_all` runs before numpy is imported: threads of its libraries inherit the priority.
@@ -306,12 +307,10 @@ def run(serve: Callable[[Requests, Replies], None], yields: bool = True) -> None
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # print() must not write between replies
     requests = Requests(stdout)
     reply = Replies(os.fdopen(stdout, "wb"), requests.is_again)
-    try:
+    with suppress(BrokenPipeError):  # The twin has ended.
         try:
             serve(requests, reply)
         except BrokenPipeError:
             raise
         except Exception as error:  # noqa: BLE001 - the twin reports it; its stderr is not read
             reply(UNKNOWN, f"it failed: {type(error).__name__}: {error}")
-    except BrokenPipeError:
-        pass  # The twin has ended.

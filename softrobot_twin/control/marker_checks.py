@@ -129,13 +129,11 @@ class MarkerPlausibility:
             self._repeats, self._measured = (measured == self._measured).all(axis=1), measured
         self._judge(misfits, bare, seen, stamp / NANOSECONDS)
 
-    def _judge(
-        self, misfits: np.ndarray, bare: np.ndarray | None, seen: np.ndarray, now: float
-    ) -> None:
+    def _judge(self, misfits: np.ndarray, bare: np.ndarray | None, seen: np.ndarray, now: float) -> None:
         known = now - self._seen_at <= DROPPED_AFTER
         known &= np.isfinite(self._expected[:, 0])
         changes = misfits - np.where(known[:, np.newaxis], self._expected, 0.0)
-        votes = self._votes(seen)
+        votes = np.append(seen, False)[self._around].sum(axis=1)  # Visible ones around each.
         # All medians in one call: this runs in every tick with a new frame.
         others = [] if bare is None else [bare]
         medians = self._common(np.concatenate([changes, misfits, *others], axis=1), votes)
@@ -210,10 +208,6 @@ class MarkerPlausibility:
         most = max(3.0 * self.noise, _FIRST_NOISE_SHARE * self._size)
         typical = min(median(deviations.tolist()) / _LENGTH_OF_NOISE, most)
         self.noise += learning * (typical - self.noise)
-
-    def _votes(self, seen: np.ndarray) -> np.ndarray:
-        """Number of visible markers around each one, including itself, shape (marker_count,)."""
-        return np.append(seen, False)[self._around].sum(axis=1)
 
     def _common(self, vectors: np.ndarray, votes: np.ndarray) -> np.ndarray:
         """Median over the markers around each one [m]; zero where none is visible.

@@ -373,9 +373,7 @@ class SimulatedDevice:
             return
         self._queue.append((now + self._flaws.delay, setpoints))
 
-    def apply_pose(
-        self, name: str, position: np.ndarray, quaternion: np.ndarray, now: float
-    ) -> None:
+    def apply_pose(self, name: str, position: np.ndarray, quaternion: np.ndarray, now: float) -> None:
         """Takes the newest pose of a guided body; see `CarriedDevice`. The delay starts now."""
         pose = Pose(np.array(position, dtype=float), np.array(quaternion, dtype=float))
         if name not in self.guided_names or refusal_of_pose(pose):

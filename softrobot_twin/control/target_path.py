@@ -271,9 +271,7 @@ def _blended_share(time: float, duration: float) -> float:
     return s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
 
 
-def _blend_turns(
-    start: np.ndarray | None, end: np.ndarray, time: float, duration: float
-) -> np.ndarray:
+def _blend_turns(start: np.ndarray | None, end: np.ndarray, time: float, duration: float) -> np.ndarray:
     """The same for orientations (x, y, z, w), along the shorter turn; jumps without a start."""
     if start is None or time >= duration:
         return end

@@ -31,6 +31,7 @@ from softrobot_twin.geometry.solid_shells import (
     enclosed_volume,
     first_crossing,
     nested,
+    outward_shells,
     refuse_open,
 )
 from softrobot_twin.geometry.surface import boundary_triangles
@@ -219,10 +220,7 @@ def read_shells(path: Path, scale: float = 1.0, repair: bool = False) -> Shells:
     if crossing is not None:
         raise MeshError(path, f"its surface intersects itself at {at(crossing)}; {remedy}")
     shell_of = connected_shells(triangles)
-    for shell in range(shell_of.max() + 1):
-        own = shell_of == shell
-        if enclosed_volume(points, triangles[own]) < 0.0:
-            triangles[own] = triangles[own][:, ::-1]
+    triangles = outward_shells(points, triangles, shell_of)
     solids = nested(points, triangles, shell_of)
     volumes = [enclosed_volume(points, triangles[shell_of == shell])
                for shell in range(shell_of.max() + 1)]  # fmt: skip

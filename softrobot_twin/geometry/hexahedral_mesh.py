@@ -230,7 +230,9 @@ def free_faces(positions: np.ndarray, tets: np.ndarray, hexahedra: np.ndarray) -
     Raises:
         MeshError: Tetrahedra cover a quadrilateral along both diagonals.
     """
-    quads, owners = _single_quads(hexahedra)
+    faces = hexahedra[:, HEXAHEDRON_FACES].reshape(-1, 4)
+    owners = single_rows(faces)  # 6 times the cell plus the number of its face
+    quads = faces[owners]
     triangles, of_triangles = boundary_faces(tets)
     halves = quads[:, DIAGONAL_HALVES]  # quad, diagonal, half, corner
     taken, covers = _matching(halves.reshape(-1, 3), triangles)
@@ -254,13 +256,6 @@ def free_faces(positions: np.ndarray, tets: np.ndarray, hexahedra: np.ndarray) -
         np.concatenate([triangles[~covers], kept]),
         np.concatenate([of_triangles[~covers], len(tets) + cells]), shared, chosen[is_shared],
     )  # fmt: skip
-
-
-def _single_quads(hexahedra: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Faces of one hexahedron only, and the number of each: 6 times its cell plus its own."""
-    faces = hexahedra[:, HEXAHEDRON_FACES].reshape(-1, 4)
-    single = single_rows(faces)
-    return faces[single], single
 
 
 def _matching(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

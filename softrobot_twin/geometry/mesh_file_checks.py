@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import io
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import numpy as np
 
-from softrobot_twin.errors import MeshError
+from softrobot_twin.errors import MeshError, one_line
 
 MOST_BYTES = 200_000_000
 """A larger file is not read."""
@@ -56,6 +59,27 @@ def check_size(path: Path) -> None:
             word = b"".join(words).decode()
             raise MeshError(path, f"is damaged: it has {byte_count} bytes, and states {most} for "
                             f"{word}")  # fmt: skip
+
+
+@contextmanager
+def damage_told(path: Path, what: str) -> Iterator[None]:
+    """Reads a file inside the context: what readers print is dropped, and their errors become ours.
+
+    Args:
+        path: The file.
+        what: What cannot be done with it, such as ``cannot be read``.
+
+    Raises:
+        MeshError: The reader raised an error.
+    """
+    with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
+        try:
+            yield
+        except MeshError:
+            raise
+        except (Exception, SystemExit) as error:  # a damaged file may raise any exception
+            detail = one_line(error) or "no reason given"
+            raise MeshError(path, f"{what} ({type(error).__name__}: {detail})") from error
 
 
 def check_positions(path: Path, positions: np.ndarray, scale: float, what: str) -> None:

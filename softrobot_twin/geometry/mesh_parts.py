@@ -554,9 +554,7 @@ def cell_of_each(of_file: np.ndarray, cells: np.ndarray) -> np.ndarray:
     return cell_of_group[group[len(cells) :]]
 
 
-def placed_parts(
-    path: Path, parts: FileParts, cell_of: np.ndarray, node_of: np.ndarray
-) -> MeshParts:
+def placed_parts(path: Path, parts: FileParts, cell_of: np.ndarray, node_of: np.ndarray) -> MeshParts:
     """Renumbers the parts of a file after repair.
 
     Args:
@@ -600,7 +598,5 @@ def placed_parts(
 def _lost_node(rows: np.ndarray, node_of: np.ndarray) -> int | None:
     """First node of the file that is not in the mesh; None without one."""
     nodes = rows.ravel()
-    exists = (nodes >= 0) & (nodes < len(node_of))
-    lost = ~exists
-    lost[exists] = node_of[nodes[exists]] < 0
+    lost = ~np.isin(nodes, np.flatnonzero(node_of >= 0))
     return int(nodes[np.argmax(lost)]) if lost.any() else None

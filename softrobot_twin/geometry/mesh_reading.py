@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,7 +19,12 @@ from softrobot_twin.geometry.hexahedral_mesh import (
     corner_determinants,
     scaled_jacobians,
 )
-from softrobot_twin.geometry.mesh_file_checks import check_file, check_positions, check_size
+from softrobot_twin.geometry.mesh_file_checks import (
+    check_file,
+    check_positions,
+    check_size,
+    damage_told,
+)
 from softrobot_twin.geometry.mesh_parts import (
     NO_PARTS,
     FileParts,
@@ -51,18 +54,14 @@ from softrobot_twin.geometry.vtk_reading import read_legacy_vtk, read_vtk_xml
 
 # Number of nodes of each kind of cell that is read.
 _NODES_OF = {"tetra": 4, "tetra10": 10, "hexahedron": 8}
-_READERS = {
-    "Gmsh": read_gmsh,
-    "legacy VTK": read_legacy_vtk,
-    "VTK XML": read_vtk_xml,
-    "Abaqus": read_abaqus,
+# Suffix, begin of the content, in small letters, and reader of each format.
+_FORMATS = {
+    "Gmsh": (".msh", b"$", read_gmsh),
+    "legacy VTK": (".vtk", b"# vtk", read_legacy_vtk),
+    "VTK XML": (".vtu", b"<", read_vtk_xml),
+    "Abaqus": (".inp", b"*", read_abaqus),
 }
-_FORMAT_OF_SUFFIX = {
-    ".msh": "Gmsh",
-    ".vtk": "legacy VTK",
-    ".vtu": "VTK XML",
-    ".inp": "Abaqus",
-}
+_FORMAT_OF_SUFFIX = {suffix: name for name, (suffix, _, _) in _FORMATS.items()}
 
 
 class MeshFile(NamedTuple):
@@ -109,32 +108,18 @@ def read_mesh_file(path: Path) -> MeshFile:
     check_file(path, tuple(_FORMAT_OF_SUFFIX), "mesh")
     check_size(path)
     format_name = _format_of_content(path)
-    # The reader prints to the terminal; the relevant part becomes the error message.
-    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-        try:
-            content = _READERS[format_name](str(path))
-            parts = file_parts(content, format_name)
-        except MeshError:
-            raise
-        except Exception as error:  # a damaged file may raise any exception
-            detail = " ".join(str(error).split()) or "no reason given"
-            raise MeshError(
-                path, f"cannot be read as {format_name} ({type(error).__name__}: {detail})"
-            ) from error
+    with damage_told(path, f"cannot be read as {format_name}"):
+        content = _FORMATS[format_name][2](str(path))
+        parts = file_parts(content, format_name)
     return _solids(path, content, parts, format_name, _FORMAT_OF_SUFFIX[path.suffix.lower()])
 
 
 def _format_of_content(path: Path) -> str:
     with open(path, "rb") as file:
         start = file.read(512).removeprefix(b"\xef\xbb\xbf").lstrip()
-    if start.startswith(b"$"):
-        return "Gmsh"
-    if start.lower().startswith(b"# vtk"):
-        return "legacy VTK"
-    if start.startswith(b"<"):
-        return "VTK XML"
-    if start.startswith(b"*"):
-        return "Abaqus"
+    for name, (_, begin, _) in _FORMATS.items():
+        if start.lower().startswith(begin):
+            return name
     shown = start[:20].decode("ascii", errors="replace")
     raise MeshError(path, f"starts with {shown!r}, which no mesh format we read does")
 

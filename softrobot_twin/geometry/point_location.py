@@ -246,9 +246,7 @@ def _deepest_hexahedra(
     return _deepest(items, points, weights_in)
 
 
-def _inverse_isoparametric(
-    corners: np.ndarray, points: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _inverse_isoparametric(corners: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Reference coordinates of points in hexahedra by Newton's method, and whether it converged.
 
     Iterates are kept within twice the cell: a point that needs more is not in it.
@@ -273,9 +271,7 @@ def _inverse_isoparametric(
     return places, np.linalg.norm(left, axis=1) <= _CONVERGED * size
 
 
-def _deepest_tets(
-    items: _Items, points: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _deepest_tets(items: _Items, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The same among tetrahedra: the depth is the smallest weight."""
     corners = items.corners
 

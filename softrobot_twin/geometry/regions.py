@@ -46,9 +46,7 @@ def nodes_in_box(
     return np.flatnonzero(inside.all(axis=1)).astype(np.int64)
 
 
-def nodes_in_sphere(
-    node_positions: np.ndarray, centre: Sequence[float], radius: float
-) -> np.ndarray:
+def nodes_in_sphere(node_positions: np.ndarray, centre: Sequence[float], radius: float) -> np.ndarray:
     """Finds the nodes inside a sphere or on its surface.
 
     Args:

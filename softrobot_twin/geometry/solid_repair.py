@@ -12,9 +12,9 @@ from softrobot_twin.geometry.mesh_repair import first_of_duplicates
 from softrobot_twin.geometry.solid_shells import (
     at,
     connected_shells,
-    enclosed_volume,
     first_crossing,
     is_inside,
+    outward_shells,
     refuse_open,
 )
 from softrobot_twin.geometry.surface_reading import boundary_loops, repair_surface
@@ -96,11 +96,7 @@ def _united(
     except ModuleNotFoundError:
         raise MeshError(path, f"has solids that overlap; manifold3d unites them, and is not "
                         f"installed: {INSTALL}") from None  # fmt: skip
-    outward = triangles.copy()
-    for shell in range(shell_of.max() + 1):
-        own = shell_of == shell
-        if enclosed_volume(points, outward[own]) < 0.0:
-            outward[own] = outward[own][:, ::-1]
+    outward = outward_shells(points, triangles, shell_of)
     solids, cavities = {}, {}
     for shell in range(shell_of.max() + 1):
         used, corners = np.unique(outward[shell_of == shell], return_inverse=True)

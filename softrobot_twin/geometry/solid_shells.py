@@ -85,6 +85,25 @@ def connected_shells(triangles: np.ndarray) -> np.ndarray:
     return np.unique(pieces[triangles[:, 0]], return_inverse=True)[1]
 
 
+def outward_shells(points: np.ndarray, triangles: np.ndarray, shell_of: np.ndarray) -> np.ndarray:
+    """The triangles with the normals of each shell out of the space that the shell encloses.
+
+    Args:
+        points: Points [m], shape (point_count, 3).
+        triangles: Closed and oriented, shape (triangle_count, 3).
+        shell_of: Shell of each triangle, shape (triangle_count,).
+
+    Returns:
+        A copy in the same order, shape (triangle_count, 3).
+    """
+    outward = triangles.copy()
+    for shell in range(shell_of.max() + 1):
+        own = shell_of == shell
+        if enclosed_volume(points, outward[own]) < 0.0:
+            outward[own] = outward[own][:, ::-1]
+    return outward
+
+
 def nested(points: np.ndarray, triangles: np.ndarray, shell_of: np.ndarray) -> list[list[int]]:
     """Finds which shells are cavities: one inside one other is, inside two a solid again.
 

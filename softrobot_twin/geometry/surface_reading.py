@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import io
 import re
 import warnings
@@ -23,14 +22,19 @@ from softrobot_twin.geometry.box_tree import box_tree, nearest_distances
 from softrobot_twin.geometry.closed_surface import flatten_regions
 from softrobot_twin.geometry.ear_clipping import clip_ears
 from softrobot_twin.geometry.mass_properties import MassProperties, surface_mass_properties
-from softrobot_twin.geometry.mesh_file_checks import check_file, check_positions, check_size
+from softrobot_twin.geometry.mesh_file_checks import (
+    check_file,
+    check_positions,
+    check_size,
+    damage_told,
+)
 from softrobot_twin.geometry.mesh_parts import read_gmsh
 from softrobot_twin.geometry.mesh_repair import first_of_duplicates
 from softrobot_twin.geometry.solid_shells import (
     connected_shells,
-    enclosed_volume,
     is_inside,
     nested,
+    outward_shells,
     refuse_open,
 )
 from softrobot_twin.geometry.surface import half_edges
@@ -155,25 +159,17 @@ def _heights(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return np.where(longest > 0.0, areas / np.where(longest > 0.0, longest, 1.0), 0.0)
 
 
-def _open_halves(triangles: np.ndarray) -> np.ndarray:
-    """Triangle and corner of each edge that belongs to one triangle only, shape (count, 2)."""
-    _, _, place, counts = half_edges(triangles)
-    single = np.flatnonzero(counts[place] == 1)
-    return np.column_stack([single // 3, single % 3])
-
-
 def _cut_at_junctions(points, triangles, tolerance: float) -> np.ndarray:
     """Cuts triangles at points on their open edges; one point per edge in each round."""
     for _ in range(_MOST_ROUNDS):
-        places = _open_halves(triangles)
-        if not len(places):
+        halves, _, place, counts = half_edges(triangles)
+        is_open = counts[place] == 1
+        if not is_open.any():
             break
-        border = np.unique(triangles[places[:, 0]][np.arange(len(places)), places[:, 1]])
-        ends = triangles[places[:, 0]][np.arange(len(places)), (places[:, 1] + 1) % 3]
-        border = np.union1d(border, ends)
+        border = np.unique(halves[is_open])
         tree = cKDTree(points[border])
         cut, whole = [], np.ones(len(triangles), dtype=bool)
-        for t, corner in places:
+        for t, corner in zip(*np.divmod(np.flatnonzero(is_open), 3), strict=True):
             if not whole[t]:
                 continue
             i, j, k = np.roll(triangles[t], -corner)
@@ -259,9 +255,7 @@ def _unfolded(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return triangles
 
 
-def _connected_fan(
-    triangles: np.ndarray, around: np.ndarray, first: int, apex: int
-) -> np.ndarray:
+def _connected_fan(triangles: np.ndarray, around: np.ndarray, first: int, apex: int) -> np.ndarray:
     """Triangles at an apex that are connected to the first one by edges from the apex."""
     fan, reached = {int(first)}, set(triangles[first].tolist()) - {int(apex)}
     while True:
@@ -352,20 +346,12 @@ def read_surface(
         MeshError: The file cannot be read, or contains no triangles.
     """
     path = Path(path)
-    suffix = path.suffix.lower()
     check_file(path, SUFFIXES, "surface")
     check_size(path)
-    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # of numpy, on text that is no number
-                read = _READERS.get(suffix, _by_trimesh)
-                points, blocks = read(path)
-        except MeshError:
-            raise
-        except (Exception, SystemExit) as error:  # a damaged file may raise any exception
-            detail = " ".join(str(error).split()) or "no reason given"
-            raise MeshError(path, f"cannot be read ({type(error).__name__}: {detail})") from None
+    with damage_told(path, "cannot be read"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of numpy, on text that is no number
+        read = _READERS.get(path.suffix.lower())
+        points, blocks = _by_trimesh(path) if read is None else _flat_cells(read(str(path)))
     fans = [np.asarray(block, np.int64)[:, [0, corner, corner + 1]] for block in blocks
             for corner in range(1, block.shape[1] - 1)]  # fmt: skip
     if sum(map(len, fans)) == 0:
@@ -439,12 +425,7 @@ def _flat_cells(content: meshio.Mesh) -> tuple[np.ndarray, list[np.ndarray]]:
                             if block.type in _CORNERS_OF and len(block.data)]  # fmt: skip
 
 
-_READERS = {
-    ".vtk": lambda path: _flat_cells(read_legacy_vtk(str(path))),
-    ".vtu": lambda path: _flat_cells(read_vtk_xml(str(path))),
-    ".vtp": lambda path: _flat_cells(read_vtk_xml(str(path))),
-    ".msh": lambda path: _flat_cells(read_gmsh(str(path))),
-}
+_READERS = {".vtk": read_legacy_vtk, ".vtu": read_vtk_xml, ".vtp": read_vtk_xml, ".msh": read_gmsh}
 
 
 def _merged(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -495,7 +476,8 @@ def read_solid_surface(
     refuse_open(path, points, triangles, remedy)
     shells = connected_shells(triangles)
     if hull is not None and shells.any():
-        count = _solid_count(points, triangles, shells)
+        outward = outward_shells(points, triangles, shells)
+        count = len(nested(points, outward, shells))
         if count > 1:
             raise MeshError(path, f"consists of {count} separate solids; {remedy}; what is apart "
                             "needs an entry and a file for each solid")  # fmt: skip
@@ -505,16 +487,6 @@ def read_solid_surface(
         raise MeshError(path, error.reason) from None
     notes.extend(line for line in told if line not in notes)
     return SolidSurface(flatten_regions(points, triangles), triangles)
-
-
-def _solid_count(points: np.ndarray, triangles: np.ndarray, shell_of: np.ndarray) -> int:
-    """Number of solids between shells."""
-    outward = triangles.copy()
-    for shell in range(shell_of.max() + 1):
-        own = shell_of == shell
-        if enclosed_volume(points, outward[own]) < 0.0:
-            outward[own] = outward[own][:, ::-1]
-    return len(nested(points, outward, shell_of))
 
 
 def _convex_hull(path: Path, points: np.ndarray) -> SolidSurface:

@@ -1,7 +1,8 @@
 """Reading of VTK files: XML (.vtu, .vtp), whose arrays may be compressed, and legacy (.vtk).
 
 A compressed array of a few bytes can stand for gigabytes. Each array is unpacked only as far as all
-arrays together remain below `MOST_UNPACKED`; meshio has no such bound, and reads no POLYDATA.
+arrays together remain below `MOST_UNPACKED`. meshio has no such bound, and reads no POLYDATA; of a
+grid in several pieces meshio keeps only the cells of the last one.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import warnings
 import zlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 import meshio
@@ -117,12 +118,11 @@ class _XmlFile:
     def __init__(self, text: bytes):
         if b"<!DOCTYPE" in text[:4096]:
             raise ValueError("it has a document type, which VTK does not write")
-        # Raw data in it is no XML.
-        self._raw = None
+        self._appended: bytes | str | None = None
         opening = re.search(rb'<AppendedData[^>]*encoding="raw"[^>]*>', text)
-        if opening is not None:
+        if opening is not None:  # Raw data in it is no XML.
             end = text.rfind(b"</AppendedData>")
-            self._raw = text[opening.end() : end].partition(b"_")[2]
+            self._appended = text[opening.end() : end].partition(b"_")[2]
             text = text[: opening.end()] + text[end:]
         root = ElementTree.fromstring(text)
         self._has_polygons = root.find("PolyData") is not None
@@ -138,9 +138,8 @@ class _XmlFile:
         self._decompressor = None if compressor is None else _DECOMPRESSORS[compressor]
         self._order = ">" if root.get("byte_order") == "BigEndian" else "<"
         self._counts = self._type(root.get("header_type", "UInt32"))
-        appended = root.find("AppendedData")
-        text_of_appended = "" if appended is None else appended.text or ""
-        self._base64 = text_of_appended.strip().removeprefix("_")
+        if self._appended is None:
+            self._appended = (root.findtext("AppendedData") or "").strip().removeprefix("_")
         self._left = MOST_UNPACKED
 
     def content(self) -> meshio.Mesh:
@@ -206,24 +205,22 @@ class _XmlFile:
                 warnings.simplefilter("error")  # of words that are no numbers
                 return np.fromstring(text, dtype=kind.newbyteorder("="), sep=" ")
         if form == "binary":
-            return np.frombuffer(self._unpacked(_Base64((array.text or "").strip())), kind)
+            return np.frombuffer(self._unpacked(_Bytes((array.text or "").strip())), kind)
         if form != "appended":
             raise ValueError(f"an array has the format {form}")
         start = int(array.get("offset", "0"))
         if start < 0:
             raise ValueError("an array begins before the appended data")
-        source = _Base64(self._base64, start) if self._raw is None else _Raw(self._raw, start)
-        return np.frombuffer(self._unpacked(source), kind)
+        return np.frombuffer(self._unpacked(_Bytes(self._appended, start)), kind)
 
     def _unpacked(self, source: _Bytes) -> bytes:
-        """The bytes of an array: its size or the sizes of its compressed blocks come first."""
+        """The bytes of an array: its size, or count and sizes of its compressed blocks, come first."""
         width = self._counts.itemsize
+        first = int(np.frombuffer(source.take(0, width), self._counts)[0])
         if self._decompressor is None:
-            size = int(np.frombuffer(source.take(0, width), self._counts)[0])
-            self._take(size)
-            return source.whole(width, size)
-        block_count = int(np.frombuffer(source.take(0, width), self._counts)[0])
-        head_size = (3 + block_count) * width
+            self._take(first)
+            return source.whole(width, first)
+        head_size = (3 + first) * width
         sizes = np.frombuffer(source.take(0, head_size), self._counts)[3:].astype(np.int64)
         blocks, start = [], 0
         packed = source.after(head_size, int(sizes.sum()))
@@ -240,49 +237,36 @@ class _XmlFile:
             raise ValueError(f"its arrays unpack to more than {MOST_UNPACKED / 1e6:.0f} MB")
 
 
-class _Raw:
-    """Bytes of raw data from a start on."""
+class _Bytes(NamedTuple):
+    """Bytes of raw data or of base64 text from a start on."""
 
-    def __init__(self, data: bytes, start: int):
-        self._data, self._start = data, start
+    data: bytes | str
+    start: int = 0
 
-    def take(self, start: int, size: int) -> bytes:
-        first = self._start + start
-        if size < 0 or first + size > len(self._data):
-            raise ValueError("an array ends before its last byte")
-        return self._data[first : first + size]
-
-    after = whole = take
-
-
-class _Base64:
-    """Bytes of base64 text from a start on."""
-
-    def __init__(self, text: str, start: int = 0):
-        self._text, self._start = text, start
+    def length(self, size: int) -> int:
+        """Length of so many bytes in the data."""
+        return 4 * -(-size // 3) if isinstance(self.data, str) else size
 
     def take(self, start: int, size: int) -> bytes:
-        first = self._start + start
-        length = 4 * -(-size // 3)
-        if size < 0 or first + length > len(self._text):
+        first = self.start + start
+        end = first + self.length(size)
+        if size < 0 or end > len(self.data):
             raise ValueError("an array ends before its last byte")
         try:
-            return base64.b64decode(self._text[first : first + length])[:size]
+            part = self.data[first:end]
+            return base64.b64decode(part)[:size] if isinstance(part, str) else part
         except binascii.Error as error:
             raise ValueError(f"an array is no base64 ({error})") from None
 
     def after(self, header_size: int, size: int) -> bytes:
-        return self.take(4 * -(-header_size // 3), size)
+        return self.take(self.length(header_size), size)
 
     def whole(self, header_size: int, size: int) -> bytes:
         """An array without compression, encoded with its header or, as the padding shows, apart."""
-        is_apart = self._text[self._start : self._start + 4 * -(-header_size // 3)].endswith("=")
-        if is_apart:
+        header = self.data[self.start : self.start + self.length(header_size)]
+        if isinstance(header, bytes) or header.endswith("=" * (-header_size % 3)):
             return self.after(header_size, size)
         return self.take(0, header_size + size)[header_size:]
-
-
-_Bytes = _Base64 | _Raw
 
 
 def _rows(

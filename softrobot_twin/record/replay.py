@@ -301,9 +301,7 @@ class Replay:
         is_of_its_scene: Whether the scene is the recorded one.
     """
 
-    def __init__(
-        self, run: RunFile, scene: Path | None = None, changes: Sequence[str] = ()
-    ):
+    def __init__(self, run: RunFile, scene: Path | None = None, changes: Sequence[str] = ()):
         """Builds and warms up the loop.
 
         Args:

@@ -7,6 +7,7 @@ import os
 import platform
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -89,9 +90,7 @@ class RunDescription:
         return cls(**{**values, "files": files})
 
 
-def describe(
-    loop: TwinLoop, node: str, began: int, parameters: dict[str, object]
-) -> RunDescription:
+def describe(loop: TwinLoop, node: str, began: int, parameters: dict[str, object]) -> RunDescription:
     """Describes a run that begins.
 
     Args:
@@ -171,11 +170,8 @@ def files_named(entry: object) -> Iterator[Path]:
         for name in type(entry).model_fields:
             if not (isinstance(entry, Scene) and name == "path"):
                 yield from files_named(getattr(entry, name))
-    elif isinstance(entry, dict):
-        for one in entry.values():
-            yield from files_named(one)
-    elif isinstance(entry, list | tuple):
-        for one in entry:
+    elif isinstance(entry, dict | list | tuple):
+        for one in entry.values() if isinstance(entry, dict) else entry:
             yield from files_named(one)
 
 
@@ -196,10 +192,8 @@ def machine() -> dict[str, str]:
     """What decides the rounding of this process."""
     found = {"python": platform.python_version()}
     for library in _LIBRARIES:
-        try:
+        with suppress(PackageNotFoundError):
             found[library] = version(library)
-        except PackageNotFoundError:
-            continue
     found["machine"] = platform.machine()
     found["processor"] = binding.get_host_cpu_name()
     found["system"] = sys.platform

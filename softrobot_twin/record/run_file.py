@@ -12,11 +12,12 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
-from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.errors import NamedError, one_line
 from softrobot_twin.record.run_description import RunDescription
 
 SUFFIX = ".mcap"
@@ -51,17 +52,8 @@ _JSON_SCHEMA = {
 }  # fmt: skip
 
 
-class RunFileError(SoftRobotTwinError):
-    """A file of a run cannot be used.
-
-    Attributes:
-        path: The file.
-        reason: Why.
-    """
-
-    def __init__(self, path: Path | str, reason: str):
-        self.path, self.reason = Path(path), reason
-        super().__init__(f"{path}: {reason}")
+class RunFileError(NamedError):
+    """A file of a run, which the error names, cannot be used."""
 
 
 def text_to_cdr(text: str) -> bytes:
@@ -192,10 +184,8 @@ class RunWriter:
 
     def abandon(self) -> None:
         """Closes the file without an index: what was written until now can be read."""
-        try:
+        with suppress(OSError):  # What the system could not write is lost in any case.
             self._file.close()
-        except OSError:
-            pass  # What the system could not write is lost in any case.
 
     def finish(self) -> None:
         """Writes the index and closes the file."""
@@ -295,5 +285,4 @@ class RunFile:
                         content = json.loads(text_of_cdr(record.data))
                         yield Entry(record.sequence, record.log_time, content)
             except Exception as error:  # noqa: BLE001 - a damaged file raises anything
-                words = " ".join(str(error).split())
-                self.damage = f"{type(error).__name__} {words}".strip()
+                self.damage = f"{type(error).__name__} {one_line(error)}".strip()

@@ -128,7 +128,7 @@ def plain(value: object) -> object:
         value: A number, text, array, enumeration or dataclass, or a dict, list or tuple of these.
     """
     if isinstance(value, float):
-        return value if math.isfinite(value) else _word(value)
+        return value if math.isfinite(value) else None if math.isnan(value) else str(value)
     if value is None or isinstance(value, (str, int)):
         return value
     if isinstance(value, np.ndarray):
@@ -144,12 +144,6 @@ def plain(value: object) -> object:
     if isinstance(value, np.generic):
         return plain(value.item())
     return [plain(one) for one in value]
-
-
-def _word(value: float) -> str | None:
-    if math.isnan(value):
-        return None
-    return "inf" if value > 0.0 else "-inf"
 
 
 def number(value: object) -> float:

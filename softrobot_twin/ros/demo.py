@@ -16,6 +16,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -38,7 +39,7 @@ from std_srvs.srv import SetBool
 
 from softrobot_twin.control.loop_settings import Mode
 from softrobot_twin.control.loop_timing import NANOSECONDS
-from softrobot_twin.errors import ParameterError, SoftRobotTwinError
+from softrobot_twin.errors import NamedError, ParameterError, SoftRobotTwinError
 from softrobot_twin.ros.messages import READERS, read_path
 from softrobot_twin.ros.parameters import DEVICE, TARGET, TWIN
 from softrobot_twin.ros.scene_file import config_folders, find_scene, find_scene_file
@@ -393,13 +394,11 @@ class ProcessorShare(NamedTuple):
         Args:
             process: Number of the process.
         """
-        try:
+        with suppress(OSError):  # It has ended, which is reported elsewhere, or a container forbids it.
             os.sched_setaffinity(process, self.cores)
             if self.nice:
                 before = os.getpriority(os.PRIO_PROCESS, process)
                 os.setpriority(os.PRIO_PROCESS, process, before + self.nice)
-        except OSError:
-            pass  # It has ended, which is reported elsewhere, or a container forbids it.
 
 
 def processor_shares(cores: Iterable[int]) -> tuple[ProcessorShare, ProcessorShare]:
@@ -430,9 +429,7 @@ class ProcessDiedError(SoftRobotTwinError):
     """
 
     def __init__(self, name: str, exit_code: int, last_lines: Sequence[str]):
-        self.name = name
-        self.exit_code = exit_code
-        self.last_lines = tuple(last_lines)
+        self.name, self.exit_code, self.last_lines = name, exit_code, tuple(last_lines)
         super().__init__(f"{name} ended with exit code {exit_code}")
 
 
@@ -732,18 +729,8 @@ class _StopRequested(Exception):
     """A signal requested the end of the demo."""
 
 
-class DemoError(SoftRobotTwinError):
-    """A process of the demo does not do what the demo needs.
-
-    Attributes:
-        name: Name of the process.
-        reason: What it does not do.
-    """
-
-    def __init__(self, name: str, reason: str):
-        self.name = name
-        self.reason = reason
-        super().__init__(f"{name}: {reason}")
+class DemoError(NamedError):
+    """A process of the demo, which the error names, does not do what the demo needs."""
 
 
 class DemoStatus(NamedTuple):
@@ -924,7 +911,8 @@ class Demo:
                 return
             if time.monotonic() > deadline:
                 raise DemoError("twin", f"cannot be enabled: {answer.message}")
-            self.until(_after(0.2), _ANSWER_TIMEOUT, "twin", "")
+            due = time.monotonic() + 0.2
+            self.until(lambda: time.monotonic() >= due, _ANSWER_TIMEOUT, "twin", "")
 
     def _switch(self, parameter_name: str, value: bool) -> None:
         name = "/twin/set_parameters"
@@ -991,8 +979,3 @@ class Demo:
             loop_reports[-1].compute_p50 if loop_reports else math.nan,
             loop_reports[-1].missed - before if loop_reports else 0,
             self._recorder.cause)
-
-
-def _after(seconds: float) -> Callable[[], bool]:
-    due = time.monotonic() + seconds
-    return lambda: time.monotonic() >= due

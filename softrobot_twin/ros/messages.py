@@ -177,9 +177,7 @@ def cables_message(
     )
 
 
-def wrench_message(
-    force: np.ndarray, header: Header, torque: np.ndarray = np.zeros(3)
-) -> WrenchStamped:
+def wrench_message(force: np.ndarray, header: Header, torque: np.ndarray = np.zeros(3)) -> WrenchStamped:
     """A force [N] and a torque [N m], shape (3,) each, as a message.
 
     Args:

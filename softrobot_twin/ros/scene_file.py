@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
@@ -17,10 +18,8 @@ _PACKAGE = "softrobot_twin"
 def config_folders() -> list[Path]:
     """Folders that may contain the package's configuration, in order of search."""
     folders = []
-    try:
+    with suppress(LookupError, OSError):  # The package is not installed in a sourced ROS workspace.
         folders.append(Path(get_package_share_directory(_PACKAGE)) / "config")
-    except (LookupError, OSError):
-        pass  # The package is not installed in a sourced ROS workspace.
     folders.append(Path(sys.prefix) / "share" / _PACKAGE / "config")
     folders.append(Path(__file__).resolve().parents[2] / "config")
     return folders

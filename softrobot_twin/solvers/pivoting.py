@@ -183,9 +183,7 @@ class _Descent:
             z = self._best.unknowns
         return self._solution(z, stationarity, self._held.unknowns)
 
-    def _solution(
-        self, z: np.ndarray, stationarity: Stationarity, held: np.ndarray
-    ) -> QPCCSolution:
+    def _solution(self, z: np.ndarray, stationarity: Stationarity, held: np.ndarray) -> QPCCSolution:
         problem = self._branches.problem
         return QPCCSolution(
             z, self._touching, self._solved_any, stationarity, problem.objective(z),

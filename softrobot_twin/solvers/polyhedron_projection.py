@@ -134,9 +134,7 @@ class PolyhedronProjection:
             np.concatenate([high, soft.upper / lengths]), fixed, lower, upper,
         )  # fmt: skip
 
-    def refined(
-        self, projection: Projection, lower: np.ndarray, upper: np.ndarray
-    ) -> np.ndarray:
+    def refined(self, projection: Projection, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
         """Meet to rounding the bounds of all rows that are active, or exceeded.
 
         Args:

@@ -271,11 +271,6 @@ ELEMENTS = ("linear", "smoothed", "quadratic")
 """Elements of tetrahedra that a study measures."""
 
 
-def _with_elements(levels: Sequence[MeshLevel]) -> list[MeshLevel]:
-    """Meshes of tetrahedra with each kind of `ELEMENTS`."""
-    return [level.with_element(element) for element in ELEMENTS for level in levels]
-
-
 MESH, REDUCED = "mesh", "reduced"
 """Kinds of rows (column ``knob``): a full model, and a reduced one, whose error includes that of its mesh."""
 
@@ -972,9 +967,7 @@ class Loads(NamedTuple):
     pressed: np.ndarray | None = None
 
 
-def study_meshes(
-    levels: list[MeshLevel], limits: Limits, hexahedra: Sequence[MeshLevel] = ()
-) -> Study:
+def study_meshes(levels: list[MeshLevel], limits: Limits, hexahedra: Sequence[MeshLevel] = ()) -> Study:
     """Measures every mesh with every element and law, and shows the progress.
 
     Args:
@@ -986,7 +979,8 @@ def study_meshes(
         AccuracyError: No effector moves, or no reference was found.
     """
     name = levels[0].scene.name
-    moved, every = displacements(levels[0].scene), _with_elements(levels)
+    moved = displacements(levels[0].scene)
+    every = [level.with_element(element) for element in ELEMENTS for level in levels]
     used = [level for level in every if level.scene.body.element == "quadratic"
             and dof_count(level) <= limits.reference_dof]
     if len(used) < 2:

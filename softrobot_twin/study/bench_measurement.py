@@ -509,20 +509,26 @@ def _time_beside_steps(simulation: Simulation, commands) -> float:
     """Time of a tick beside its step, see `SizeMeasurement.beside`."""
     if not isinstance(next(commands), FollowTargets):
         return float("nan")
-    loop, within, beside = TwinLoop(simulation, LoopSettings()), _TimeWithin(), []
+    loop, within = TwinLoop(simulation, LoopSettings()), _TimeWithin()
     simulation.step = within.of(simulation.step)
     try:
-        for number in range(COUNTED_STEPS):
-            now = number / loop.settings.rate
-            arrival = Arrival("base_link", 0, round(NANOSECONDS * now), now)
-            for effector, target in enumerate(next(commands).targets):
-                loop.targets.accept_point(effector, target, arrival)
-            within.total, start = 0.0, perf_counter()
-            loop.tick(now, arrival.ros_time)
-            beside.append(perf_counter() - start - within.total)
+        targets = (command.targets for command in commands)
+        times = [time - within.total for time in _tick_times(loop, targets, within)]
     finally:
         del simulation.step
-    return float(np.median(beside))
+    return float(np.median(times))
+
+
+def _tick_times(loop: TwinLoop, targets: Iterator[np.ndarray], within: _TimeWithin) -> Iterator[float]:
+    """Times of ticks that follow targets [s]; `within` counts from the begin of each anew."""
+    for number, places in zip(range(COUNTED_STEPS), targets):
+        now = number / loop.settings.rate
+        arrival = Arrival("base_link", 0, round(NANOSECONDS * now), now)
+        for effector, place in enumerate(places):
+            loop.targets.accept_point(effector, place, arrival)
+        within.total, start = 0.0, perf_counter()
+        loop.tick(now, arrival.ros_time)
+        yield perf_counter() - start
 
 
 def _observed(simulation: Simulation, commands) -> dict[str, Spread]:
@@ -544,16 +550,8 @@ def _controlled(simulation: Simulation) -> dict[str, Spread]:
     """Time in a tick of what predicts and commands motion; nothing in a scene without `control`."""
     if simulation.scene.control is None:
         return {}
-    loop, within, times = TwinLoop(simulation, LoopSettings()), _TimeWithin(), []
+    loop, within = TwinLoop(simulation, LoopSettings()), _TimeWithin()
     for method in ("measure", "command", "end"):
         setattr(loop.dynamic, method, within.of(getattr(loop.dynamic, method)))
-    places = simulation.effector_positions()
-    for number in range(COUNTED_STEPS):
-        now = number / loop.settings.rate
-        arrival = Arrival("base_link", 0, round(NANOSECONDS * now), now)
-        for effector, place in enumerate(places):
-            loop.targets.accept_point(effector, place, arrival)
-        within.total = 0.0
-        loop.tick(now, arrival.ros_time)
-        times.append(within.total)
-    return {CONTROL: spread(times)}
+    ticks = _tick_times(loop, repeat(simulation.effector_positions()), within)
+    return {CONTROL: spread([within.total for _ in ticks])}

@@ -202,9 +202,7 @@ def train(
     return Trained(modes, count, sampled, spare_sampled, coordinates)
 
 
-def reduction_of(
-    body: Body, trained: Trained, measured: np.ndarray, training: dict
-) -> BodyReduction:
+def reduction_of(body: Body, trained: Trained, measured: np.ndarray, training: dict) -> BodyReduction:
     """The reduced model as it is saved, in mesh coordinates.
 
     Args:

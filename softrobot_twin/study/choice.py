@@ -238,9 +238,7 @@ def describe_mesh(mesh: str, element: str) -> str:
     return f"{mesh}, " + ("hexahedra" if element == HEXAHEDRAL else f"{element} tets")
 
 
-def measure_candidates(
-    rows: Iterable[AccuracyRow], rate: float, measure: Measure
-) -> list[Candidate]:
+def measure_candidates(rows: Iterable[AccuracyRow], rate: float, measure: Measure) -> list[Candidate]:
     """Times settings, the most accurate mesh first, until no further one can be the best.
 
     More linearizations are tried only when fewer ones keep the rate.
@@ -313,9 +311,7 @@ def accuracy_warnings(
     return reason
 
 
-def pick(
-    candidates: Iterable[Candidate], rate: float, reference_uncertainty: float = 0.0
-) -> Candidate:
+def pick(candidates: Iterable[Candidate], rate: float, reference_uncertainty: float = 0.0) -> Candidate:
     """The most accurate candidate that keeps the rate.
 
     Of meshes whose errors differ by less than the reference's uncertainty, it is the one with the
@@ -452,8 +448,7 @@ class Models:
         Args:
             row: A row of a study.
         """
-        level = self._by_name[row.mesh]
-        return level.with_element(row.element)
+        return self._by_name[row.mesh].with_element(row.element)
 
     def rows(self, known: Sequence[AccuracyRow]) -> list[AccuracyRow]:
         """Rows of the reduced models: measured by ``accuracy``, or measured beside full ones now.
@@ -614,9 +609,7 @@ def _least_error(candidates: Iterable[Candidate]) -> float:
     return min((one.error for one in candidates if one.keeps_rate), default=np.inf)
 
 
-def _machine_share(
-    full: Sequence[AccuracyRow], held: Scene, clock: SettingClock | None
-) -> float:  # fmt: skip
+def _machine_share(full: Sequence[AccuracyRow], held: Scene, clock: SettingClock | None) -> float:
     """Time of a step on this machine beside its other programs, by that in the file of errors."""
     own = [row.step_ms for row in full if row.mesh == held.mesh_name
            and (row.element, row.law) == ("linear", held.body.material.law)]
@@ -706,9 +699,7 @@ def _offer(wanted: Foreseen, best: Candidate | None) -> str:
             "this machine, for the ranges or targets that this command names, and no others:")
 
 
-def _rows(
-    levels: list[MeshLevel], hexahedra: list[MeshLevel], file: Path | None
-) -> list[AccuracyRow]:
+def _rows(levels: list[MeshLevel], hexahedra: list[MeshLevel], file: Path | None) -> list[AccuracyRow]:
     """Errors by setting: read from the file, or studied now and written to it."""
     if file is not None and file.exists():
         known = {level.name for level in levels}
@@ -765,9 +756,7 @@ def _remarks(
 _LINES = 4
 
 
-def _table(
-    candidates: list[Candidate], best: Candidate, rate: float, foreseen: Sequence[Foreseen]
-):
+def _table(candidates: list[Candidate], best: Candidate, rate: float, foreseen: Sequence[Foreseen]):
     lines = []
     for one in candidates:
         mark = "yes: chosen" if one is best else "yes" if one.keeps_rate else "no"

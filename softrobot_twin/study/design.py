@@ -400,9 +400,7 @@ class DesignSearch:
             steep = np.minimum(found.flatness, self._width * tolerance / np.abs(slopes))
         return found._replace(flatness=steep)
 
-    def _second(
-        self, value_and_slopes: _Function, shares: np.ndarray, middle: np.ndarray
-    ) -> np.ndarray:
+    def _second(self, value_and_slopes: _Function, shares: np.ndarray, middle: np.ndarray) -> np.ndarray:
         """Second derivatives of a function, by differences of its slopes; square, symmetric."""
         rows = []
         for index, one in enumerate(np.eye(len(shares))):
@@ -439,9 +437,7 @@ class DesignSearch:
             return None
 
 
-def _promised(
-    shares: np.ndarray, slopes: np.ndarray, told: np.ndarray, directions: np.ndarray
-) -> float:
+def _promised(shares: np.ndarray, slopes: np.ndarray, told: np.ndarray, directions: np.ndarray) -> float:
     """By how much a quadratic function with these slopes and curvatures told² falls in the bounds."""
     is_held = ((shares < STILL) & (slopes > 0.0)) | ((shares > 1.0 - STILL) & (slopes < 0.0))
     along = directions @ np.where(is_held, 0.0, slopes)
@@ -461,9 +457,7 @@ class _Refused(Exception):
         self.shares = shares.copy()
 
 
-def _least(
-    value_and_slopes: _Function, shares: np.ndarray, value: float
-) -> tuple[np.ndarray, float]:
+def _least(value_and_slopes: _Function, shares: np.ndarray, value: float) -> tuple[np.ndarray, float]:
     """Shares at which a function is least, and its value there, beside refused trials."""
     from scipy.optimize import minimize  # it loads slowly
 

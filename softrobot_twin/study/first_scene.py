@@ -331,9 +331,7 @@ def _quoted(file: str) -> str:
 # --- the command ----------------------------------------------------------------------------------
 
 
-def source_of(
-    path: Path, size: float | None, scale: float | None
-) -> tuple[MeshSource, MeshReading]:  # fmt: skip
+def source_of(path: Path, size: float | None, scale: float | None) -> tuple[MeshSource, MeshReading]:
     """How a scene reads a mesh or CAD file, and its mesh.
 
     Args:

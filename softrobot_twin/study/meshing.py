@@ -174,9 +174,7 @@ def _measure(scene: Scene, sender: Connection, most_seconds: float) -> None:
         sender.send(f"{type(error).__name__}: {error}")
 
 
-def size_for(
-    wanted: float, first: float, largest: float, measure: Callable[[float], float]
-) -> float:
+def size_for(wanted: float, first: float, largest: float, measure: Callable[[float], float]) -> float:
     """The least size whose step takes at most a wanted time.
 
     A size that cannot be meshed is too large for the part: smaller ones are tried.

@@ -23,8 +23,7 @@ class OutputError(SoftRobotTwinError):
     """
 
     def __init__(self, path: Path | str, reason: str):
-        self.path = Path(path)
-        self.reason = reason
+        self.path, self.reason = Path(path), reason
         super().__init__(f"{path}: cannot be written: {reason}")
 
 

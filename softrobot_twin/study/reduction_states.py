@@ -258,9 +258,7 @@ def samples_of(
     return samples
 
 
-def _samples_at_rest(
-    simulation: Simulation, count: int
-) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
+def _samples_at_rest(simulation: Simulation, count: int) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
     """Samples of the rest shape, and the parts of them that `Columns.split` gives."""
     columns = columns_of(simulation)
     samples = np.zeros((count, columns.width))

@@ -17,14 +17,14 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Container, Iterator, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from softrobot_twin.errors import NamedError, SoftRobotTwinError
+from softrobot_twin.errors import NamedError, SoftRobotTwinError, one_line
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.entry import values_below
 from softrobot_twin.simulation.result import Status
@@ -208,10 +208,8 @@ class _Process:
     def give(self, sample: tuple[int, np.ndarray]) -> None:
         """Send a sample."""
         self.sample = sample
-        try:
+        with suppress(OSError):  # It has ended, which is noticed at its pipe.
             self.pipe.send(sample)
-        except OSError:
-            pass  # It has ended, which is noticed at its pipe.
 
 
 def _serve(pipe: Connection, job: Job) -> None:
@@ -219,14 +217,12 @@ def _serve(pipe: Connection, job: Job) -> None:
     # Ctrl-C reaches the parent too, which ends this process.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     use_one_thread()
-    try:
+    with suppress(EOFError, BrokenPipeError, ConnectionResetError):
         compute = job.make(job.scene, job.content)
         pipe.send(None)
         while True:
             index, setpoints = pipe.recv()
             pipe.send((index, compute(setpoints)))
-    except (EOFError, BrokenPipeError, ConnectionResetError):
-        pass
 
 
 class _Pool:
@@ -332,7 +328,7 @@ class DaskWorkers:
                     # A worker that was lost with it since is replaced: this waits for it.
                     outcome = SampleOutcome(index, future.result())
                 except Exception as error:  # whatever a job raises
-                    outcome = SampleOutcome(index, None, " ".join(str(error).split()))
+                    outcome = SampleOutcome(index, None, one_line(error))
                 yield outcome
                 future.release()
         finally:

@@ -458,7 +458,8 @@ def draw_snapshots(snapshots: Sequence[Snapshot], path: Path | str, title: str,
         MissingExtraError: matplotlib is not installed.
         OutputError: The picture cannot be written.
     """
-    write_figure(figure_of(snapshots, title, view, labelled), path, _sharpness(snapshots))
+    sharpness = _SHARP_ALONE if len(snapshots) == 1 else _SHARP_BESIDE
+    write_figure(figure_of(snapshots, title, view, labelled), path, sharpness)
 
 
 def figure_of(snapshots: Sequence[Snapshot], title: str, view: tuple[float, float] | None = None,
@@ -636,11 +637,6 @@ def _colour_maps(snapshots: Sequence[Snapshot]) -> dict:
     tensions = Normalize(0.0, max(_values(snapshots, "cable")) or 1.0)
     return {"cable": ScalarMappable(tensions, "plasma"),
             "cavity": ScalarMappable(Normalize(*ends), scale)}
-
-
-def _sharpness(snapshots: Sequence[Snapshot]) -> int:
-    """Pixels per inch."""
-    return _SHARP_ALONE if len(snapshots) == 1 else _SHARP_BESIDE
 
 
 def _add_solids(axes, solids: list[Solid], camera: Camera) -> None:

@@ -313,9 +313,7 @@ class SampledRange(NamedTuple):
         return np.linalg.solve(self.scaling, np.atleast_2d(z).T).T + self.middle
 
 
-def range_of(
-    deformations: np.ndarray, pressure_bounds: np.ndarray, length: float
-) -> SampledRange:
+def range_of(deformations: np.ndarray, pressure_bounds: np.ndarray, length: float) -> SampledRange:
     """The box around the deformations that occur.
 
     Args:

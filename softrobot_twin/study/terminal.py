@@ -7,7 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from typing import TextIO, TypeVar
 
 from rich import box
@@ -190,20 +190,18 @@ class PipedProgress:
         self._shown_at, self._shown = now, self._done
 
 
-def terminal_status(text: str) -> AbstractContextManager:
+@contextmanager
+def terminal_status(text: str) -> Iterator[None]:
     """Shows an activity on standard error while it lasts; through a pipe a line if it is long.
 
     Args:
         text: What is done.
     """
     if sys.stderr.isatty():
-        return Console(stderr=True).status(text)
-    return _piped_status(text, sys.stderr)
-
-
-@contextmanager
-def _piped_status(text: str, stream: TextIO) -> Iterator[None]:
-    """Prints a line when an activity takes some seconds."""
+        with Console(stderr=True).status(text):
+            yield
+        return
+    stream = sys.stderr
     timer = threading.Timer(FIRST_LINE, lambda: print(f"{text} …", file=stream, flush=True))
     timer.daemon = True
     timer.start()

@@ -113,10 +113,7 @@ def save_records(path: Path, records: dict[str, TrackingRecord]) -> None:
     np.savez_compressed(path, **fields)
 
 
-PUBLISHED_ERRORS_MM = {
-    "diamond": {"mean": 1.4, "max": 2.9},
-    "trunk": {"mean": 4.72, "max": None},
-}
+PUBLISHED_ERRORS_MM = {"diamond": {"mean": 1.4, "max": 2.9}, "trunk": {"mean": 4.72, "max": None}}
 """Errors of real robots, driven open loop, in the paper (Coevoet 2017, section 7.2) [mm]. Paths,
 silicone and measurement differ from ours, so they are reported but not compared.
 """

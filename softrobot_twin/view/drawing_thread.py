@@ -12,6 +12,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from itertools import cycle
 from typing import Generic, Protocol, TypeVar
 
@@ -41,11 +42,6 @@ class LatestItem(Generic[Item]):
     def dropped_count(self) -> int:
         """Items that were replaced before they were taken."""
         return max(0, self.put_count - self.taken_count - len(self._item))
-
-    @property
-    def closed(self) -> bool:
-        """Whether no more items are accepted."""
-        return self._closed
 
     def put(self, item: Item) -> None:
         """Passes an item to the other thread; returns at once.
@@ -78,10 +74,8 @@ class LatestItem(Generic[Item]):
         self._notify()
 
     def _notify(self) -> None:
-        try:
+        with suppress(RuntimeError):  # The signal is already set.
             self._signal.release()
-        except RuntimeError:
-            pass  # The signal is already set.
 
 
 def every_nth(interval: int) -> Callable[[], bool]:

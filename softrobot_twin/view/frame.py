@@ -22,9 +22,7 @@ class ViewError(SoftRobotTwinError):
     """
 
     def __init__(self, key: str, value: object, reason: str):
-        self.key = key
-        self.value = value
-        self.reason = reason
+        self.key, self.value, self.reason = key, value, reason
         super().__init__(f"view: {key} = {value!r}: {reason}")
 
 

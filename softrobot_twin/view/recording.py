@@ -40,9 +40,7 @@ class Recording:
         viewer: The viewer inside a notebook, or None.
     """
 
-    def __init__(
-        self, stream: rr.RecordingStream, address: str | None = None, viewer: object = None
-    ):
+    def __init__(self, stream: rr.RecordingStream, address: str | None = None, viewer: object = None):
         self._stream = stream
         self.address, self.viewer = address, viewer
 
@@ -123,8 +121,7 @@ def record_to(path: Path, application: str, blueprint: rrb.Blueprint) -> Recordi
     return Recording(stream)
 
 
-def serve_at(port: int, memory_limit: str, application: str,
-             blueprint: rrb.Blueprint) -> Recording:
+def serve_at(port: int, memory_limit: str, application: str, blueprint: rrb.Blueprint) -> Recording:
     """Opens a recording that viewers on this machine can connect to.
 
     Args:

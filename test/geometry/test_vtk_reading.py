@@ -67,6 +67,25 @@ def test_arrays_are_read_in_every_form_that_vtk_writes(header, order, compressor
     np.testing.assert_array_equal(found.cells[1].data, [[2, 3, 4, 5], [1, 2, 3, 4]])
 
 
+@pytest.mark.parametrize("apart", [False, True])
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_few_bytes_are_read_whether_their_size_is_encoded_apart_or_not(count, apart, tmp_path):
+    size, kinds = struct.pack("<I", count), bytes([1] * count)
+    data = (base64.b64encode(size) + base64.b64encode(kinds) if apart
+            else base64.b64encode(size + kinds)).decode()  # fmt: skip
+    numbers = " ".join(map(str, range(1, count + 1)))
+    array = '<DataArray type="{}" Name="{}" format="{}">{}</DataArray>'
+    cells = "".join(array.format(*words) for words in (
+        ("Int64", "connectivity", "ascii", "0 " * count), ("Int64", "offsets", "ascii", numbers),
+        ("UInt8", "types", "binary", data)))  # fmt: skip
+    points = array.format("Float64", "Points", "ascii", "0 0 0")
+    path = tmp_path / "nodes.vtu"
+    path.write_text(HEAD.format(order="LittleEndian", header="UInt32", compressor="")
+                    + f"<UnstructuredGrid><Piece><Points>{points}</Points><Cells>{cells}</Cells>"
+                    "</Piece></UnstructuredGrid></VTKFile>")  # fmt: skip
+    assert read_vtk_xml(str(path)).cells[0].data.tolist() == [[0]] * count
+
+
 def bomb(form: str) -> bytes:
     """A file of less than 1 MB whose points would take 400 MB."""
     text = HEAD.format(order="LittleEndian", header="UInt32",

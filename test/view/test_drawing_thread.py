@@ -150,17 +150,3 @@ def test_a_failed_finish_is_reported(canvas):
     outlet.end(10.0)
     outlet.join()
     assert outlet.failure == "test: RuntimeError: not flushed"
-
-
-def test_only_requested_frames_are_drawn(canvas):
-    outlet = DrawingThread("test", canvas, every_nth(2))
-    for _ in range(3):
-        canvas.let.release()
-    for frame in range(5):
-        outlet.offer(frame)
-        if frame % 2 == 0:
-            wait_for_entry(canvas)
-    outlet.end(10.0)
-    outlet.join()
-    assert canvas.drawn == [0, 2, 4]
-    assert outlet.dropped_count == 0

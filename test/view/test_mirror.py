@@ -122,11 +122,3 @@ def test_port_zero_takes_a_free_port_on_this_machine_only(stage):
         socket.create_connection(("127.0.0.1", port), timeout=5.0).close()
         # A server on every interface would occupy this address too.
         socket.create_server(("127.0.0.2", port)).close()
-
-
-@serving
-def test_without_a_display_serving_opens_no_viewer(stage, monkeypatch):
-    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
-        monkeypatch.delenv(name, raising=False)
-    with RerunMirror(stage, serve=True, port=0, spawn_viewer=True) as mirror:
-        assert mirror.viewer is None

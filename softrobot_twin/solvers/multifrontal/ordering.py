@@ -88,9 +88,7 @@ def _fingerprint(graph: sp.csr_array, coordinates: np.ndarray | None) -> bytes:
     return digest.digest()
 
 
-def candidate_orders(
-    graph: sp.csr_array, coordinates: np.ndarray | None = None
-) -> Iterator[np.ndarray]:
+def candidate_orders(graph: sp.csr_array, coordinates: np.ndarray | None = None) -> Iterator[np.ndarray]:
     """Orders worth trying; see `best_elimination`."""
     node_count = graph.shape[0]
     yield minimum_degree(graph)
