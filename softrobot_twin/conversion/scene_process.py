@@ -102,8 +102,8 @@ def record(file: Path) -> dict:
         file: The Python file.
 
     Returns:
-        The tree as `to_plain` writes it, with ``missing`` modules, and with ``error`` and its
-        ``line`` where the file stopped.
+        The tree as `to_plain` writes it, with ``missing`` modules, and with ``error`` and where it is, ``at``,
+        if the file stopped.
     """
     missing: list[str] = []
     sys.meta_path.insert(0, _StandIns(SOFA))
@@ -117,16 +117,16 @@ def record(file: Path) -> dict:
     recorded: dict[str, Any] = {}
     try:
         names = runpy.run_path(str(file), run_name="scene")
-        if "createScene" not in names:
-            recorded["error"], recorded["no_scene"] = "has no function createScene", True
-        else:
+        if "createScene" in names:
             names["createScene"](root)
+        else:
+            recorded |= {"error": "has no function createScene", "at": ""}
     except BaseException as error:  # foreign code may raise anything, and call exit
-        frames = [frame for frame in traceback.extract_tb(error.__traceback__)
+        frames = [f" at {Path(frame.filename).name}:{frame.lineno}"
+                  for frame in traceback.extract_tb(error.__traceback__)
                   if Path(frame.filename).is_relative_to(folder)]  # fmt: skip
-        recorded["error"] = f"{type(error).__name__}: {' '.join(str(error).split())[:300]}"
-        if frames:
-            recorded["line"] = [frames[-1].filename, frames[-1].lineno]
+        recorded |= {"error": f"{type(error).__name__}: {' '.join(str(error).split())[:300]}",
+                     "at": frames[-1] if frames else ""}  # fmt: skip
     return recorded | to_plain(root) | {
         "missing": [name for name in missing if name not in HELPERS], "unknown": stand_ins.Recorder.unknown}
 

@@ -13,8 +13,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from softrobot_twin.errors import SoftRobotTwinError
+
+TABLE: dict[str, Any] = yaml.safe_load(Path(__file__).with_name("components.yaml").read_text(encoding="utf-8"))
+"""What components of SOFA are here."""
+KINDS: dict[str, tuple[str, ...]] = {key: tuple(kinds) for key, kinds in TABLE["kinds"].items()}
+KINDS["elastic"] = KINDS["linear"] + KINDS["hyperelastic"]
+KINDS["movers"] = KINDS["euler_implicit"] + KINDS["static"] + KINDS["other_motion"]
+KINDS["meshes"] = KINDS["loaders"] + KINDS["topologies"]
+"""Names of components by what they are here."""
 
 
 class ConversionError(SoftRobotTwinError):

@@ -202,7 +202,8 @@ def test_what_has_no_counterpart_is_listed_by_component_and_line(convert):
     for kind, line, why in (("PartialFixedProjectiveConstraint", 16, "along some axes"),
                             ("TetrahedronFEMForceField", 14, "plasticMaxThreshold"),
                             ("CableConstraint", 20, "pullPoint is not known"),
-                            ("ConstantForceField", 17, "no counterpart")):
+                            ("ConstantForceField", 17, "no counterpart"),
+                            ("IndexValueMapper", 22, "no counterpart")):
         assert re.search(rf"{kind} +foreign.py:{line} .*{why}", converted.told)
         assert re.search(rf"# Not converted: {kind}", converted.text)
     assert not converted.scene.cables
@@ -247,7 +248,8 @@ def test_entities_of_xml_are_refused(convert):
     ('youngModulus="@other.youngModulus"/><MechanicalObject name="other" youngModulus="@FEM.youngModulus"', "in a circle"),
     ('youngModulus="soft"', "is no list of numbers"), ('youngModulus="1 2 3"', "3 moduli"),
     ('youngModulus="0"', "is zero"), ('poissonRatio="0.5"', "must be below 0.5"),
-    ('youngModulus="@nowhere.E"', "leads nowhere"), ('poissonRatio="0 . 3"', "is no list of numbers"),
+    ('youngModulus="@nowhere.E"', "leads nowhere"),
+    ('youngModulus="@m.outputValues"/><IndexValueMapper name="m" value="3"', "comes from IndexValueMapper"), ('poissonRatio="0 . 3"', "is no list of numbers"),
 ])  # fmt: skip
 def test_odd_values_are_refused_by_component_and_line(convert, folder, field, reason):
     text = (folder / "bar.scn").read_text().replace('<FastTetrahedralCorotationalForceField youngModulus="600"',
