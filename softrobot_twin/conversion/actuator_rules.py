@@ -129,14 +129,14 @@ def _add_actuator(conversion: Conversion, component: SceneComponent, section: st
     conversion.add(section, component, entry)
     if component.kind.endswith("Actuator"):
         given = {key: number_of(component, one["initial"], otherwise=0.0) for key, one in table["values"].items()}
+        given = {key: value for key, value in given.items() if value}
     else:
         values, index = array_of(component, 1, "value", otherwise=[0.0]), whole_of(component, "valueIndex")
         given = {chosen: values[index] if index < len(values) else 0.0}
     for key, value in given.items():
-        if value or key == chosen and not component.kind.endswith("Actuator"):
-            row = table["values"][key]
-            conversion.commands[f"{entry['name']}_{row['column']}"] = rounded(
-                value * _in_si(conversion, row["unit"], bool(value)))  # fmt: skip
+        column, unit = (table["values"][key][word] for word in ("column", "unit"))
+        value_in_si = value * _in_si(conversion, unit, bool(value))
+        conversion.commands[f"{entry['name']}_{column}"] = rounded(value_in_si)
     return told
 
 

@@ -302,8 +302,8 @@ def _read_file(file: Path) -> LoadedMesh:
 
 def _read_gid(file: Path) -> LoadedMesh:
     """A mesh of GiD: coordinates and tetrahedra between words, numbered from 1."""
-    sections = dict(re.findall(r"^\s*(coordinates|elements)\s*\n(.*?)^\s*end", file.read_text(errors="replace").lower(),
-                               re.DOTALL | re.MULTILINE))  # fmt: skip
+    text = file.read_text(errors="replace").lower()
+    sections = dict(re.findall(r"(?ms)^\s*(coordinates|elements)\s*\n(.*?)^\s*end", text))
     nodes, cells = (np.loadtxt(sections.get(word, "").splitlines(), ndmin=2) for word in ("coordinates", "elements"))
     order = {number: index for index, number in enumerate(nodes[:, 0])}
     tets = np.array([[order[number] for number in cell[1:5]] for cell in cells], np.int64)
@@ -328,8 +328,6 @@ def mesh_of(component: SceneComponent) -> LoadedMesh:
     """
     if component.kind in KINDS["loaders"]:
         return loaded_mesh(component)
-    if component.kind in KINDS["grids"]:
-        return _grid(component)
     source = _source_of(component)
     given = (source or LoadedMesh())._asdict()
     for key, names in _MESH_FIELDS.items():
@@ -361,24 +359,6 @@ def _source_of(component: SceneComponent) -> LoadedMesh | None:
                 return found if name == "src" else LoadedMesh(
                     found.points, file=found.file, placement=found.placement)  # fmt: skip
     return None
-
-
-def _grid(component: SceneComponent) -> LoadedMesh:
-    """A box of hexahedra, or a line."""
-    usual = [[number_of(component, word, otherwise=2.0) for word in ("nx", "ny", "nz")]]
-    count = array_of(component, 3, "n", otherwise=usual)[0].astype(int)
-    low, high = (array_of(component, 3, word, otherwise=[[
-        number_of(component, axis + word, otherwise=end) for axis in "xyz"]])[0] for word, end in (("min", 0.0), ("max", 1.0)))
-    # x runs fastest.
-    axes = [np.linspace(low[axis], high[axis], count[axis]) for axis in (2, 1, 0)]
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)[:, ::-1]
-    points = placement_of(component).place(points + array_of(component, 3, "p0", otherwise=np.zeros((1, 3)))[0])
-    if sorted(count)[1] == 1:
-        return LoadedMesh(points, edges=np.stack([np.arange(len(points) - 1), np.arange(1, len(points))], axis=1))
-    node = np.arange(len(points)).reshape(count[::-1])
-    corners = [node[dz : count[2] - 1 + dz, dy : count[1] - 1 + dy, dx : count[0] - 1 + dx].ravel()
-               for dz in (0, 1) for dx, dy in ((0, 0), (1, 0), (1, 1), (0, 1))]  # fmt: skip
-    return LoadedMesh(points, hexahedra=np.stack(corners, axis=1))
 
 
 def topology_of(node: SceneNode) -> SceneComponent | None:

@@ -99,21 +99,23 @@ def _touching(conversion: Conversion, model: SceneComponent) -> _Touching | None
     itself, chosen = is_true(model, "selfCollision", False), frozenset((frozenset(groups.tolist()),))
     carrier = conversion.carrier(state)
     if carrier is None:
-        if nearest(state.node, KINDS["movers"]) and not first(state.node, KINDS["masses"]) and not mapped_from(state):
+        is_free = nearest(state.node, KINDS["movers"]) is not None and not mapped_from(state)
+        if is_free and first(state.node, KINDS["masses"]) is None:
             return None  # a goal that the mouse moves
         return _Touching(_obstacle(conversion, model, state), chosen, False, False)
     record = conversion.record_of(carrier)
     if record is not None and state is not record.state:
-        _contact_surface(conversion, record, model, state)
+        _add_contact_surface(conversion, record, state)
     fixed = {one["name"] for one in conversion.scene.get("rigid_bodies", ()) if one.get("motion") == "fixed"}
     return _Touching(carrier, chosen, carrier not in fixed, itself)
 
 
-def _contact_surface(conversion: Conversion, record: BodyRecord, model: SceneComponent, state: SceneComponent) -> None:
+def _add_contact_surface(conversion: Conversion, record: BodyRecord, state: SceneComponent) -> None:
     """A body's surface for contact, in place of that of its mesh."""
     mesh = surface_of(state)
     if mesh is None:
-        if not any(one.kind in KINDS["collision_models"] and "Triangle" in one.kind for one in state.node.components):
+        triangles = [kind for kind in KINDS["collision_models"] if "Triangle" in kind]
+        if first(state.node, triangles) is None:
             raise NotConverted("points or lines alone: the surface of the body is taken")
         return
     if conversion.surfaces.setdefault(record.name, state) is not state:

@@ -65,9 +65,9 @@ def frames(conversion: Conversion, state: SceneComponent) -> str | None:
     mass, total = mass_of(conversion, state, len(places))
     if mass is None and not carried:
         return None
-    surfaces = [surface_of(one) for one in conversion.components if one.kind in KINDS["states"] and one is not state
-                and not is_rigid(one) and state in mapped_from(one)]  # fmt: skip
-    mesh = next((one for one in surfaces if one is not None), None)
+    surfaces = [surface_of(one) for one in conversion.components if one.kind in KINDS["states"]
+                and one is not state and not is_rigid(one) and state in mapped_from(one)]  # fmt: skip
+    mesh = next(filter(None, surfaces), None)
     names = [conversion.name(state.node.name if len(places) == 1 else f"{state.node.name}_{index + 1}")
              for index in range(len(places))]  # fmt: skip
     conversion.frames[id(state)] = names
@@ -76,8 +76,8 @@ def frames(conversion: Conversion, state: SceneComponent) -> str | None:
         nodes = [record.mesh.points[chosen[index]] for record, chosen in carried if len(chosen[index])]
         shape = (shape_entry(conversion, mesh, name) if mesh is not None and len(places) == 1
                  else {"sphere": {"radius": _radius(conversion, frame, nodes)}})  # fmt: skip
-        entry: dict[str, Any] = {"name": name, "mass": share or LEAST_MASS, "position": conversion.length(frame[:3]),
-                                 **shape}  # fmt: skip
+        entry: dict[str, Any] = {"name": name, "mass": share or LEAST_MASS,
+                                 "position": conversion.length(frame[:3]), **shape}  # fmt: skip
         turn = Rotation.from_quat(frame[3:])
         if turn.magnitude() > 1e-12:
             entry["rotation"] = rounded(turn.as_euler("xyz"))
@@ -204,7 +204,8 @@ def beam_interpolation(conversion: Conversion, component: SceneComponent) -> str
     Raises:
         NotConverted: No beam does.
     """
-    users = [one for one in conversion.components if one.kind in KINDS["beams"] and is_below_node(one.node, component.node)]
+    beams = [one for one in conversion.components if one.kind in KINDS["beams"]]
+    users = [one for one in beams if is_below_node(one.node, component.node)]
     if not users:
         raise NotConverted("no force field of a beam uses it")
     return f"section of {source_of(users[0])}"

@@ -115,7 +115,9 @@ def oriented_box_roi(
     return parent.addObject("BoxROI", name=name, orientedBox=[*turned.ravel(), scale[2]], **more)
 
 
-def rigidify(targetObject: Node, sourceObject: Node, groupIndices: Any, frames: Any = None, name: Any = None) -> Node:
+def rigidify(
+    targetObject: Node, sourceObject: Node, groupIndices: Any, frames: Any = None, name: Any = None
+) -> Node:
     """Makes groups of a body's points rigid.
 
     Args:
@@ -130,11 +132,11 @@ def rigidify(targetObject: Node, sourceObject: Node, groupIndices: Any, frames: 
     groups = [np.asarray(list(group), int) for group in groupIndices]
     rigids = []
     for group, frame in zip(groups, frames or [[0.0] * 3] * len(groups), strict=True):
-        numbers = list(np.asarray(frame, float))
-        centre, turn = (numbers[:3], numbers[3:]) if len(numbers) > 4 else (list(points[group].mean(axis=0)), numbers)
+        given = np.asarray(frame, float)
+        place, turn = (given[:3], given[3:]) if len(given) > 4 else (points[group].mean(axis=0), given)
         if len(turn) == 3:
-            turn = list(Rotation.from_euler("xyz", turn, degrees=True).as_quat())
-        rigids.append(centre + turn)
+            turn = Rotation.from_euler("xyz", turn, degrees=True).as_quat()
+        rigids.append([*place, *turn])
     chosen = np.concatenate(groups)
     others = np.setdiff1d(np.arange(len(points)), chosen)
     made = targetObject.addChild(str(name or sourceObject.name))

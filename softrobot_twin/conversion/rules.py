@@ -274,7 +274,8 @@ class Conversion:
                 continue
             if told is not None:
                 self.told.append((component, told))
-        for component in dict.fromkeys((*(one for one, _ in self.told), *(one.state for one in self.bodies.values()))):
+        states = [record.state for record in self.bodies.values()]
+        for component in dict.fromkeys([*(one for one, _ in self.told), *states]):
             self._list_unread(component)
         for component in everything:
             if component.kind == "Controller" and self._is_by_keys(component):

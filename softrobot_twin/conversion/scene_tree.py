@@ -7,7 +7,7 @@ A value is as the file gives it: a number, a text, a list, or a link such as ``@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -144,7 +144,7 @@ def above(node: SceneNode) -> Iterator[SceneNode]:
         seen += [parent for parent in one.parents if parent not in seen]
 
 
-def first(node: SceneNode, kinds: tuple[str, ...]) -> SceneComponent | None:
+def first(node: SceneNode, kinds: Collection[str]) -> SceneComponent | None:
     """The first component of a node that is of one of some kinds.
 
     Args:

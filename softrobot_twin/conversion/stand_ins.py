@@ -160,8 +160,8 @@ class Data:
 
 
 _CONVERSIONS: dict[str, Callable[[np.ndarray], Any]] = {
-    "len": len, "iter": iter, "bool": lambda array: bool(array.astype(object).any()), "float": lambda array: float(array.flat[0]),
-    "str": lambda array: " ".join(map(str, array.flat)),
+    "len": len, "iter": iter, "float": lambda array: float(array.flat[0]),
+    "bool": lambda array: bool(array.astype(object).any()), "str": lambda array: " ".join(map(str, array.flat)),
 }  # fmt: skip
 for _name, _convert in _CONVERSIONS.items():
     setattr(Data, f"__{_name}__", lambda self, _convert=_convert: _convert(self.array))
@@ -196,7 +196,8 @@ class _Owner:
     linkpath = property(lambda self: f"@{self.path}")
     _METHODS: ClassVar[dict[str, Callable]] = {
         "getLinkPath": lambda one: one.linkpath, "getPathName": lambda one: one.path,
-        "getName": lambda one: str(one.name), "getContext": lambda one: one.node, "getClassName": lambda one: one.kind,
+        "getName": lambda one: str(one.name), "getContext": lambda one: one.node,
+        "getClassName": lambda one: one.kind,
         **dict.fromkeys(("findData", "getData"), lambda one, name: Data(one, name)),
         **dict.fromkeys(("init", "reinit", "bwdInit", "addLink"), lambda one, *given, **more: None),
         "addData": lambda one, *given, **more: _add_data(one, *given, **more),
@@ -220,11 +221,10 @@ def _add_data(owner: Any, name: Any = None, value: Any = None, **more: Any) -> D
 
 def _object_at(node: Any, path: str) -> Any:
     """The component at a path below a node; None where there is none."""
-    try:
-        found, _ = follow(f"@./{path.removeprefix('@')}", node)
-    except NotConverted:
-        return None
-    return found if isinstance(found, SceneComponent) else None
+    *nodes, last = path.removeprefix("@").removeprefix("/").split("/")
+    for step in nodes:
+        node = next((one for one in node.children if one.name == step), None) if node is not None else None
+    return None if node is None else next((one for one in node.components if one.name == last), None)
 
 
 class Component(_Owner, SceneComponent):

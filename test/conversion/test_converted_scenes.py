@@ -131,7 +131,7 @@ def test_soft_springs_to_the_rest_shape_pull_back_from_it(convert):
     assert all(one.ends[0].point == one.ends[1].point for one in springs)
 
 
-def test_a_grid_is_written_as_hexahedra(convert, folder):
+def test_hexahedra_of_a_file_in_python_are_written(convert, folder):
     body = convert("grid.py").scene.deformables[0]
     assert body.element == "hexahedral" and body.mass == "consistent"
     assert body.mesh.file.name == "grid_bar.msh" and (folder / "grid_bar.msh").is_file()
@@ -203,7 +203,8 @@ def test_what_has_no_counterpart_is_listed_by_component_and_line(convert):
                             ("TetrahedronFEMForceField", 14, "plasticMaxThreshold"),
                             ("CableConstraint", 20, "pullPoint is not known"),
                             ("ConstantForceField", 17, "no counterpart"),
-                            ("IndexValueMapper", 22, "no counterpart")):
+                            ("IndexValueMapper", 22, "no counterpart"),
+                            ("RegularGridTopology", 24, "no counterpart")):
         assert re.search(rf"{kind} +foreign.py:{line} .*{why}", converted.told)
         assert re.search(rf"# Not converted: {kind}", converted.text)
     assert not converted.scene.cables
