@@ -62,18 +62,16 @@ def contact(conversion: Conversion, component: SceneComponent) -> str | None:
         component: The component with the distances.
     """
     touching: dict[str, _Touching] = {}
-    for model in conversion.components:
-        if model.kind in KINDS["collision_models"]:
-            try:
-                found = _touching(conversion, model)
-            except NotConverted as error:
-                conversion.missing.append((model, str(error)))
-                continue
-            if found is not None:
-                before = touching.get(found.name, found)
-                touching[found.name] = found._replace(
-                    groups=found.groups | before.groups,
-                    touches_itself=found.touches_itself or before.touches_itself)  # fmt: skip
+    for model in (one for one in conversion.components if one.kind in KINDS["collision_models"]):
+        try:
+            found = _touching(conversion, model)
+        except NotConverted as error:
+            conversion.missing.append((model, str(error)))
+            continue
+        if found is not None:
+            before = touching.get(found.name, found)
+            itself = found.touches_itself or before.touches_itself
+            touching[found.name] = found._replace(groups=found.groups | before.groups, touches_itself=itself)
     every = list(touching.values())
     pairs = [[one.name, one.name] for one in every if one.can_move and (one.touches_itself or one.may_touch(one))]
     pairs += [[one.name, other.name] for index, one in enumerate(every) for other in every[index + 1 :]

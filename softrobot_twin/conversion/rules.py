@@ -265,15 +265,12 @@ class Conversion:
                                 key=lambda one: RULES[one.kind].stage):  # fmt: skip
             try:
                 told = RULES[component.kind].convert(self, component)
+                self.told += [(component, told)] if told is not None else []
             except NotConverted as error:
                 self.missing.append((component, str(error)))
-                continue
             except UNREADABLE as error:  # values that nobody foresaw, of a foreign file
                 reason = "its links go in a circle" if isinstance(error, RecursionError) else one_line(error)
                 self.missing.append((component, f"cannot be read ({type(error).__name__}: {reason})"))
-                continue
-            if told is not None:
-                self.told.append((component, told))
         states = [record.state for record in self.bodies.values()]
         for component in dict.fromkeys([*(one for one, _ in self.told), *states]):
             self._list_unread(component)

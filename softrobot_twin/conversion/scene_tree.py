@@ -253,7 +253,7 @@ def _flat(value: Any) -> list[float]:
 
 
 def to_plain(root: SceneNode) -> dict:
-    """A tree as what JSON can hold; `from_plain` makes the tree again.
+    """A tree as what JSON can hold by `json_value`; `from_plain` makes the tree again.
 
     Args:
         root: The node at the top.
@@ -261,24 +261,22 @@ def to_plain(root: SceneNode) -> dict:
     nodes = list(walk(root))
     index = {id(node): number for number, node in enumerate(nodes)}
     return {"nodes": [
-        {"name": node.name, "fields": _plain(node.fields),
+        {"name": node.name, "fields": node.fields,
          "parents": [index[id(one)] for one in node.parents if id(one) in index],
-         "components": [{"kind": one.kind, "name": one.name, "fields": _plain(one.fields),
-                         "place": list(one.place)} for one in node.components]}
+         "components": [{"kind": one.kind, "name": one.name, "fields": one.fields,
+                         "place": one.place} for one in node.components]}
         for node in nodes]}  # fmt: skip
 
 
-def _plain(value: Any) -> Any:
-    """A value of JSON; what is none becomes its text."""
-    if isinstance(value, dict):
-        return {str(key): _plain(part) for key, part in value.items()}
+def json_value(value: Any) -> Any:
+    """A value that JSON has not, as one that it has.
+
+    Args:
+        value: An array, what stands for a link, or something else, whose text is taken.
+    """
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
-    if not isinstance(value, str) and is_link(value):
-        return value.linkpath
-    if isinstance(value, list | tuple | set | range):
-        return [_plain(part) for part in value]
-    return value if value is None or isinstance(value, bool | int | float | str) else str(value)
+    return value.linkpath if is_link(value) else str(value)
 
 
 def from_plain(plain: dict) -> SceneNode:
