@@ -96,29 +96,26 @@ def _radius(conversion: Conversion, frame: np.ndarray, nodes: list[np.ndarray]) 
 
 def _rigid_parts(conversion: Conversion, state: SceneComponent) -> list[tuple[BodyRecord, list[np.ndarray]]]:
     """The bodies with points on a state's frames, and these points for each frame."""
-    found, count = [], len(frames_of(state))
+    found = []
     for record in conversion.bodies.values():
         mapping = first(record.state.node, ("SubsetMultiMapping", "RigidMapping"))
         if mapping is None:
             continue
-        sources = mapped_from(record.state, mapping)
-        if mapping.kind == "RigidMapping":
-            which = rigid_indices(mapping, len(record.mesh.points))
-            if state in sources:
-                found.append((record, [np.flatnonzero(which == index) for index in range(count)]))
-            continue
-        pairs = indices_of(mapping, "indexPairs")
-        if pairs is None or len(pairs) != 2 * len(record.mesh.points):
-            continue
-        pairs = pairs.reshape(-1, 2)
-        for number, source in enumerate(sources):
+        carried = np.full(len(record.mesh.points), -1)
+        for number, source in enumerate(mapped_from(record.state, mapping)):
+            if mapping.kind == "RigidMapping":
+                carried = rigid_indices(mapping, len(carried)) if source is state else carried
+                continue
             own = first(source.node, ("RigidMapping",))
             if own is None or state not in mapped_from(source, own):
                 continue
-            which = rigid_indices(own, int(pairs[pairs[:, 0] == number, 1].max(initial=-1)) + 1)
-            carried = np.full(len(pairs), -1)
-            carried[pairs[:, 0] == number] = which[pairs[pairs[:, 0] == number, 1]]
-            found.append((record, [np.flatnonzero(carried == index) for index in range(count)]))
+            pairs = array_of(mapping, 2, "indexPairs", otherwise=np.empty((0, 2))).astype(np.int64)
+            if len(pairs) != len(carried):
+                raise NotConverted(f"indexPairs of {mapping.where} are not those of {len(carried)} points")
+            chosen = pairs[:, 0] == number
+            carried[chosen] = rigid_indices(own, pairs[chosen, 1].max(initial=-1) + 1)[pairs[chosen, 1]]
+        if (carried >= 0).any():
+            found.append((record, [np.flatnonzero(carried == index) for index in range(len(frames_of(state)))]))
     return found
 
 
