@@ -101,7 +101,7 @@ def cavity(conversion: Conversion, component: SceneComponent) -> str | None:
     return f"cavity {name} on {record.name}: {len(mesh.triangles)} triangles{limits}"
 
 
-def _add_actuator(conversion: Conversion, component: SceneComponent, section: str, entry: dict[str, Any]) -> str:
+def _add_actuator(conversion: Conversion, component: SceneComponent, section: str, entry: dict) -> str:
     """Adds an entry with limits by the table of its section, and the value to the commands.
 
     Returns:
@@ -145,8 +145,8 @@ def _in_si(conversion: Conversion, unit: str, is_used: bool = True) -> float:
     factor = getattr(conversion.units, unit)
     if unit not in ("force", "pressure") or conversion.scene.get("integration") == "quasi_static":
         return factor
-    note = (f"efforts (forces of cables, pressures) are divided by the step, {conversion.time_step:g} s: in motion "
-            "in time SOFA's are impulses")  # fmt: skip
+    note = ("efforts (forces of cables, pressures) are divided by the step, "
+            f"{conversion.time_step:g} s: in motion in time SOFA's are impulses")  # fmt: skip
     if is_used and note not in conversion.notes:
         conversion.notes.append(note)
     return factor / conversion.time_step

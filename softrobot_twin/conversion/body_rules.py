@@ -463,7 +463,7 @@ def rest_shape_springs(conversion: Conversion, component: SceneComponent) -> str
         anchors = points_of(external)[own]
     hardness = array_of(component, 1, "stiffness", otherwise=[100.0]) * conversion.units.stiffness
     if id(state) in conversion.frames and hardness.min() < STIFF_FRAME:
-        raise NotConverted(f"a spring of {hardness.min():g} N/m on a frame; from {STIFF_FRAME:g} N/m it is fixed")
+        raise NotConverted(f"a frame on a spring of {hardness.min():g} N/m; from {STIFF_FRAME:g} it is fixed")
     record = _held_record(conversion, component)
     if not isinstance(record, BodyRecord):
         return record

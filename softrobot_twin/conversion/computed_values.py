@@ -235,7 +235,8 @@ def placement_of(component: SceneComponent) -> Placement:
     def vector(name: str, letter: str, usual: float) -> np.ndarray:
         found = array_of(component, 3, name)
         made = np.full(3, usual) if found is None or not len(found) else found[0]
-        return np.array([number_of(component, letter + word, otherwise=made[axis]) for axis, word in enumerate("xyz")])
+        return np.array([number_of(component, letter + axis, otherwise=value)
+                         for axis, value in zip("xyz", made, strict=True)])  # fmt: skip
 
     scale = vector("scale3d", "s", 1.0) * number_of(component, "scale", otherwise=1.0)
     return Placement(vector("translation", "d", 0.0),
@@ -304,15 +305,16 @@ def _read_gid(file: Path) -> LoadedMesh:
     """A mesh of GiD: coordinates and tetrahedra between words, numbered from 1."""
     text = file.read_text(errors="replace").lower()
     sections = dict(re.findall(r"(?ms)^\s*(coordinates|elements)\s*\n(.*?)^\s*end", text))
-    nodes, cells = (np.loadtxt(sections.get(word, "").splitlines(), ndmin=2) for word in ("coordinates", "elements"))
+    nodes, cells = (np.loadtxt(sections.get(word, "").splitlines(), ndmin=2)
+                    for word in ("coordinates", "elements"))  # fmt: skip
     order = {number: index for index, number in enumerate(nodes[:, 0])}
     tets = np.array([[order[number] for number in cell[1:5]] for cell in cells], np.int64)
     return LoadedMesh(nodes[:, 1:4], tets).with_boundary()
 
 
 _MESH_FIELDS = {
-    "points": ("position", "points", "rest_position"), "tets": ("tetrahedra", "tetras"), "edges": ("edges", "lines"),
-    "hexahedra": ("hexahedra", "hexas"), "triangles": ("triangles",),
+    "points": ("position", "points", "rest_position"), "tets": ("tetrahedra", "tetras"),
+    "hexahedra": ("hexahedra", "hexas"), "triangles": ("triangles",), "edges": ("edges", "lines"),
 }  # fmt: skip
 """Fields of loaders and topologies by what they are of a mesh."""
 

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import Any, NamedTuple
-
-import numpy as np
-
+from typing import NamedTuple
 
 from softrobot_twin.conversion.computed_values import (
     indices_of,
@@ -21,11 +18,8 @@ from softrobot_twin.conversion.rules import (
     CONTACTS,
     BodyRecord,
     Conversion,
-    rounded,
     rule,
-    source_of,
 )
-from softrobot_twin.conversion.scene_text import SOURCE
 from softrobot_twin.conversion.scene_tree import KINDS, NotConverted, SceneComponent, first, nearest
 
 class _Touching(NamedTuple):
@@ -49,8 +43,8 @@ class _Touching(NamedTuple):
         Args:
             other: The other; itself for two surfaces of it.
         """
-        surfaces = [(one, two) for one in self.groups for two in other.groups if other is not self or one != two]
-        return any(not one & two for one, two in surfaces)
+        return any(not one & two for one in self.groups for two in other.groups
+                   if other is not self or one != two)  # fmt: skip
 
 
 @rule(CONTACTS, *KINDS["intersections"])

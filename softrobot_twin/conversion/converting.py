@@ -211,7 +211,7 @@ def write(conversion: Conversion, file: Path, replace: bool) -> None:
         f"Converted from {file.name}. SI units; the file's are {units.name} ({units.reason}).",
         f"Its step is {conversion.time_step:g} s: give simulate --rate {1.0 / conversion.time_step:g}.",
         *conversion.notes,
-        *(f"Not converted: {_in_words(component, reason)}" for component, reason in conversion.missing)])  # fmt: skip
+        *(f"Not converted: {_in_words(*one)}" for one in conversion.missing)])  # fmt: skip
     try:
         Simulation(scene_from_mapping(read_yaml(text), output.resolve()))
     except SoftRobotTwinError:

@@ -11,14 +11,12 @@ from softrobot_twin.conversion.body_rules import MASSLESS, damping_of, mass_of
 from softrobot_twin.conversion.computed_values import (
     array_of,
     frames_of,
-    indices_of,
     is_rigid,
     is_true,
     mapped_from,
     mesh_of,
     number_of,
     rigid_indices,
-    state_of,
     topology_of,
     value_of,
     whole_of,
@@ -152,8 +150,9 @@ def beam(conversion: Conversion, component: SceneComponent) -> str | None:
         "young_modulus": rounded(young),
         "poisson_ratio": number_of(section, "poissonRatio", "defaultPoissonRatio", otherwise=0.4),
         "density": _beam_density(conversion, component, places, area)}  # fmt: skip
-    entry: dict[str, Any] = {"name": name, "points": conversion.length(places[:, :3]), "elements": len(places) - 1,
-                             "section": shape, "material": material, **damping_of(component.node)}  # fmt: skip
+    entry: dict[str, Any] = {
+        "name": name, "points": conversion.length(places[:, :3]), "elements": len(places) - 1,
+        "section": shape, "material": material, **damping_of(component.node)}  # fmt: skip
     if "rectangle" in shape:
         entry["thickness_direction"] = rounded(Rotation.from_quat(places[0, 3:]).apply([0.0, 1.0, 0.0]))
     conversion.add("beams", component, entry)
