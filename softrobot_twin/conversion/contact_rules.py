@@ -22,6 +22,7 @@ from softrobot_twin.conversion.rules import (
 )
 from softrobot_twin.conversion.scene_tree import KINDS, NotConverted, SceneComponent, first, nearest
 
+
 class _Touching(NamedTuple):
     """Something with a collision model.
 
