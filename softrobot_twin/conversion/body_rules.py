@@ -2,33 +2,29 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import meshio
 import numpy as np
 
 from softrobot_twin.conversion.computed_values import (
-    REGIONS,
-    TOPOLOGIES,
     LoadedMesh,
     array_of,
-    boxes_of,
     indices_of,
+    is_inside,
     is_rigid,
     is_true,
     mapped_from,
     mesh_of,
     number_of,
     points_of,
-    spheres_of,
+    shapes_of,
     state_mesh,
     state_of,
     topology_of,
     value_of,
 )
+from softrobot_twin.conversion.mesh_entries import own_file
 from softrobot_twin.conversion.rules import (
     BODIES,
     FIXING,
@@ -42,8 +38,10 @@ from softrobot_twin.conversion.rules import (
 )
 from softrobot_twin.conversion.scene_text import SOURCE
 from softrobot_twin.conversion.scene_tree import (
+    KINDS,
     NotConverted,
     SceneComponent,
+    SceneNode,
     first,
     follow,
     is_link,
@@ -51,22 +49,12 @@ from softrobot_twin.conversion.scene_tree import (
 )
 from softrobot_twin.geometry.hexahedral_mesh import INTO_TETS
 
-LINEAR = ("TetrahedronFEMForceField", "FastTetrahedralCorotationalForceField",
-          "TetrahedralCorotationalFEMForceField", "HexahedronFEMForceField",
-          "TetrahedronCorotationalFEMForceField", "CorotationalFEMForceField",
-          "LinearSmallStrainFEMForceField", "ParallelTetrahedronFEMForceField",
-          "HexahedronFEMForceFieldAndMass")  # fmt: skip
-HYPERELASTIC = ("TetrahedronHyperelasticityFEMForceField", "StandardTetrahedralFEMForceField")
-EULER_IMPLICIT = ("EulerImplicitSolver", "EulerImplicitIntegrationScheme", "EulerImplicit")
-STATIC = ("StaticSolver", "StaticEquationSolver", "NewtonRaphsonSolver")
-OTHER_MOTION = ("EulerExplicitSolver", "EulerSolver", "RungeKutta4Solver", "RungeKutta2Solver",
-                "CentralDifferenceSolver", "NewmarkImplicitSolver", "VariationalSymplecticSolver",
-                "EulerExplicitIntegrationScheme")  # fmt: skip
-MASSES = ("UniformMass", "MeshMatrixMass", "DiagonalMass")
 MASSLESS = 1.0
 """Density of a body without a mass [kg/m³]: small, as the step needs one."""
 STIFF = 100.0
 """Springs at rest shapes that are this much stiffer than an element are fixed."""
+STIFF_FRAME = 1e4
+"""Springs at frames that are as stiff as this are fixed [N/m]."""
 MOST_SPRINGS = 500
 """Soft springs of more points are not written."""
 MOST_PARTS = 50
@@ -74,15 +62,18 @@ MOST_PARTS = 50
 NEWTON_ITERATIONS = 10
 """Greatest number of linearizations in a step of a converted scene."""
 
+_PARAMETERS = {"StVenantKirchhoff": 2, "NeoHookean": 2, "MooneyRivlin": 3, "Ogden": 3}
+"""Numbers in the ParameterSet of each material."""
+
 
 class _Elastic(NamedTuple):
     """A law on some cells.
 
     Attributes:
         law: Its name here.
-        mu: µ of each cell, in the unit of the file; None for laws with constants.
-        lame: λ of each cell.
-        entry: Keys of the law beside the moduli.
+        mu: µ of each cell [Pa]; zero for laws with constants.
+        lame: λ of each cell [Pa].
+        entry: Keys of the law in place of the moduli.
         cells: Which cells of the body, shape (cell_count,).
     """
 
@@ -96,7 +87,7 @@ class _Elastic(NamedTuple):
 # --- settings -------------------------------------------------------------------------------------
 
 
-@rule(SETTINGS, *EULER_IMPLICIT, *STATIC, *OTHER_MOTION)
+@rule(SETTINGS, *KINDS["movers"])
 def motion(conversion: Conversion, component: SceneComponent) -> str | None:
     """The scheme of motion in time, for what is simulated below it.
 
@@ -104,14 +95,15 @@ def motion(conversion: Conversion, component: SceneComponent) -> str | None:
         conversion: The conversion.
         component: The solver.
     """
-    if not _is_simulated(conversion, component):
+    forces = KINDS["elastic"] + KINDS["masses"] + KINDS["beams"]
+    if not any(one.kind in forces and is_below_node(one.node, component.node) for one in conversion.components):
         return None
-    first_order = component.kind in EULER_IMPLICIT and is_true(component, "firstOrder", False)
-    word = "quasi_static" if component.kind in STATIC else "first_order" if first_order else "dynamic"
+    first_order = component.kind in KINDS["euler_implicit"] and is_true(component, "firstOrder", False)
+    word = "quasi_static" if component.kind in KINDS["static"] else "first_order" if first_order else "dynamic"
     if conversion.scene.setdefault("integration", word) != word:
         raise NotConverted(f"its motion, {word}, is not that of {conversion.scene['integration']} bodies: "
                            "a scene has one")  # fmt: skip
-    if component.kind in OTHER_MOTION:
+    if component.kind in KINDS["other_motion"]:
         conversion.notes.append(f"{component.kind} ({component.where}) becomes backward Euler")
     component.read |= {"rayleighStiffness", "rayleighMass"}
     if is_true(component, "trapezoidalScheme", False):
@@ -119,15 +111,10 @@ def motion(conversion: Conversion, component: SceneComponent) -> str | None:
     return f"integration {word}"
 
 
-def _is_simulated(conversion: Conversion, solver: SceneComponent) -> bool:
-    forces = (*LINEAR, *HYPERELASTIC, *MASSES, "BeamInterpolation", "AdaptiveBeamForceFieldAndMass", "BeamFEMForceField")
-    return any(one.kind in forces and is_below_node(one.node, solver.node) for one in conversion.components)
-
-
 # --- materials ------------------------------------------------------------------------------------
 
 
-@rule(BODIES, *LINEAR, *HYPERELASTIC)
+@rule(BODIES, *KINDS["elastic"])
 def body(conversion: Conversion, component: SceneComponent) -> str | None:
     """A body from all force fields on one state.
 
@@ -139,18 +126,18 @@ def body(conversion: Conversion, component: SceneComponent) -> str | None:
     if id(state) in conversion.bodies:
         return f"{conversion.bodies[id(state)].name}.materials"
     fields = [one for one in conversion.components
-              if one.kind in (*LINEAR, *HYPERELASTIC) and state_of(one.node) is state]  # fmt: skip
+              if one.kind in KINDS["elastic"] and state_of(one.node) is state]  # fmt: skip
     if is_rigid(state):
         raise NotConverted("it acts on frames, not on points")
     mesh = _body_mesh(state, fields)
     cells = mesh.hexahedra if len(mesh.hexahedra) else mesh.tets
-    laws = [_elastic(one, state, cells) for one in fields]
+    laws = [_elastic(conversion, one, state, cells) for one in fields]
     held = np.any([one.cells for one in laws], axis=0)
     if not held.all():  # nothing holds the others: here they do not exist
-        cells, laws = cells[held], [_Elastic(*(part[held] if isinstance(part, np.ndarray) else part for part in one))
-                                    for one in laws]
+        cells = cells[held]
+        laws = [one._replace(mu=one.mu[held], lame=one.lame[held], cells=one.cells[held]) for one in laws]
         mesh = mesh._replace(file=None, **{"hexahedra" if len(mesh.hexahedra) else "tets": cells})
-    groups, volumes = _grouped(conversion, laws, len(cells)), _volumes(mesh)
+    groups, volumes = _grouped(laws), _volumes(mesh)
     groups.sort(key=lambda one: -float(volumes[one[1]].sum()))
     (base, _), *parts = groups
     named = [(f"part_{index + 1}", *one) for index, one in enumerate(parts)]
@@ -162,26 +149,23 @@ def body(conversion: Conversion, component: SceneComponent) -> str | None:
     entry["material"] = dict(base)
     if parts:
         entry["materials"] = [{"region": part, **made} for part, made, _ in named]
-    _add_mass(conversion, record, volumes, bool(parts))
-    _add_damping(conversion, record)
+    _add_mass(conversion, record, volumes)
+    entry |= damping_of(state.node)
     conversion.scene.setdefault("bodies", []).append(entry)
+    moduli = (f"E {1e-3 * base['young_modulus']:.4g} kPa, ν {base['poisson_ratio']:.4g}" if "young_modulus" in base
+              else f"{base['law']}, {base['constants']}")  # fmt: skip
     size = " × ".join(f"{1e3 * conversion.units.metre * one:.4g}" for one in np.ptp(mesh.points, axis=0))
     more = f", {len(parts)} stiffer or softer part{'s'[:len(parts) > 1]}" if parts else ""
-    return f"body {name}: {len(mesh.points)} nodes, {size} mm, {_moduli_in_words(base)}{more}"
-
-
-def _moduli_in_words(material: dict[str, Any]) -> str:
-    if "young_modulus" in material:
-        return f"E {1e-3 * material['young_modulus']:.4g} kPa, ν {material['poisson_ratio']:.4g}"
-    return f"{material['law']}, {material.get('constants', '')}"
+    return f"body {name}: {len(mesh.points)} nodes, {size} mm, {moduli}{more}"
 
 
 def _body_mesh(state: SceneComponent, fields: list[SceneComponent]) -> LoadedMesh:
     """The points of a state, and the cells that its force fields act on."""
     mesh = state_mesh(state)
-    own = [one for one in (first(state.node, TOPOLOGIES),) if one is not None]
-    tops = own + [one for one in map(topology_of, (one.node for one in fields)) if one is not None and one not in own]
-    found = [one for one in map(mesh_of, tops) if len(one.tets) or len(one.hexahedra)][: 1 if own else None]
+    own = first(state.node, KINDS["topologies"])
+    tops = dict.fromkeys([own, *(topology_of(one.node) for one in fields)])
+    found = [one for one in map(mesh_of, filter(None, tops)) if len(one.tets) or len(one.hexahedra)]
+    found = found[: 1 if own else None]
     if not found:
         raise NotConverted("its node has no topology with cells")
     tets = np.unique(np.concatenate([one.tets for one in found]), axis=0) if len(found) > 1 else found[0].tets
@@ -198,7 +182,9 @@ def _body_mesh(state: SceneComponent, fields: list[SceneComponent]) -> LoadedMes
     return mesh._replace(tets=tets, hexahedra=hexahedra, file=mesh.file if same else None)
 
 
-def _elastic(component: SceneComponent, state: SceneComponent, cells: np.ndarray) -> _Elastic:
+def _elastic(
+    conversion: Conversion, component: SceneComponent, state: SceneComponent, cells: np.ndarray
+) -> _Elastic:
     """The law of a force field, and the cells of the body that it acts on."""
     covers = np.ones(len(cells), bool)
     topology = topology_of(component.node)
@@ -206,73 +192,62 @@ def _elastic(component: SceneComponent, state: SceneComponent, cells: np.ndarray
         mesh = mesh_of(topology)
         own = {tuple(sorted(cell)) for cell in (mesh.hexahedra if cells.shape[1] == 8 else mesh.tets).tolist()}
         covers = np.array([tuple(sorted(cell)) in own for cell in cells.tolist()])
-    if component.kind in HYPERELASTIC:
-        return _Elastic(*_hyperelastic(component, len(cells)), covers)
-    young = array_of(component, 1, "youngModulus")
-    ratio = number_of(component, "poissonRatio", otherwise=0.45) or 0.0
-    young = np.array([5000.0]) if young is None or not len(young) else young
-    factor = array_of(component, 1, "localStiffnessFactor")
-    young = young * (1.0 if factor is None or not len(factor) else factor)
+    if component.kind in KINDS["hyperelastic"]:
+        return _hyperelastic(conversion, component, covers)
+    ratio = number_of(component, "poissonRatio", otherwise=0.45)
+    young = (array_of(component, 1, "youngModulus", otherwise=[5000.0])
+             * array_of(component, 1, "localStiffnessFactor", otherwise=[1.0]))  # fmt: skip
     if len(young) not in (1, len(cells), int(covers.sum())):
         raise NotConverted(f"has {len(young)} moduli for {len(cells)} cells")
     every = np.zeros(len(cells))
-    every[covers if len(young) == covers.sum() else slice(None)] = young
+    every[covers if len(young) == covers.sum() else slice(None)] = young * conversion.units.pressure
     if ratio >= 0.5:
         raise NotConverted(f"poissonRatio {ratio:g} must be below 0.5")
     method = str(value_of(component, "method") or "large").lower()
     law = "linear" if method == "small" or component.kind.startswith("LinearSmall") else "corotational"
-    return _Elastic(law, every / (2.0 * (1.0 + ratio)),
-                    every * ratio / ((1.0 + ratio) * (1.0 - 2.0 * ratio)), {}, covers)  # fmt: skip
+    mu = every / (2.0 * (1.0 + ratio))
+    return _Elastic(law, mu, mu * 2.0 * ratio / (1.0 - 2.0 * ratio), {}, covers)
 
 
-def _hyperelastic(component: SceneComponent, count: int) -> tuple[str, np.ndarray, np.ndarray, dict]:
-    """Law, moduli and constants of a hyperelastic material, in the convention of SOFA."""
-    name = str(value_of(component, "materialName") or "")
-    given = array_of(component, 1, "ParameterSet")
-    if given is None or not len(given):
-        raise NotConverted("it has no ParameterSet")
+def _hyperelastic(conversion: Conversion, component: SceneComponent, covers: np.ndarray) -> _Elastic:
+    """A hyperelastic law, whose parameters are in the convention of SOFA."""
+    name = str(value_of(component, "materialName") or "(none)")
+    given = array_of(component, 1, "ParameterSet", otherwise=[])
+    if name not in _PARAMETERS:
+        raise NotConverted(f"its material {name} is not built here")
+    if len(given) < _PARAMETERS[name]:
+        raise NotConverted(f"its ParameterSet has {len(given)} numbers, too few for {name}")
+    one, two, *more = given * conversion.units.pressure
+    none = np.zeros(len(covers))
     if name == "StVenantKirchhoff":
-        mu, lame = given[:2]
-        return "saint_venant_kirchhoff", np.full(count, mu), np.full(count, lame), {}
-    constants: dict[str, Callable[[], tuple[str, dict, float]]] = {
-        "NeoHookean": lambda: ("neo_hookean", {}, given[1]),
-        "MooneyRivlin": lambda: ("mooney_rivlin", {"c10": given[0], "c01": given[1]}, given[2]),
-        # Its energy is µ/α² Σ λ^α; the one here is µ/α Σ λ^α.
-        "Ogden": lambda: ("ogden", {"mu": [given[1] / given[2]], "alpha": [given[2]]}, given[0]),
-    }
-    if name not in constants:
-        raise NotConverted(f"its material {name or '(none)'} is not built here")
-    try:
-        law, own, bulk = constants[name]()
-    except IndexError:
-        raise NotConverted(f"its ParameterSet has {len(given)} numbers, too few for {name}") from None
-    if law == "neo_hookean":
-        return law, np.full(count, given[0]), np.full(count, bulk - 2.0 * given[0] / 3.0), {}
-    return law, np.zeros(count), np.zeros(count), {"constants": own, "bulk_modulus": bulk}
+        return _Elastic("saint_venant_kirchhoff", none + one, none + two, {}, covers)
+    if name == "NeoHookean":
+        return _Elastic("neo_hookean", none + one, none + two - 2.0 * one / 3.0, {}, covers)
+    if name == "MooneyRivlin":
+        law, constants, bulk = "mooney_rivlin", {"c10": one, "c01": two}, more[0]
+    else:
+        # SOFA's energy is µ/α² Σ λ^α; the one here is µ/α Σ λ^α.
+        law, constants, bulk = "ogden", {"mu": np.array([two / given[2]]), "alpha": given[2:3]}, one
+    constants = {key: rounded(value) for key, value in constants.items()}
+    return _Elastic(law, none, none, {"constants": constants, "bulk_modulus": rounded(bulk)}, covers)
 
 
-def _grouped(conversion: Conversion, laws: list[_Elastic], count: int) -> list[tuple[dict, np.ndarray]]:
+def _grouped(laws: list[_Elastic]) -> list[tuple[dict[str, Any], np.ndarray]]:
     """Materials and their cells: Lamé's constants of force fields on the same cell add up."""
-    if len({one.law for one in laws}) > 1 or (len(laws) > 1 and any(one.entry for one in laws)):
+    law, *others = laws
+    if len({one.law for one in laws}) > 1 or others and any(one.entry for one in laws):
         raise NotConverted("its force fields have several laws, whose sum is none here")
-    mu = sum(np.where(one.cells, one.mu, 0.0) for one in laws) * conversion.units.pressure
-    lame = sum(np.where(one.cells, one.lame, 0.0) for one in laws) * conversion.units.pressure
-    law, pressure = laws[0], conversion.units.pressure
     if law.entry:
-        own = {key: [rounded(part * (pressure if key != "alpha" else 1.0)) for part in value]
-               if isinstance(value, list) else rounded(value * pressure)
-               for key, value in law.entry["constants"].items()}  # fmt: skip
-        made = {"law": law.law, "constants": own, "bulk_modulus": rounded(law.entry["bulk_modulus"] * pressure)}
-        return [(made, np.arange(count))]
-    pairs = np.stack([mu, lame], axis=1)
-    if not (mu > 0.0).all():
+        return [({"law": law.law, **law.entry}, np.arange(len(law.cells)))]
+    pairs = sum(np.where(one.cells, [one.mu, one.lame], 0.0) for one in laws).T
+    if not (pairs[:, 0] > 0.0).all():
         raise NotConverted("its Young's modulus is zero")
     _, place, kinds = np.unique(np.round(pairs / pairs.max(), 10), axis=0, return_index=True, return_inverse=True)
     if len(place) > MOST_PARTS:
         raise NotConverted(f"has {len(place)} different moduli, more than {MOST_PARTS}")
-    return [({"law": law.law, "young_modulus": rounded(one * (3 * two + 2 * one) / (two + one)),
-              "poisson_ratio": rounded(two / (2.0 * (two + one)))}, np.flatnonzero(np.ravel(kinds) == kind))
-            for kind, (one, two) in enumerate(pairs[place])]
+    return [({"law": law.law, "young_modulus": rounded(mu * (3.0 * lame + 2.0 * mu) / (lame + mu)),
+              "poisson_ratio": rounded(lame / (2.0 * (lame + mu)))}, np.flatnonzero(np.ravel(kinds) == kind))
+            for kind, (mu, lame) in enumerate(pairs[place])]  # fmt: skip
 
 
 def _volumes(mesh: LoadedMesh) -> np.ndarray:
@@ -286,26 +261,19 @@ def _volumes(mesh: LoadedMesh) -> np.ndarray:
 # --- meshes ---------------------------------------------------------------------------------------
 
 
-def _mesh_entry(conversion: Conversion, record: BodyRecord, parts: list[tuple[str, np.ndarray]]) -> dict:
+def _mesh_entry(conversion: Conversion, record: BodyRecord, parts: list[tuple[str, np.ndarray]]) -> dict[str, Any]:
     """The mesh: the scene's own file with its placement, or a file that is written."""
-    mesh, metre = record.mesh, conversion.units.metre
-    is_read = mesh.file is not None and mesh.file.suffix.lower() in (".vtk", ".vtu", ".msh")
-    if is_read and not parts and mesh.placement.is_uniform:
-        file = Path(os.path.relpath(mesh.file, conversion.output.resolve().parent)).as_posix()
-        made: dict[str, Any] = {"file": file, "scale": rounded(metre * mesh.placement.scale[0])}
-        angles = mesh.placement.rotation.as_euler("xyz")
-        if np.abs(angles).max() > 1e-12:
-            made["rotation"] = rounded(angles)
-        if np.abs(mesh.placement.translation).max() > 0.0:
-            made["translation"] = conversion.length(mesh.placement.translation)
-        return made
+    mesh = record.mesh
+    own = None if parts else own_file(conversion, mesh, (".vtk", ".vtu", ".msh"))
+    if own is not None:
+        return own
     name = f"{conversion.output.stem}_{record.name}.msh"
     kind, cells = ("hexahedron", mesh.hexahedra) if len(mesh.hexahedra) else ("tetra", mesh.tets)
     number = np.ones(len(cells), np.int32)
     for index, (_, chosen) in enumerate(parts):
         number[chosen] = index + 2
     named = {part: np.array([index + 1, 3]) for index, part in enumerate(["body", *(one for one, _ in parts)])}
-    content = meshio.Mesh(mesh.points * metre, [(kind, cells)], field_data=named,
+    content = meshio.Mesh(mesh.points * conversion.units.metre, [(kind, cells)], field_data=named,
                           cell_data={"gmsh:physical": [number], "gmsh:geometrical": [number]})  # fmt: skip
     conversion.files[name] = lambda path: meshio.write(path, content, file_format="gmsh22", binary=False)
     record.mesh = mesh._replace(file=None)
@@ -315,35 +283,47 @@ def _mesh_entry(conversion: Conversion, record: BodyRecord, parts: list[tuple[st
 # --- mass and damping -----------------------------------------------------------------------------
 
 
-def _add_mass(conversion: Conversion, record: BodyRecord, volumes: np.ndarray, has_parts: bool) -> None:
+def mass_of(
+    conversion: Conversion, state: SceneComponent, count: int
+) -> tuple[SceneComponent | None, float | None]:
+    """The mass component of a state, and its total mass in the unit of the file; None where it has a density.
+
+    Args:
+        conversion: The conversion.
+        state: The state.
+        count: Number of its points.
+    """
+    mass = next((one for one in conversion.components
+                 if one.kind in KINDS["masses"] and state_of(one.node) is state), None)  # fmt: skip
+    if mass is None:
+        return None, None
+    vertex = number_of(mass, "vertexMass", "mass")
+    usual = 1.0 if mass.kind == "UniformMass" else None
+    return mass, number_of(mass, "totalMass", "totalmass", otherwise=usual if vertex is None else vertex * count)
+
+
+def _add_mass(conversion: Conversion, record: BodyRecord, volumes: np.ndarray) -> None:
     """The mass of a body, from the mass component of its state."""
-    masses = [one for one in conversion.components if one.kind in MASSES and state_of(one.node) is record.state]
-    material, kilogram = record.entry["material"], conversion.units.kilogram
-    volume = float(volumes.sum()) * conversion.units.metre**3
-    if not masses:
+    mass, total = mass_of(conversion, record.state, len(record.mesh.points))
+    material, units = record.entry["material"], conversion.units
+    if mass is None:
         conversion.notes.append(f"body {record.name} has no mass: it takes {MASSLESS:g} kg/m³")
         material["density"] = MASSLESS
         return
-    mass = masses[0]
-    total, density = number_of(mass, "totalMass", "totalmass"), array_of(mass, 1, "massDensity")
-    vertex = number_of(mass, "vertexMass", "mass")
-    if mass.kind != "UniformMass" and total is None and vertex is None:
-        density = np.ones(1) if density is None or not len(density) else density
-        material["density"] = rounded(density[0] * conversion.units.density)
+    if total is None:
+        density = array_of(mass, 1, "massDensity", otherwise=[1.0])
+        material["density"] = rounded(density[0] * units.density)
         if np.ptp(density) > 0.0:
             conversion.missing.append((mass, "its densities differ: the first one is taken for the body"))
+    elif "materials" in record.entry:
+        material["density"] = rounded(total / volumes.sum() * units.density)
     else:
-        if total is None:
-            total = 1.0 if vertex is None else vertex * len(record.mesh.points)
-        if has_parts:
-            material["density"] = rounded(total * kilogram / volume)
-        else:
-            material["total_mass"] = rounded(total * kilogram)
+        material["total_mass"] = rounded(total * units.kilogram)
     is_lumped = mass.kind == "DiagonalMass" or is_true(mass, "lumping", False)
     record.entry["mass"] = "uniform" if mass.kind == "UniformMass" else "lumped" if is_lumped else "consistent"
 
 
-@rule(FIXING, *MASSES)
+@rule(FIXING, *KINDS["masses"])
 def mass(conversion: Conversion, component: SceneComponent) -> str | None:
     """Tells what a mass became; bodies have read it.
 
@@ -351,39 +331,41 @@ def mass(conversion: Conversion, component: SceneComponent) -> str | None:
         conversion: The conversion.
         component: The mass.
     """
-    state = state_of(component.node)
-    record = None if state is None else conversion.bodies.get(id(state))
+    state = conversion.state(component)
+    record = conversion.bodies.get(id(state))
     if record is None:
-        if state is not None and id(state) not in conversion.frames and _is_moving(conversion, state):
+        if id(state) not in conversion.frames and _is_moving(state):
             raise NotConverted("the points that it belongs to move, and are no body that is converted")
         return None
-    if any(one is not component and state_of(one.node) is state for one in conversion.components
-           if one.kind in MASSES and one.place < component.place):
+    if mass_of(conversion, state, 0)[0] is not component:
         raise NotConverted("a second mass of its body")
     material = record.entry["material"]
     return (f"{record.name}: {1e3 * material['total_mass']:.4g} g" if "total_mass" in material
             else f"{record.name}: {material['density']:.4g} kg/m³")  # fmt: skip
 
 
-def _add_damping(conversion: Conversion, record: BodyRecord) -> None:
-    """Rayleigh damping of the solver above a body; the drag of first-order motion is its mass."""
-    solver = nearest(record.state.node, EULER_IMPLICIT)
+def damping_of(node: SceneNode) -> dict[str, Any]:
+    """Rayleigh damping of the solver above a node; the drag of first-order motion is the mass.
+
+    Args:
+        node: The node of a body or a beam.
+
+    Returns:
+        The key `damping` of an entry, or nothing.
+    """
+    solver = nearest(node, KINDS["euler_implicit"])
     if solver is None:
-        return
-    alpha = number_of(solver, "rayleighMass", otherwise=0.0) or 0.0
-    beta = number_of(solver, "rayleighStiffness", otherwise=0.0) or 0.0
+        return {}
+    given = {key: number_of(solver, f"rayleigh{key.title()}", otherwise=0.0) for key in ("mass", "stiffness")}
     if is_true(solver, "firstOrder", False):
-        alpha = 1.0
-    given = {key: value for key, value in (("mass", alpha), ("stiffness", beta)) if value}
-    if given:
-        record.entry["damping"] = {SOURCE: [f"rayleighMass (1/s), rayleighStiffness (s), {solver.where}"], **given}
+        given["mass"] = 1.0
+    return {"damping": {key: value for key, value in given.items() if value}} if any(given.values()) else {}
 
 
 # --- what is fixed --------------------------------------------------------------------------------
 
 
-@rule(FIXING, "FixedConstraint", "FixedProjectiveConstraint", "FixedLagrangianConstraint",
-      "FixedWeakConstraint", "PartialFixedConstraint", "PartialFixedProjectiveConstraint")  # fmt: skip
+@rule(FIXING, *KINDS["fixing"])
 def fixed(conversion: Conversion, component: SceneComponent) -> str | None:
     """Points that do not move.
 
@@ -391,90 +373,80 @@ def fixed(conversion: Conversion, component: SceneComponent) -> str | None:
         conversion: The conversion.
         component: The constraint.
     """
-    if component.kind.startswith("Partial"):
-        axes = array_of(component, 1, "fixedDirections")
-        if axes is not None and not axes[:3].all():
-            raise NotConverted("points that are fixed along some axes only are not built here")
+    if component.kind.startswith("Partial") and not array_of(
+            component, 1, "fixedDirections", otherwise=[1.0])[:3].all():  # fmt: skip
+        raise NotConverted("points that are fixed along some axes only are not built here")
+    record = _held_record(conversion, component)
+    if not isinstance(record, BodyRecord):
+        return record
+    if is_true(component, "fixAll", False):
+        return _fix(record, component, [{"nodes": list(range(len(record.mesh.points)))}])
+    return _fix(record, component, _regions(conversion, record, component, "indices"))
+
+
+def _held_record(conversion: Conversion, component: SceneComponent) -> BodyRecord | str | None:
+    """The body that a component holds; what it becomes for frames; None for what does not move."""
     state = conversion.state(component)
-    names = conversion.frames.get(id(state))
-    if names is not None:
-        return _fix_frames(conversion, component, names)
-    record = conversion.bodies.get(id(state))
-    if record is None:
-        return None if not _is_moving(conversion, state) else _no_body()
-    every = is_true(component, "fixAll", False)
-    regions = [{"nodes": list(range(len(record.mesh.points)))}] if every else _regions(
-        conversion, record, component, "indices")  # fmt: skip
-    record.entry.setdefault("fixed", []).extend({SOURCE: [source_of(component)], **one} for one in regions)
+    if id(state) in conversion.frames:
+        return _fix_frames(conversion, component, conversion.frames[id(state)])
+    if id(state) not in conversion.bodies and _is_moving(state):
+        raise NotConverted("its body is not converted")
+    return conversion.bodies.get(id(state))
+
+
+def _is_moving(state: SceneComponent) -> bool:
+    return nearest(state.node, KINDS["movers"]) is not None
+
+
+def _fix(record: BodyRecord, component: SceneComponent, regions: list[dict[str, Any]]) -> str:
+    made = [{SOURCE: [source_of(component)], **one} for one in regions]
+    record.entry.setdefault("fixed", []).extend(made)
     return f"{record.name}.fixed"
-
-
-def _is_moving(conversion: Conversion, state: SceneComponent) -> bool:
-    return nearest(state.node, (*EULER_IMPLICIT, *STATIC, *OTHER_MOTION)) is not None
-
-
-def _no_body() -> str:
-    raise NotConverted("its body is not converted")
 
 
 def _fix_frames(conversion: Conversion, component: SceneComponent, names: list[str]) -> str:
     """Rigid bodies that do not move, or ends of a beam."""
-    chosen = indices_of(component, "indices", "points")
-    chosen = np.array([0]) if chosen is None or not len(chosen) else chosen
-    beams = {one["name"]: one for one in conversion.scene.get("beams", [])}
-    for index in chosen:
-        name = names[min(int(index), len(names) - 1)]
-        if not name:  # a frame of the world
-            continue
+    chosen = indices_of(component, "indices", "points", otherwise=[0])
+    beams, rigids = ({one["name"]: one for one in conversion.scene.get(section, ())}
+                     for section in ("beams", "rigid_bodies"))  # fmt: skip
+    told = {names[min(index, len(names) - 1)]: index for index in chosen}
+    for name, index in told.items():
+        if name in beams and index not in (0, len(names) - 1):
+            raise NotConverted(f"point {index} is inside the beam {name}: ends can be fixed")
         if name in beams:
-            end = "start" if index == 0 else "end" if index == len(names) - 1 else None
-            if end is None:
-                raise NotConverted(f"point {index} is inside the beam {name}: ends can be fixed")
-            beams[name].setdefault("fixed", []).append(end)
-            continue
-        entry = next(one for one in conversion.scene["rigid_bodies"] if one["name"] == name)
-        entry["motion"] = "fixed"
-        entry.pop("mass", None)
-    told = dict.fromkeys(names[min(int(index), len(names) - 1)] for index in chosen)
+            beams[name].setdefault("fixed", []).append("end" if index else "start")
+        elif name:  # others are frames of the world
+            rigids[name]["motion"] = "fixed"
+            rigids[name].pop("mass", None)
     return f"{', '.join(filter(None, told)) or 'a frame of the world'}: fixed"
 
 
-def _regions(conversion: Conversion, record: BodyRecord, component: SceneComponent, *names: str) -> list[dict]:
+def _regions(
+    conversion: Conversion, record: BodyRecord, component: SceneComponent, *names: str
+) -> list[dict[str, Any]]:
     """Regions of a body: boxes and spheres where a region of interest of the same points says so."""
-    component.read.update(names)
     given = next((component.fields[name] for name in names if component.fields.get(name) is not None), None)
-    if is_link(given):
-        roi, output = follow(given, component.node)
-        if isinstance(roi, SceneComponent) and roi.kind in REGIONS and output == "indices":
-            same = state_of(roi.node) is record.state and roi.fields.get("position") is None
-            if same and roi.fields.get("orientedBox") is None:
-                if roi.kind != "ComplementaryROI":
-                    return _region_shapes(conversion, record, roi)
+    roi, output = follow(given, component.node) if is_link(given) else (None, None)
+    if isinstance(roi, SceneComponent) and roi.kind in KINDS["regions"] and output == "indices":
+        has_own = roi.fields.get("position") is not None or roi.fields.get("orientedBox") is not None
+        if state_of(roi.node) is record.state and not has_own:
+            component.read.update(names)
+            return _region_shapes(conversion, record, roi)
     chosen = indices_of(component, *names)
-    if chosen is None:
-        chosen = np.array([0])
-    if not len(chosen):
+    if chosen is not None and not len(chosen):
         raise NotConverted("it selects no points")
-    return [{"nodes": np.unique(chosen).tolist()}]
+    return [{"nodes": [0] if chosen is None else np.unique(chosen).tolist()}]
 
 
-def _region_shapes(conversion: Conversion, record: BodyRecord, roi: SceneComponent) -> list[dict]:
-    made: list[dict] = []
-    if roi.kind == "SphereROI":
-        for centre, radius in zip(*spheres_of(roi), strict=True):
-            if (np.linalg.norm(record.mesh.points - centre, axis=1) <= radius).any():
-                made.append({"sphere": {"centre": conversion.length(centre), "radius": conversion.length(radius)}})
-    else:
-        for low, high in boxes_of(roi):
-            if ((record.mesh.points >= low) & (record.mesh.points <= high)).all(axis=1).any():
-                made.append({"box": {"minimum": conversion.length(low), "maximum": conversion.length(high)}})
+def _region_shapes(conversion: Conversion, record: BodyRecord, roi: SceneComponent) -> list[dict[str, Any]]:
+    made = [{kind: {key: conversion.length(value) for key, value in shape.items()}}
+            for kind, shape in shapes_of(roi) if is_inside(record.mesh.points, kind, shape).any()]  # fmt: skip
     if not made:
         raise NotConverted(f"{roi.kind} {roi.name} ({roi.where}) selects no points")
-    roi.read.update(("box", "centers", "radii"))
     return made
 
 
-@rule(FIXING, "RestShapeSpringsForceField", "RestShapeSpringForceField", "FixedRestShape")
+@rule(FIXING, *KINDS["rest_springs"])
 def rest_shape_springs(conversion: Conversion, component: SceneComponent) -> str | None:
     """Springs to the rest shape: stiff ones fix points.
 
@@ -482,47 +454,39 @@ def rest_shape_springs(conversion: Conversion, component: SceneComponent) -> str
         conversion: The conversion.
         component: The springs.
     """
-    state = conversion.state(component)
-    external, anchors = value_of(component, "external_rest_shape"), None
+    state, anchors = conversion.state(component), None
+    external = value_of(component, "external_rest_shape")
     if isinstance(external, SceneComponent) and state_of(external.node) is not state:
-        if mapped_from(external) or is_rigid(external) or nearest(external.node, EULER_IMPLICIT) is not None:
+        if mapped_from(external) or is_rigid(external) or nearest(external.node, KINDS["euler_implicit"]):
             raise NotConverted("springs to the shape of another state that moves are not built here")
-        own = indices_of(component, "external_points")
-        anchors = points_of(external) if own is None or not len(own) else points_of(external)[own]
-    names = conversion.frames.get(id(state))
-    stiffness = array_of(component, 1, "stiffness")
-    stiffness = np.array([100.0]) if stiffness is None or not len(stiffness) else stiffness
-    if names is not None:
-        component.read.add("points")
-        return _fix_frames(conversion, component, names)
-    record = conversion.bodies.get(id(state))
-    if record is None:
-        return None if not _is_moving(conversion, state) else _no_body()
-    hardness = stiffness * conversion.units.stiffness
+        own = indices_of(component, "external_points", otherwise=np.arange(len(points_of(external))))
+        anchors = points_of(external)[own]
+    hardness = array_of(component, 1, "stiffness", otherwise=[100.0]) * conversion.units.stiffness
+    if id(state) in conversion.frames and hardness.min() < STIFF_FRAME:
+        raise NotConverted(f"a frame on a spring of {hardness.min():g} N/m; from {STIFF_FRAME:g} it is fixed")
+    record = _held_record(conversion, component)
+    if not isinstance(record, BodyRecord):
+        return record
     if anchors is None and hardness.min() >= STIFF * _node_stiffness(conversion, record):
-        regions = _regions(conversion, record, component, "points", "indices")
-        record.entry.setdefault("fixed", []).extend({SOURCE: [source_of(component)], **one} for one in regions)
-        return f"{record.name}.fixed"
-    chosen = indices_of(component, "points", "indices")
-    chosen = np.arange(len(record.mesh.points)) if chosen is None or not len(chosen) else chosen
+        return _fix(record, component, _regions(conversion, record, component, "points", "indices"))
+    points = record.mesh.points
+    chosen = indices_of(component, "points", "indices", otherwise=np.arange(len(points)))
     if len(chosen) > MOST_SPRINGS:
         raise NotConverted(f"{len(chosen)} soft springs are more than {MOST_SPRINGS}")
-    anchors = record.mesh.points[chosen] if anchors is None else anchors
+    anchors = points[chosen] if anchors is None else anchors
     if len(anchors) != len(chosen):
         raise NotConverted(f"{len(chosen)} points are held at {len(anchors)} places")
     for index, value, anchor in zip(chosen, np.resize(hardness, len(chosen)), anchors, strict=True):
-        place, held = conversion.length(record.mesh.points[index]), conversion.length(anchor)
-        conversion.scene.setdefault("springs", []).append({
+        conversion.add("springs", component, {
             "name": conversion.name(f"{record.name}_rest_{index}"),
-            "ends": [{"on": record.name, "point": place}, {"point": held}],
+            "ends": [{"on": record.name, "point": conversion.length(points[index])},
+                     {"point": conversion.length(anchor)}],
             "stiffness": rounded(value), "rest_length": 0.0})  # fmt: skip
-    conversion.scene["springs"][-len(chosen)][SOURCE] = [source_of(component)]
     return f"{len(chosen)} springs of {hardness[0]:.4g} N/m"
 
 
 def _node_stiffness(conversion: Conversion, record: BodyRecord) -> float:
     """Stiffness of an element, E times its size [N/m]."""
     material = record.entry["material"]
-    young = material.get("young_modulus") or material.get("bulk_modulus") or 1e5
-    size = float(np.cbrt(_volumes(record.mesh).mean())) * conversion.units.metre
-    return float(young) * size
+    young = material.get("young_modulus") or material["bulk_modulus"]
+    return float(young * np.cbrt(_volumes(record.mesh).mean()) * conversion.units.metre)

@@ -6,7 +6,9 @@ Lengths are in the unit of the scene. A value that the file gives goes before on
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable
+from functools import cache
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,6 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.conversion.scene_tree import (
+    KINDS,
     NotConverted,
     SceneComponent,
     SceneNode,
@@ -32,16 +35,6 @@ from softrobot_twin.geometry.mesh_reading import read_mesh_file
 from softrobot_twin.geometry.surface import boundary_triangles
 from softrobot_twin.geometry.surface_reading import read_surface
 
-STATES = ("MechanicalObject",)
-"""Kinds of components that hold positions."""
-LOADERS = ("MeshVTKLoader", "MeshGmshLoader", "MeshSTLLoader", "MeshOBJLoader", "MeshObjLoader",
-           "MeshOffLoader", "GIDMeshLoader", "VTKLoader")  # fmt: skip
-"""Kinds of components that read mesh files."""
-TOPOLOGIES = (
-    "MeshTopology", "Mesh", "TetrahedronSetTopologyContainer", "HexahedronSetTopologyContainer",
-    "TriangleSetTopologyContainer", "QuadSetTopologyContainer", "EdgeSetTopologyContainer",
-    "PointSetTopologyContainer", "RegularGridTopology", "RegularGrid")  # fmt: skip
-"""Kinds of components that connect positions to cells."""
 RIGID_TEMPLATES = ("rigid", "rigid3", "rigid3d", "rigid3f")
 
 
@@ -98,17 +91,18 @@ class LoadedMesh(NamedTuple):
         placement: How its points were placed.
     """
 
-    points: np.ndarray
-    tets: np.ndarray
-    hexahedra: np.ndarray
-    triangles: np.ndarray
-    edges: np.ndarray
+    points: np.ndarray = np.empty((0, 3))
+    tets: np.ndarray = np.empty((0, 4), np.int64)
+    hexahedra: np.ndarray = np.empty((0, 8), np.int64)
+    triangles: np.ndarray = np.empty((0, 3), np.int64)
+    edges: np.ndarray = np.empty((0, 2), np.int64)
     file: Path | None = None
     placement: Placement = UNMOVED
 
-
-def _cells(width: int) -> np.ndarray:
-    return np.empty((0, width), np.int64)
+    def with_boundary(self) -> LoadedMesh:
+        """The mesh with the boundary of its cells as triangles."""
+        every = np.concatenate([self.tets, self.hexahedra[:, INTO_TETS].reshape(-1, 4)])
+        return self._replace(triangles=boundary_triangles(every))
 
 
 # --- values and links -----------------------------------------------------------------------------
@@ -160,22 +154,27 @@ def linked(value: Any, node: SceneNode, name: str = "") -> Any:
     owner, field = follow(value, node)
     if isinstance(owner, SceneNode):
         return owner.fields.get(field or "", owner)
-    return owner if field is None else value_of(owner, field)
+    found = owner if field is None else value_of(owner, field)
+    if found is None and owner.kind not in _COMPUTED:
+        raise NotConverted(f"its field {name} comes from {owner.kind} ({owner.where}), which is not read")
+    return found
 
 
-def array_of(component: SceneComponent, width: int, *names: str) -> np.ndarray | None:
+def array_of(component: SceneComponent, width: int, *names: str, otherwise: Any = None) -> Any:
     """The numbers of a field in rows, or None; see `value_of`.
 
     Args:
         component: The component.
         width: Numbers in a row.
         *names: Names of the field.
+        otherwise: What is returned as an array where there is none, or an empty list.
     """
     value = value_of(component, *names)
-    return None if value is None else numbers(value, width)
+    found = None if value is None else numbers(value, width)
+    return found if otherwise is None or found is not None and len(found) else np.asarray(otherwise)
 
 
-def number_of(component: SceneComponent, *names: str, otherwise: float | None = None) -> float | None:
+def number_of(component: SceneComponent, *names: str, otherwise: Any = None) -> Any:
     """The first number of a field.
 
     Args:
@@ -187,14 +186,25 @@ def number_of(component: SceneComponent, *names: str, otherwise: float | None = 
     return otherwise if found is None or not len(found) else float(found[0])
 
 
-def indices_of(component: SceneComponent, *names: str) -> np.ndarray | None:
+def whole_of(component: SceneComponent, name: str) -> int:
+    """The first number of a field as a whole one; zero where there is none.
+
+    Args:
+        component: The component.
+        name: Name of the field.
+    """
+    return int(number_of(component, name, otherwise=0))
+
+
+def indices_of(component: SceneComponent, *names: str, otherwise: Any = None) -> Any:
     """The whole numbers of a field, int64; or None.
 
     Args:
         component: The component.
         *names: Names of the field.
+        otherwise: What is returned where there is none, or an empty list.
     """
-    found = array_of(component, 1, *names)
+    found = array_of(component, 1, *names, otherwise=otherwise)
     return None if found is None else found.astype(np.int64)
 
 
@@ -207,9 +217,7 @@ def is_true(component: SceneComponent, name: str, otherwise: bool) -> bool:
         otherwise: What it is where the file gives none.
     """
     value = value_of(component, name)
-    if value is None:
-        return otherwise
-    return str(value).strip().lower() in ("1", "true", "1.0")
+    return otherwise if value is None else str(value).strip().lower() in ("1", "true", "1.0")
 
 
 def placement_of(component: SceneComponent) -> Placement:
@@ -226,12 +234,11 @@ def placement_of(component: SceneComponent) -> Placement:
 
     def vector(name: str, letter: str, usual: float) -> np.ndarray:
         found = array_of(component, 3, name)
-        made = np.full(3, usual) if found is None or not len(found) else found[0].copy()
-        for axis, word in enumerate("xyz"):
-            made[axis] = number_of(component, letter + word, otherwise=made[axis])
-        return made
+        made = np.full(3, usual) if found is None or not len(found) else found[0]
+        return np.array([number_of(component, letter + axis, otherwise=value)
+                         for axis, value in zip("xyz", made, strict=True)])  # fmt: skip
 
-    scale = vector("scale3d", "s", 1.0) * (number_of(component, "scale", otherwise=1.0) or 1.0)
+    scale = vector("scale3d", "s", 1.0) * number_of(component, "scale", otherwise=1.0)
     return Placement(vector("translation", "d", 0.0),
                      Rotation.from_euler("xyz", vector("rotation", "r", 0.0), degrees=True), scale)  # fmt: skip
 
@@ -250,17 +257,16 @@ def find_file(component: SceneComponent, name: str) -> Path:
         NotConverted: There is none.
     """
     folders = [Path(component.place[0]).parent, Path.cwd()]
-    home = root_of(component.node).fields.get("folder")
-    if home is not None:
-        folders.insert(0, Path(home))
-    for root in filter(None, (os.environ.get("SOFA_ROOT"),)):
-        folders += [Path(root, "share/sofa"), Path(root, "share"), Path(root, "share/sofa/examples")]
+    home, sofa = root_of(component.node).fields.get("folder"), os.environ.get("SOFA_ROOT")
+    folders[:0] = [Path(home)] if home else []
+    folders += [Path(sofa, below) for below in ("share/sofa", "share", "share/sofa/examples")] if sofa else []
     for folder in folders:
         if (folder / name).is_file():
             return (folder / name).resolve()
     raise NotConverted(f"its file {name} is not found in {folders[0]}; $SOFA_ROOT is searched too")
 
 
+@cache
 def loaded_mesh(component: SceneComponent) -> LoadedMesh:
     """The placed mesh of a loader.
 
@@ -270,16 +276,12 @@ def loaded_mesh(component: SceneComponent) -> LoadedMesh:
     Raises:
         NotConverted: Its file is missing or cannot be read.
     """
-    kept = component.__dict__.get("loaded")
-    if kept is None:
-        name = value_of(component, "filename")
-        if not name:
-            raise NotConverted("it names no file")
-        file, placement = find_file(component, str(name)), placement_of(component)
-        raw = _read_file(file)
-        kept = raw._replace(points=placement.place(raw.points), file=file, placement=placement)
-        component.__dict__["loaded"] = kept
-    return kept
+    name = value_of(component, "filename")
+    if not name:
+        raise NotConverted("it names no file")
+    file, placement = find_file(component, str(name)), placement_of(component)
+    raw = _read_file(file)
+    return raw._replace(points=placement.place(raw.points), file=file, placement=placement)
 
 
 def _read_file(file: Path) -> LoadedMesh:
@@ -289,35 +291,32 @@ def _read_file(file: Path) -> LoadedMesh:
         if file.suffix.lower() in (".vtk", ".vtu", ".msh"):
             try:
                 mesh = read_mesh_file(file)
-                tets, hexahedra = mesh.tets, mesh.hexahedra
-                every = np.concatenate([tets, hexahedra[:, INTO_TETS].reshape(-1, 4)])
-                return LoadedMesh(mesh.node_positions, tets, hexahedra, boundary_triangles(every), _cells(2))
+                return LoadedMesh(mesh.node_positions, mesh.tets, mesh.hexahedra).with_boundary()
             except MeshError as error:
                 if "has no tetrahedra or hexahedra" not in error.reason:
                     raise
         points, triangles = read_surface(file)
-        return LoadedMesh(points, _cells(4), _cells(8), triangles, _cells(2))
+        return LoadedMesh(points, triangles=triangles)
     except (MeshError, OSError, ValueError) as error:
         raise NotConverted(f"its mesh cannot be read: {error}") from error
 
 
 def _read_gid(file: Path) -> LoadedMesh:
     """A mesh of GiD: coordinates and tetrahedra between words, numbered from 1."""
-    points: dict[int, list[float]] = {}
-    tets, section = [], ""
-    for line in file.read_text(errors="replace").splitlines():
-        words = line.split()
-        if not words:
-            continue
-        if words[0].lower() in ("coordinates", "elements", "end"):
-            section = "" if words[0].lower() == "end" else words[0].lower()
-        elif section == "coordinates":
-            points[int(words[0])] = [float(word) for word in words[1:4]]
-        elif section == "elements":
-            tets.append([int(word) for word in words[1:5]])
-    order = {number: index for index, number in enumerate(points)}
-    cells = np.array([[order[number] for number in tet] for tet in tets], np.int64).reshape(-1, 4)
-    return LoadedMesh(np.array(list(points.values())), cells, _cells(8), boundary_triangles(cells), _cells(2))
+    text = file.read_text(errors="replace").lower()
+    sections = dict(re.findall(r"(?ms)^\s*(coordinates|elements)\s*\n(.*?)^\s*end", text))
+    nodes, cells = (np.loadtxt(sections.get(word, "").splitlines(), ndmin=2)
+                    for word in ("coordinates", "elements"))  # fmt: skip
+    order = {number: index for index, number in enumerate(nodes[:, 0])}
+    tets = np.array([[order[number] for number in cell[1:5]] for cell in cells], np.int64)
+    return LoadedMesh(nodes[:, 1:4], tets).with_boundary()
+
+
+_MESH_FIELDS = {
+    "points": ("position", "points", "rest_position"), "tets": ("tetrahedra", "tetras"),
+    "hexahedra": ("hexahedra", "hexas"), "triangles": ("triangles",), "edges": ("edges", "lines"),
+}  # fmt: skip
+"""Fields of loaders and topologies by what they are of a mesh."""
 
 
 def mesh_of(component: SceneComponent) -> LoadedMesh:
@@ -329,18 +328,12 @@ def mesh_of(component: SceneComponent) -> LoadedMesh:
     Raises:
         NotConverted: They cannot be computed.
     """
-    if component.kind in LOADERS:
+    if component.kind in KINDS["loaders"]:
         return loaded_mesh(component)
-    if component.kind in ("RegularGridTopology", "RegularGrid"):
-        return _grid(component)
     source = _source_of(component)
-    given = source._asdict() if source is not None else LoadedMesh(
-        np.empty((0, 3)), _cells(4), _cells(8), _cells(3), _cells(2))._asdict()  # fmt: skip
-    for key, width, names in (
-        ("points", 3, ("position", "points")), ("tets", 4, ("tetrahedra", "tetras")),
-        ("hexahedra", 8, ("hexahedra", "hexas")), ("triangles", 3, ("triangles",)),
-        ("edges", 2, ("edges", "lines")),
-    ):  # fmt: skip
+    given = (source or LoadedMesh())._asdict()
+    for key, names in _MESH_FIELDS.items():
+        width = given[key].shape[1]
         component.read.update(names)
         own = next((component.fields[name] for name in names if component.fields.get(name) is not None), None)
         if own is not None:
@@ -351,25 +344,8 @@ def mesh_of(component: SceneComponent) -> LoadedMesh:
                 given |= {"file": None, "placement": UNMOVED}
             given[key] = own
     mesh = LoadedMesh(**given)
-    if not len(mesh.tets) and not len(mesh.hexahedra) and not len(mesh.triangles):
-        mesh = _of_hexahedra(component, mesh)
-    if not len(mesh.triangles) and (len(mesh.tets) or len(mesh.hexahedra)):
-        every = np.concatenate([mesh.tets, mesh.hexahedra[:, INTO_TETS].reshape(-1, 4)])
-        mesh = mesh._replace(triangles=boundary_triangles(every))
-    return mesh
-
-
-def _of_hexahedra(component: SceneComponent, mesh: LoadedMesh) -> LoadedMesh:
-    """The tetrahedra that a mapping of topologies makes of hexahedra, for the topology that is its output."""
-    mapping = first(component.node, ("Hexa2TetraTopologicalMapping",))
-    source = None if mapping is None else value_of(mapping, "input")
-    if isinstance(source, SceneNode):
-        source = first(source, TOPOLOGIES)
-    if source is None or source is component:
-        return mesh
-    found = mesh_of(source)
-    points = mesh.points if len(mesh.points) else found.points
-    return mesh._replace(points=points, tets=found.hexahedra[:, INTO_TETS].reshape(-1, 4))
+    is_solid = len(mesh.tets) or len(mesh.hexahedra)
+    return mesh.with_boundary() if is_solid and not len(mesh.triangles) else mesh
 
 
 def _source_of(component: SceneComponent) -> LoadedMesh | None:
@@ -379,36 +355,12 @@ def _source_of(component: SceneComponent) -> LoadedMesh | None:
         if is_link(link):
             component.read.add(name)
             owner, _ = follow(link, component.node)
-            if isinstance(owner, SceneComponent) and owner.kind in (*LOADERS, *TOPOLOGIES):
+            if isinstance(owner, SceneComponent) and owner.kind in KINDS["meshes"]:
                 found = mesh_of(owner)
                 # Only of a source are the cells taken too.
-                return found if name == "src" else found._replace(
-                    tets=_cells(4), hexahedra=_cells(8), triangles=_cells(3), edges=_cells(2))
+                return found if name == "src" else LoadedMesh(
+                    found.points, file=found.file, placement=found.placement)  # fmt: skip
     return None
-
-
-def _grid(component: SceneComponent) -> LoadedMesh:
-    """A box of hexahedra."""
-    counts = array_of(component, 3, "n")
-    count = ([int(number_of(component, word, otherwise=2.0) or 2) for word in ("nx", "ny", "nz")]
-             if counts is None else counts[0].astype(int))  # fmt: skip
-    low, high = (array_of(component, 3, name) for name in ("min", "max"))
-    ends = [np.array([number_of(component, axis + word, otherwise=usual) for axis in "xyz"])
-            if found is None else found[0]
-            for word, usual, found in (("min", 0.0, low), ("max", 1.0, high))]  # fmt: skip
-    axes = [np.linspace(ends[0][axis], ends[1][axis], count[axis]) for axis in range(3)]
-    # x runs fastest.
-    points = np.stack(np.meshgrid(*axes[::-1], indexing="ij"), axis=-1).reshape(-1, 3)[:, ::-1]
-    node = np.arange(len(points)).reshape(count[2], count[1], count[0])
-    corners = [node[dz : count[2] - 1 + dz, dy : count[1] - 1 + dy, dx : count[0] - 1 + dx].ravel()
-               for dx, dy, dz in ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0),
-                                  (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1))]  # fmt: skip
-    hexahedra = np.stack(corners, axis=1) if min(count) > 1 else _cells(8)
-    placement, offset = placement_of(component), array_of(component, 3, "p0")
-    points = points if offset is None else points + offset[0]
-    edges = np.stack([np.arange(len(points) - 1), np.arange(1, len(points))], axis=1)
-    return LoadedMesh(placement.place(points), _cells(4), hexahedra, _cells(3),
-                      edges if sorted(count)[1] == 1 else _cells(2))  # fmt: skip
 
 
 def topology_of(node: SceneNode) -> SceneComponent | None:
@@ -417,7 +369,7 @@ def topology_of(node: SceneNode) -> SceneComponent | None:
     Args:
         node: The node.
     """
-    return nearest(node, TOPOLOGIES)
+    return nearest(node, KINDS["topologies"])
 
 
 # --- states ---------------------------------------------------------------------------------------
@@ -439,7 +391,7 @@ def state_of(node: SceneNode) -> SceneComponent | None:
     Args:
         node: The node.
     """
-    return nearest(node, STATES)
+    return nearest(node, KINDS["states"])
 
 
 def state_mesh(state: SceneComponent) -> LoadedMesh:
@@ -453,16 +405,15 @@ def state_mesh(state: SceneComponent) -> LoadedMesh:
     """
     placement = placement_of(state)
     mesh = _source_of(state)
-    given = array_of(state, 3, "rest_position", "position") if _has(state, "position") or _has(
-        state, "rest_position") else None  # fmt: skip
-    if given is not None:
+    if _has(state, "position", "rest_position"):
+        given = array_of(state, 3, "rest_position", "position")
         if mesh is None or mesh.points.shape != given.shape or not np.allclose(mesh.points, given):
-            mesh = LoadedMesh(given, _cells(4), _cells(8), _cells(3), _cells(2))
+            mesh = LoadedMesh(given)
     elif mesh is None:
-        topology = first(state.node, (*TOPOLOGIES, *LOADERS))
-        mesh = None if topology is None else mesh_of(topology)
+        source = first(state.node, KINDS["meshes"])
+        mesh = None if source is None else mesh_of(source)
     if mesh is None or not len(mesh.points):
-        return LoadedMesh(placement.place(np.zeros((1, 3))), _cells(4), _cells(8), _cells(3), _cells(2))
+        return LoadedMesh(placement.place(np.zeros((1, 3))))
     # A rotation after unequal factors has no counterpart in a scene: the file is not named then.
     can_join = placement.is_uniform and mesh.file is not None
     joined = placement.after(mesh.placement) if can_join else UNMOVED
@@ -470,8 +421,8 @@ def state_mesh(state: SceneComponent) -> LoadedMesh:
                          file=mesh.file if can_join else None)  # fmt: skip
 
 
-def _has(component: SceneComponent, name: str) -> bool:
-    return component.fields.get(name) is not None
+def _has(component: SceneComponent, *names: str) -> bool:
+    return any(component.fields.get(name) is not None for name in names)
 
 
 def frames_of(state: SceneComponent) -> np.ndarray:
@@ -480,23 +431,15 @@ def frames_of(state: SceneComponent) -> np.ndarray:
     Args:
         state: A rigid state.
     """
-    given = array_of(state, 1, "rest_position", "position")
-    topology = first(state.node, TOPOLOGIES)
-    if (given is None or not len(given)) and topology is not None:
-        given = mesh_of(topology).points.ravel()
-    frames = np.array([[0.0, 0, 0, 0, 0, 0, 1]])
-    if given is not None and len(given):
-        # Places alone stand for frames that are not turned.
-        width = 7 if len(given) % 7 == 0 and not (len(given) % 3 == 0 and topology is not None and len(
-            mesh_of(topology).points) * 3 == len(given)) else 3  # fmt: skip
-        rows = numbers(given, width)
-        frames = np.tile(frames, (len(rows), 1))
-        frames[:, :width] = rows
-    placement = placement_of(state)
-    frames[:, :3] = placement.place(frames[:, :3])
-    turned = placement.rotation * Rotation.from_quat(frames[:, 3:])
-    frames[:, 3:] = turned.as_quat()
-    return frames
+    topology, placement = first(state.node, KINDS["topologies"]), placement_of(state)
+    places = np.zeros((1, 3)) if topology is None else mesh_of(topology).points
+    given = array_of(state, 1, "rest_position", "position", otherwise=places.ravel())
+    # Places alone stand for frames that are not turned.
+    width = 3 if len(given) % 7 or len(given) == places.size else 7
+    rows = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (len(given) // width, 1))
+    rows[:, :width] = numbers(given, width)
+    turned = placement.rotation * Rotation.from_quat(rows[:, 3:])
+    return np.hstack([placement.place(rows[:, :3]), turned.as_quat()])
 
 
 def points_of(state: SceneComponent) -> np.ndarray:
@@ -538,14 +481,7 @@ def rigid_indices(mapping: SceneComponent, count: int) -> np.ndarray:
     which = indices_of(mapping, "rigidIndexPerPoint")
     if which is not None and len(which) == count:
         return which
-    return np.full(count, int(number_of(mapping, "index", otherwise=0.0) or 0), np.int64)
-
-
-MAPPINGS = ("BarycentricMapping", "IdentityMapping", "RigidMapping", "SubsetMapping",
-            "SubsetMultiMapping", "AdaptiveBeamMapping", "BeamLinearMapping", "SkinningMapping",
-            "ArticulatedSystemMapping", "TubularMapping", "CenterPointMechanicalMapping",
-            "RigidRigidMapping")  # fmt: skip
-"""Kinds of components that let a state follow another one."""
+    return np.full(count, whole_of(mapping, "index"), np.int64)
 
 
 def mapped_from(state: SceneComponent, mapping: SceneComponent | None = None) -> list[SceneComponent]:
@@ -555,23 +491,15 @@ def mapped_from(state: SceneComponent, mapping: SceneComponent | None = None) ->
         state: A state.
         mapping: Its mapping, where it is known.
     """
-    mapping = mapping or first(state.node, MAPPINGS)
+    mapping = mapping or first(state.node, KINDS["mappings"])
     if mapping is None:
         return []
-    sources = []
-    for name in ("input", "input1", "input2", "object1"):
-        given = value_of(mapping, name)
-        sources += [one for one in (given if isinstance(given, list) else [given]) if one is not None]
-    found = []
-    for source in sources:
-        if isinstance(source, SceneNode):
-            source = first(source, STATES)
-        if isinstance(source, SceneComponent):
-            found.append(source)
-    if not found and state.node.parents:
-        above = state_of(state.node.parents[0])
-        found = [] if above is None else [above]
-    return found
+    given = [value_of(mapping, name) for name in ("input", "input1", "input2", "object1")]
+    sources = [one for value in given for one in (value if isinstance(value, list) else [value])]
+    sources = [first(one, KINDS["states"]) if isinstance(one, SceneNode) else one for one in sources]
+    found = [one for one in sources if isinstance(one, SceneComponent)]
+    above = state_of(state.node.parents[0]) if state.node.parents else None
+    return found or ([] if above is None else [above])
 
 
 # --- regions of interest --------------------------------------------------------------------------
@@ -585,127 +513,77 @@ def _roi_points(roi: SceneComponent) -> np.ndarray:
     return points_of(state) if given is None else given  # type: ignore[arg-type]
 
 
-def _in_boxes(roi: SceneComponent, points: np.ndarray) -> np.ndarray:
-    """Whether points are in one of the boxes of a region, shape (count,)."""
-    inside = np.zeros(len(points), bool)
-    for low, high in boxes_of(roi):
-        inside |= ((points >= low) & (points <= high)).all(axis=1)
-    oriented = array_of(roi, 10, "orientedBox")
-    for corners in oriented if oriented is not None else ():
-        p0, p1, p2 = corners[:9].reshape(3, 3)
-        along, across = p1 - p0, p2 - p1
-        normal = np.cross(along, p2 - p0)
-        normal = normal / np.linalg.norm(normal)
-        local = points - p0
-        inside |= ((0.0 <= local @ along) & (local @ along <= along @ along)
-                   & (0.0 <= local @ across) & (local @ across <= across @ across)
-                   & (np.abs(local @ normal) <= 0.5 * corners[9]))  # fmt: skip
-    return inside
-
-
-def boxes_of(roi: SceneComponent) -> np.ndarray:
-    """Corners of the boxes along the axes of a region, shape (count, 2, 3).
+def shapes_of(roi: SceneComponent) -> list[tuple[str, dict[str, np.ndarray]]]:
+    """The shapes of a region: their kinds and lengths, as an entry `fixed` has them; turned boxes it has not.
 
     Args:
-        roi: A BoxROI.
+        roi: A region.
     """
-    boxes = array_of(roi, 6, "box")
-    if boxes is None:
-        oriented = roi.fields.get("orientedBox") is not None
-        boxes = np.empty((0, 6)) if oriented else np.array([[0.0, 0, 0, 1, 1, 1]])
-    corners = boxes.reshape(-1, 2, 3)
-    return np.stack([corners.min(axis=1), corners.max(axis=1)], axis=1)
+    if roi.kind == "SphereROI":
+        centres, radii = array_of(roi, 3, "centers", otherwise=[]), array_of(roi, 1, "radii", otherwise=[])
+        if not len(centres) or not len(radii):
+            raise NotConverted("it needs centers and radii")
+        return [("sphere", {"centre": centre, "radius": radius})
+                for centre, radius in zip(centres, np.resize(radii, len(centres)), strict=True)]  # fmt: skip
+    turned = array_of(roi, 10, "orientedBox", otherwise=np.empty((0, 10)))
+    usual = np.empty((0, 6)) if len(turned) else [[0.0, 0.0, 0.0, 1.0, 1.0, 1.0]]
+    boxes = array_of(roi, 6, "box", otherwise=usual).reshape(-1, 2, 3)
+    return [("box", {"minimum": ends.min(axis=0), "maximum": ends.max(axis=0)}) for ends in boxes] + [
+        ("turned", {"corners": one[:9].reshape(3, 3), "depth": one[9]}) for one in turned]  # fmt: skip
 
 
-def spheres_of(roi: SceneComponent) -> tuple[np.ndarray, np.ndarray]:
-    """Centres, shape (count, 3), and radii, shape (count,), of a SphereROI.
+def is_inside(points: np.ndarray, kind: str, shape: dict[str, np.ndarray]) -> np.ndarray:
+    """Whether points are in a shape, shape (count,).
 
     Args:
-        roi: The region.
+        points: Shape (count, 3).
+        kind: Kind of the shape.
+        shape: Its lengths; see `shapes_of`.
     """
-    centres, radii = array_of(roi, 3, "centers"), array_of(roi, 1, "radii")
-    if centres is None or radii is None or not len(radii):
-        raise NotConverted("it needs centers and radii")
-    return centres, np.resize(radii, len(centres))
-
-
-def _in_spheres(roi: SceneComponent, points: np.ndarray) -> np.ndarray:
-    inside = np.zeros(len(points), bool)
-    for centre, radius in zip(*spheres_of(roi), strict=True):
-        inside |= np.linalg.norm(points - centre, axis=1) <= radius
-    return inside
-
-
-def _complement(roi: SceneComponent, points: np.ndarray) -> np.ndarray:
-    """Whether points are in none of the sets of a ComplementaryROI."""
-    outside = np.ones(len(points), bool)
-    for number in range(1, int(number_of(roi, "nbSet", otherwise=1.0) or 1) + 1):
-        chosen = indices_of(roi, f"setIndices{number}")
-        outside[[] if chosen is None else chosen] = False
-    return outside
-
-
-REGIONS: dict[str, Callable[[SceneComponent, np.ndarray], np.ndarray]] = {
-    "BoxROI": _in_boxes, "BoxRoi": _in_boxes, "SphereROI": _in_spheres, "SubsetTopology": _in_boxes,
-    "ComplementaryROI": _complement,
-}  # fmt: skip
-"""Kinds of regions of interest: which points are inside."""
+    if kind == "sphere":
+        return np.linalg.norm(points - shape["centre"], axis=1) <= shape["radius"]
+    if kind == "box":
+        return ((points >= shape["minimum"]) & (points <= shape["maximum"])).all(axis=1)
+    start, corner, end = shape["corners"]
+    normal = np.cross(corner - start, end - corner)
+    edges = [corner - start, end - corner, shape["depth"] * normal / np.linalg.norm(normal)]
+    return (np.abs((points - start) @ np.linalg.inv(edges) - [0.5, 0.5, 0.0]) <= 0.5).all(axis=1)
 
 
 def _roi_value(roi: SceneComponent, name: str) -> Any:
     """An output of a region of interest."""
-    inside = REGIONS[roi.kind]
-    if name in ("indices", "pointsInROI"):
-        points = _roi_points(roi)
-        chosen = np.flatnonzero(inside(roi, points))
-        return points[chosen] if name == "pointsInROI" else chosen
     cells = {"tetra": "tets", "hexa": "hexahedra", "triang": "triangles", "edge": "edges"}
     kind = next((key for word, key in cells.items() if name.startswith(word)), None)
     topology = topology_of(roi.node)
-    if kind is None or topology is None:
+    if name not in ("indices", "pointsInROI") and (kind is None or topology is None):
         return None
-    every, points = getattr(mesh_of(topology), kind), _roi_points(roi)
-    if is_true(roi, "strict", True):
-        chosen = inside(roi, points)[every].all(axis=1)
-    else:
-        chosen = inside(roi, points[every].mean(axis=1))
-    if name.endswith("OutROI"):
-        chosen = ~chosen
+    points, shapes = _roi_points(roi), shapes_of(roi)
+
+    def is_in(places: np.ndarray) -> np.ndarray:
+        return np.any([is_inside(places, *shape) for shape in shapes], axis=0)
+
+    if name in ("indices", "pointsInROI"):
+        return points[is_in(points)] if name == "pointsInROI" else np.flatnonzero(is_in(points))
+    every = getattr(mesh_of(topology), kind)
+    is_strict = is_true(roi, "strict", True)
+    chosen = is_in(points)[every].all(axis=1) if is_strict else is_in(points[every].mean(axis=1))
+    chosen = ~chosen if name.endswith("OutROI") else chosen
     return np.flatnonzero(chosen) if "ndices" in name or name.endswith("Index") else every[chosen]
 
 
 def _mesh_value(component: SceneComponent, name: str) -> Any:
     """An output of a loader or topology."""
-    key = {"position": "points", "points": "points", "rest_position": "points", "tetrahedra": "tets",
-           "tetras": "tets", "hexahedra": "hexahedra", "hexas": "hexahedra",
-           "triangles": "triangles", "edges": "edges", "lines": "edges"}.get(name)  # fmt: skip
+    key = next((key for key, names in _MESH_FIELDS.items() if name in names), None)
     return None if key is None else getattr(mesh_of(component), key)
 
 
 def _state_value(state: SceneComponent, name: str) -> Any:
     """An output of a state."""
-    if name in ("position", "rest_position"):
-        if is_rigid(state):
-            return state.fields.get("position") and frames_of(state)
-        return None if _has(state, name) else points_of(state)
-    return None
-
-
-def _mapped_values(mapper: SceneComponent, name: str) -> Any:
-    """The values of an IndexValueMapper: one value at some indices, others as they come in."""
-    if name != "outputValues":
-        return None
-    before, chosen = array_of(mapper, 1, "inputValues"), indices_of(mapper, "indices")
-    value = number_of(mapper, "value", otherwise=0.0)
-    chosen = np.empty(0, np.int64) if chosen is None else chosen
-    values = np.full(max(int(chosen.max(initial=-1)) + 1, 0 if before is None else len(before)),
-                     number_of(mapper, "defaultValue", otherwise=0.0))
-    values[: 0 if before is None else len(before)] = () if before is None else before
-    values[chosen] = value
-    return values
+    is_given = is_rigid(state) or _has(state, name)
+    return None if is_given or name not in ("position", "rest_position") else points_of(state)
 
 
 _COMPUTED: dict[str, Callable[[SceneComponent, str], Any]] = {
-    **dict.fromkeys((*LOADERS, *TOPOLOGIES), _mesh_value), **dict.fromkeys(REGIONS, _roi_value),
-    **dict.fromkeys(STATES, _state_value), "IndexValueMapper": _mapped_values,
+    **dict.fromkeys(KINDS["meshes"], _mesh_value), **dict.fromkeys(KINDS["regions"], _roi_value),
+    **dict.fromkeys(KINDS["states"], _state_value),
 }  # fmt: skip

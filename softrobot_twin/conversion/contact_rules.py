@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 import re
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import numpy as np
-
-
-from softrobot_twin.conversion.actuator_rules import surface_file
 from softrobot_twin.conversion.computed_values import (
     indices_of,
     is_rigid,
@@ -17,26 +13,14 @@ from softrobot_twin.conversion.computed_values import (
     number_of,
     value_of,
 )
-from softrobot_twin.conversion.frame_rules import MOVERS, shape_entry, surface_of
+from softrobot_twin.conversion.mesh_entries import shape_entry, surface_file, surface_of
 from softrobot_twin.conversion.rules import (
     CONTACTS,
     BodyRecord,
     Conversion,
-    rounded,
     rule,
-    source_of,
 )
-from softrobot_twin.conversion.scene_text import SOURCE
-from softrobot_twin.conversion.scene_tree import NotConverted, SceneComponent, first, nearest
-
-MODELS = tuple(f"{kind}{end}" for kind in ("Triangle", "Line", "Point", "Sphere")
-               for end in ("CollisionModel", "Model")) + ("Triangle", "Line", "Point", "Sphere")  # fmt: skip
-"""Kinds of collision models."""
-INTERSECTIONS = ("LocalMinDistance", "MinProximityIntersection", "NewProximityIntersection",
-                 "DiscreteIntersection")  # fmt: skip
-"""Kinds of components with the distances of contact."""
-RESPONSES = ("CollisionResponse", "DefaultContactManager", "RuleBasedContactManager")
-"""Kinds of components with friction."""
+from softrobot_twin.conversion.scene_tree import KINDS, NotConverted, SceneComponent, first, nearest
 
 
 class _Touching(NamedTuple):
@@ -60,11 +44,11 @@ class _Touching(NamedTuple):
         Args:
             other: The other; itself for two surfaces of it.
         """
-        surfaces = [(one, two) for one in self.groups for two in other.groups if other is not self or one != two]
-        return any(not one & two for one, two in surfaces)
+        return any(not one & two for one in self.groups for two in other.groups
+                   if other is not self or one != two)  # fmt: skip
 
 
-@rule(CONTACTS, *INTERSECTIONS)
+@rule(CONTACTS, *KINDS["intersections"])
 def contact(conversion: Conversion, component: SceneComponent) -> str | None:
     """All that may touch, from the collision models of the scene.
 
@@ -73,18 +57,16 @@ def contact(conversion: Conversion, component: SceneComponent) -> str | None:
         component: The component with the distances.
     """
     touching: dict[str, _Touching] = {}
-    for model in conversion.components:
-        if model.kind in MODELS:
-            try:
-                found = _touching(conversion, model)
-            except NotConverted as error:
-                conversion.missing.append((model, str(error)))
-                continue
-            if found is not None:
-                before = touching.get(found.name, found)
-                touching[found.name] = found._replace(
-                    groups=found.groups | before.groups,
-                    touches_itself=found.touches_itself or before.touches_itself)  # fmt: skip
+    for model in (one for one in conversion.components if one.kind in KINDS["collision_models"]):
+        try:
+            found = _touching(conversion, model)
+        except NotConverted as error:
+            conversion.missing.append((model, str(error)))
+            continue
+        if found is not None:
+            before = touching.get(found.name, found)
+            itself = found.touches_itself or before.touches_itself
+            touching[found.name] = found._replace(groups=found.groups | before.groups, touches_itself=itself)
     every = list(touching.values())
     pairs = [[one.name, one.name] for one in every if one.can_move and (one.touches_itself or one.may_touch(one))]
     pairs += [[one.name, other.name] for index, one in enumerate(every) for other in every[index + 1 :]
@@ -94,13 +76,10 @@ def contact(conversion: Conversion, component: SceneComponent) -> str | None:
         return "nothing that may touch"
     alarm = number_of(component, "alarmDistance", otherwise=1.0)
     least = number_of(component, "contactDistance", otherwise=0.5)
-    made: dict[str, Any] = {}
     friction = _friction(conversion)
-    if friction:
-        made["friction"] = friction
-    made |= {"alarm_distance": conversion.length(alarm), "contact_distance": conversion.length(least),
-             "between": [{"pair": pair} for pair in pairs]}  # fmt: skip
-    conversion.scene["contact"] = made | conversion.scene.get("contact", {})
+    conversion.scene["contact"] = {
+        **({"friction": friction} if friction else {}), "alarm_distance": conversion.length(alarm),
+        "contact_distance": conversion.length(least), "between": [{"pair": pair} for pair in pairs]}  # fmt: skip
     return f"contact of {len(pairs)} pair{'s'[:len(pairs) > 1]}, friction {friction:g}"
 
 
@@ -109,42 +88,40 @@ def _touching(conversion: Conversion, model: SceneComponent) -> _Touching | None
     state = conversion.state(model)
     if id(state) in conversion.goals or not is_true(model, "active", True):
         return None
-    groups = indices_of(model, "group")
-    itself = is_true(model, "selfCollision", False)
-    chosen = frozenset((frozenset(() if groups is None else groups.tolist()),))
+    groups = indices_of(model, "group", otherwise=[])
+    itself, chosen = is_true(model, "selfCollision", False), frozenset((frozenset(groups.tolist()),))
     carrier = conversion.carrier(state)
     if carrier is None:
-        if nearest(state.node, MOVERS) is not None and first(state.node, ("UniformMass",)) is None and not mapped_from(state):
+        is_free = nearest(state.node, KINDS["movers"]) is not None and not mapped_from(state)
+        if is_free and first(state.node, KINDS["masses"]) is None:
             return None  # a goal that the mouse moves
         return _Touching(_obstacle(conversion, model, state), chosen, False, False)
-    record = next((one for one in conversion.bodies.values() if one.name == carrier), None)
+    record = conversion.record_of(carrier)
     if record is not None and state is not record.state:
-        _contact_surface(conversion, record, model, state)
+        _add_contact_surface(conversion, record, state)
     fixed = {one["name"] for one in conversion.scene.get("rigid_bodies", ()) if one.get("motion") == "fixed"}
     return _Touching(carrier, chosen, carrier not in fixed, itself)
 
 
-def _contact_surface(conversion: Conversion, record: BodyRecord, model: SceneComponent, state: SceneComponent) -> None:
+def _add_contact_surface(conversion: Conversion, record: BodyRecord, state: SceneComponent) -> None:
     """A body's surface for contact, in place of that of its mesh."""
     mesh = surface_of(state)
     if mesh is None:
-        if "Triangle" not in model.kind and first(state.node, tuple(one for one in MODELS if "Triangle" in one)) is None:
+        triangles = [kind for kind in KINDS["collision_models"] if "Triangle" in kind]
+        if first(state.node, triangles) is None:
             raise NotConverted("points or lines alone: the surface of the body is taken")
         return
-    if record.entry.get("contact_surface") is None:
-        record.entry["contact_surface"] = surface_file(conversion, record, mesh, f"{record.name}_contact")
-        record.entry["contact_surface_state"] = state
-    elif record.entry["contact_surface_state"] is not state:
+    if conversion.surfaces.setdefault(record.name, state) is not state:
         raise NotConverted(f"a second surface for contact of {record.name}")
+    record.entry["contact_surface"] = surface_file(conversion, record, mesh, f"{record.name}_contact")
 
 
 def _obstacle(conversion: Conversion, model: SceneComponent, state: SceneComponent) -> str:
     """The obstacle of a state that nothing moves."""
-    for entry in conversion.scene.get("obstacles", ()):
-        if entry["state"] is state:
-            return entry["name"]
-    mesh = None if is_rigid(state) else surface_of(state)
-    name = conversion.name(state.node.name)
+    known = next((name for name, one in conversion.surfaces.items() if one is state), None)
+    if known is not None:
+        return known
+    mesh, name = None if is_rigid(state) else surface_of(state), conversion.name(state.node.name)
     if mesh is not None:
         shape = shape_entry(conversion, mesh, name)
     elif model.kind.startswith("Sphere"):
@@ -155,21 +132,16 @@ def _obstacle(conversion: Conversion, model: SceneComponent, state: SceneCompone
         shape = {"sphere": {"centre": points[0].tolist(), "radius": conversion.length(radius)}}
     else:
         raise NotConverted("what it touches with has no surface")
-    conversion.add("obstacles", model, {"name": name, **shape, "state": state})
+    conversion.add("obstacles", model, {"name": name, **shape})
+    conversion.surfaces[name] = state
     return name
 
 
 def _drop_lonely_obstacles(conversion: Conversion, used: set[str]) -> None:
-    """Obstacles that nothing may touch are left out; marks of this stage go."""
+    """Obstacles, and surfaces for contact, that nothing may touch are left out."""
     obstacles = conversion.scene.get("obstacles", [])
-    kept = [one for one in obstacles if one["name"] in used]
-    for entry in kept:
-        del entry["state"]
-    conversion.scene["obstacles"] = kept
-    if not kept:
-        del conversion.scene["obstacles"]
+    conversion.scene["obstacles"] = [one for one in obstacles if one["name"] in used]
     for record in conversion.bodies.values():
-        record.entry.pop("contact_surface_state", None)
         if record.name not in used:
             record.entry.pop("contact_surface", None)
 
@@ -177,51 +149,10 @@ def _drop_lonely_obstacles(conversion: Conversion, used: set[str]) -> None:
 def _friction(conversion: Conversion) -> float:
     """The coefficient of friction of a scene."""
     for component in conversion.components:
-        if component.kind in RESPONSES:
+        if component.kind in KINDS["responses"]:
+            if "rules" in component.fields:
+                reason = "its rules for single pairs: give friction of a pair in contact.between"
+                conversion.missing.append((component, reason))
             found = re.search(r"mu=([\d.eE+-]+)", str(value_of(component, "responseParams") or ""))
             return float(found[1]) if found else 0.0
     return 0.0
-
-
-@rule(CONTACTS, "UnilateralPlaneConstraint")
-def point_and_triangle(conversion: Conversion, component: SceneComponent) -> str | None:
-    """A point that stays on one side of a triangle of the same body.
-
-    Args:
-        conversion: The conversion.
-        component: The constraint.
-    """
-    state = conversion.state(component)
-    carrier, chosen = conversion.carrier(state), indices_of(component, "indices")
-    if carrier not in {one.name for one in conversion.bodies.values()} or chosen is None or len(chosen) != 4:
-        raise NotConverted("needs a point and a triangle of a body that is converted")
-    point, *triangle = conversion.points(state)[chosen]
-    entry = {"on": carrier, "point": rounded(point), "against": rounded(np.mean(triangle, axis=0))}
-    made = conversion.scene.setdefault("contact", {})
-    made.setdefault("points", []).append({SOURCE: [source_of(component)], **entry})
-    return f"contact of a point of {carrier} with a triangle"
-
-
-@rule(CONTACTS, *MODELS)
-def model(conversion: Conversion, component: SceneComponent) -> str | None:
-    """Nothing: `contact` has read it.
-
-    Args:
-        conversion: The conversion.
-        component: A collision model.
-    """
-    return None
-
-
-@rule(CONTACTS, *RESPONSES)
-def response(conversion: Conversion, component: SceneComponent) -> str | None:
-    """Nothing: `contact` has read its friction.
-
-    Args:
-        conversion: The conversion.
-        component: The response.
-    """
-    rules = [key for key in component.fields if key in ("rules",)]
-    if rules:
-        raise NotConverted("its rules for single pairs: give friction of a pair in contact.between")
-    return None

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,12 +22,14 @@ from softrobot_twin.conversion import (  # noqa: F401 (they register rules)
     contact_rules,
     frame_rules,
 )
-from softrobot_twin.conversion.computed_values import STATES, points_of
-from softrobot_twin.conversion.rules import UNREADABLE, Conversion
+from softrobot_twin.conversion.computed_values import points_of
+from softrobot_twin.conversion.rules import UNREADABLE, Conversion, made_name
 from softrobot_twin.conversion.scene_text import scene_yaml
 from softrobot_twin.conversion.scene_tree import (
+    KINDS,
     ConversionError,
     NotConverted,
+    SceneComponent,
     SceneNode,
     from_plain,
     numbers,
@@ -69,12 +72,15 @@ def convert(file: Path, output: Path, units: str | None, seconds: float, replace
         raise SceneExistsError(output, "exists already; name another file by --output, or replace it by --force")
     with terminal_status(f"reading {file.name}"):
         root, stopped = read_scene(file, seconds)
-    conversion = converted(root, output, units)
+    try:
+        conversion = converted(root, output, units)
+    except NotConverted as error:
+        raise ConversionError(file, f"its gravity {error}") from None
     conversion.missing[:0] = [(None, reason) for reason in stopped]
     absent = root.fields.get("absent")
     if absent:
         conversion.notes.append(f"modules that are not installed do nothing here: {', '.join(absent)}")
-    if not (conversion.bodies or conversion.scene.get("beams") or conversion.scene.get("rigid_bodies")):
+    if not any(map(conversion.scene.get, ("bodies", "beams", "rigid_bodies"))):
         raise ConversionError(file, _why_no_body(conversion))
     with terminal_status("building the scene"):
         write(conversion, file, replace)
@@ -95,20 +101,15 @@ def read_scene(file: Path, seconds: float) -> tuple[SceneNode, list[str]]:
     if not file.is_file():
         raise ConversionError(file, "is no file")
     if file.suffix.lower() in (".scn", ".xml"):
-        root = read_xml(file)
-        root.fields["folder"] = str(file.resolve().parent)
-        return root, []
+        return read_xml(file), []
     if file.suffix.lower() not in (".py", ".pyscn"):
         raise ConversionError(file, "is neither .py nor .scn nor .xml")
     recorded = _recorded(file, seconds)
     reasons = []
     if "error" in recorded:
-        place = recorded.get("line")
-        line = None if place is None or Path(place[0]).name != file.name else place[1]
-        if recorded.get("no_scene") or len(recorded["nodes"]) == 1 and not recorded["nodes"][0]["components"]:
-            raise ConversionError(file, recorded["error"], line)
-        where = "" if place is None else f" at {Path(place[0]).name}:{place[1]}"
-        reasons = [f"the file stopped{where} ({recorded['error']}): what follows is not converted"]
+        if len(recorded["nodes"]) == 1 and not recorded["nodes"][0]["components"]:
+            raise ConversionError(file, f"{recorded['error']}{recorded['at']}")
+        reasons = [f"the file stopped{recorded['at']} ({recorded['error']}): what follows is not converted"]
     reasons += [f"{name} ({Path(place).name}:{line}) is not known: what it adds or moves is not converted"
                 for name, place, line in recorded["unknown"]]  # fmt: skip
     root = from_plain(recorded)
@@ -124,9 +125,10 @@ def _recorded(file: Path, seconds: float) -> dict[str, Any]:
                    str(file.resolve()), str(tree)]  # fmt: skip
         package = str(Path(__file__).resolve().parents[2])
         paths = os.pathsep.join(filter(None, (package, os.environ.get("PYTHONPATH"))))
+        environment = {**os.environ, "PYTHONPATH": paths, "PYTHONDONTWRITEBYTECODE": "1"}
         process = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-            start_new_session=True, cwd=folder, env={**os.environ, "PYTHONPATH": paths, "PYTHONDONTWRITEBYTECODE": "1"})  # fmt: skip
+            start_new_session=True, cwd=folder, env=environment)  # fmt: skip
         try:
             _, errors = process.communicate(timeout=seconds)
         except subprocess.TimeoutExpired:
@@ -134,10 +136,8 @@ def _recorded(file: Path, seconds: float) -> dict[str, Any]:
                                   "it more") from None  # fmt: skip
         finally:
             # Processes that the scene began go too.
-            try:
+            with suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
-            except ProcessLookupError:
-                pass
             process.wait()
         try:
             return json.loads(tree.read_text())
@@ -154,14 +154,11 @@ def converted(root: SceneNode, output: Path, units: str | None) -> Conversion:
         output: The scene file that will be written.
         units: Name of its units; None to find them by gravity.
     """
-    gravity = root.fields.get("gravity")
-    try:
-        vector = np.array([0.0, -9.81, 0.0]) if gravity is None else numbers(gravity)[:3]
-    except NotConverted:
-        gravity, vector = None, np.array([0.0, -9.81, 0.0])
-    conversion = Conversion(root, units_of(None if gravity is None else vector, _extent(root), units), output)
-    conversion.scene = {"name": conversion.name(output.stem), "gravity": conversion.length(vector)}
-    conversion._names.clear()
+    given = root.fields.get("gravity")
+    gravity = None if given is None else numbers(given)[:3]
+    conversion = Conversion(root, units_of(gravity, _extent(root), units), output)
+    vector = [0.0, -9.81, 0.0] if gravity is None else gravity
+    conversion.scene = {"name": made_name(output.stem), "gravity": conversion.length(vector)}
     conversion.run()
     conversion.scene["solver"] = {"newton_iterations": body_rules.NEWTON_ITERATIONS}
     return conversion
@@ -170,19 +167,16 @@ def converted(root: SceneNode, output: Path, units: str | None) -> Conversion:
 def _extent(root: SceneNode) -> float:
     """Largest extent of what has points, in the unit of the file."""
     found = [0.0]
-    for component in (one for node in walk(root) for one in node.components if one.kind in STATES):
-        try:
+    for component in (one for node in walk(root) for one in node.components if one.kind in KINDS["states"]):
+        with suppress(NotConverted, *UNREADABLE):
             found.append(float(np.ptp(points_of(component), axis=0).max()))
-        except (NotConverted, *UNREADABLE):
-            pass
     return max(found)
 
 
 def _why_no_body(conversion: Conversion) -> str:
-    reasons = [f"{reason}" if component is None else f"{component.kind} ({component.where}) {reason}"
-               for component, reason in conversion.missing]  # fmt: skip
     kinds = sorted({one.kind for one in conversion.components})
-    told = "; ".join(reasons[:5]) or (f"its components are {', '.join(kinds[:20])}" if kinds else "it has no components")
+    told = "; ".join(_in_words(*one) for one in conversion.missing[:5]) or (
+        f"its components are {', '.join(kinds[:20])}" if kinds else "it has no components")  # fmt: skip
     return f"no body can be converted: {told}"
 
 
@@ -202,9 +196,9 @@ def write(conversion: Conversion, file: Path, replace: bool) -> None:
     Raises:
         SoftRobotTwinError: The scene cannot be built, or a file exists.
     """
-    output, folder = conversion.output, conversion.output.resolve().parent
+    output, folder, units = conversion.output, conversion.output.resolve().parent, conversion.units
     for kind, columns in (("commands", conversion.commands), ("targets", conversion.targets)):
-        if columns and (kind == "targets" or any(columns.values())):
+        if any(columns.values()):
             conversion.files[f"{output.stem}_{kind}.csv"] = partial(_write_rows, conversion, kind, columns)
     there = [folder / name for name in conversion.files if (folder / name).exists()]
     if there and not replace:
@@ -212,13 +206,12 @@ def write(conversion: Conversion, file: Path, replace: bool) -> None:
     for name, write_file in conversion.files.items():
         with output_file(folder / name) as part:
             write_file(part)
-    order = {key: conversion.scene[key] for key in ORDER if key in conversion.scene}
-    units = conversion.units
+    order = {key: conversion.scene[key] for key in ORDER if conversion.scene.get(key)}
     text = scene_yaml(order, [
         f"Converted from {file.name}. SI units; the file's are {units.name} ({units.reason}).",
         f"Its step is {conversion.time_step:g} s: give simulate --rate {1.0 / conversion.time_step:g}.",
         *conversion.notes,
-        *(f"Not converted: {_in_words(component, reason)}" for component, reason in conversion.missing)])  # fmt: skip
+        *(f"Not converted: {_in_words(*one)}" for one in conversion.missing)])  # fmt: skip
     try:
         Simulation(scene_from_mapping(read_yaml(text), output.resolve()))
     except SoftRobotTwinError:
@@ -231,31 +224,25 @@ def write(conversion: Conversion, file: Path, replace: bool) -> None:
 
 def _write_rows(conversion: Conversion, kind: str, columns: Mapping[str, Any], path: Path) -> None:
     """A file of commands or targets that holds the values of the scene; commands begin at rest."""
-    rows = [",".join(["time_s", *columns])]
-    for step in range(SETTLING_STEPS + 1):
-        share = 0.0 if step == 0 and kind == "commands" else 1.0
-        rows.append(",".join(f"{value:.10g}" for value in (
-            step * conversion.time_step, *(share * value for value in columns.values()))))
-    path.write_text("\n".join(rows) + "\n")
+    steps, values = np.arange(SETTLING_STEPS + 1.0), np.array(list(columns.values()))
+    rows = np.column_stack([steps * conversion.time_step, np.tile(values, (len(steps), 1))])
+    rows[0, 1:] *= kind == "targets"
+    np.savetxt(path, rows, "%.10g", ",", header=",".join(["time_s", *columns]), comments="")
 
 
-def _in_words(component, reason: str) -> str:
-    return reason if component is None else f"{component.kind} {component.path} ({component.where}) {reason}"
+def _in_words(component: SceneComponent | None, reason: str) -> str:
+    return reason if component is None else f"{component.kind} ({component.where}) {reason}"
 
 
 def _report(conversion: Conversion, file: Path) -> None:
     """Prints what was converted, in SI units, and what was not."""
     units = conversion.units
-    made = table(f"{conversion.output}: {file.name} in {units.name} ({units.reason})", "component", "line", "became")
-    for component, told in conversion.told:
-        made.add_row(component.kind, component.where, told)
-    lost = None
-    if conversion.missing:
-        lost = table("not converted", "component", "line", "why")
-        for component, reason in conversion.missing:
-            lost.add_row("" if component is None else component.kind,
-                         "" if component is None else component.where, reason)  # fmt: skip
-    print_apart(made, lost, *conversion.notes)
+    head = f"{conversion.output}: {file.name} in {units.name} ({units.reason})"
+    tables = [table(head, "component", "line", "became"), table("not converted", "component", "line", "why")]
+    for filled, rows in zip(tables, (conversion.told, conversion.missing), strict=True):
+        for component, told in rows:
+            filled.add_row(*(("", "") if component is None else (component.kind, component.where)), told)
+    print_apart(*(filled for filled in tables if filled.row_count), *conversion.notes)
     console().print(f"Look at it: softrobot_twin explain {conversion.output}\nRun it:     softrobot_twin simulate "
                     f"{conversion.output} --steps 20 --rate {1.0 / conversion.time_step:g} --output run.csv",
                     soft_wrap=True)  # fmt: skip

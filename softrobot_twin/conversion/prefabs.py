@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import json
-import math
 import re
 from functools import partial
 from pathlib import Path
@@ -116,7 +115,9 @@ def oriented_box_roi(
     return parent.addObject("BoxROI", name=name, orientedBox=[*turned.ravel(), scale[2]], **more)
 
 
-def rigidify(targetObject: Node, sourceObject: Node, groupIndices: Any, frames: Any = None, name: Any = None) -> Node:
+def rigidify(
+    targetObject: Node, sourceObject: Node, groupIndices: Any, frames: Any = None, name: Any = None
+) -> Node:
     """Makes groups of a body's points rigid.
 
     Args:
@@ -131,11 +132,11 @@ def rigidify(targetObject: Node, sourceObject: Node, groupIndices: Any, frames: 
     groups = [np.asarray(list(group), int) for group in groupIndices]
     rigids = []
     for group, frame in zip(groups, frames or [[0.0] * 3] * len(groups), strict=True):
-        numbers = list(np.asarray(frame, float))
-        centre, turn = (numbers[:3], numbers[3:]) if len(numbers) > 4 else (list(points[group].mean(axis=0)), numbers)
+        given = np.asarray(frame, float)
+        place, turn = (given[:3], given[3:]) if len(given) > 4 else (points[group].mean(axis=0), given)
         if len(turn) == 3:
-            turn = list(Rotation.from_euler("xyz", turn, degrees=True).as_quat())
-        rigids.append(centre + turn)
+            turn = Rotation.from_euler("xyz", turn, degrees=True).as_quat()
+        rigids.append([*place, *turn])
     chosen = np.concatenate(groups)
     others = np.setdiff1d(np.arange(len(points)), chosen)
     made = targetObject.addChild(str(name or sourceObject.name))
@@ -157,76 +158,6 @@ def rigidify(targetObject: Node, sourceObject: Node, groupIndices: Any, frames: 
     return made
 
 
-class Vec3(list):
-    """Numbers with sums and products, as a vector or a quaternion."""
-
-    def __init__(self, *given: Any):
-        """Makes it of a list or of numbers.
-
-        Args:
-            *given: The numbers.
-        """
-        super().__init__(np.ravel(given[0] if len(given) == 1 else given or [0.0] * 3))
-
-    def __add__(self, other: Any) -> Any:
-        return Vec3(np.add(self, other)) if len(other) == len(self) else [*self, *other]
-
-    def __sub__(self, other: Any) -> Any:
-        return Vec3(np.subtract(self, other))
-
-    def __mul__(self, factor: Any) -> Any:
-        return Vec3(np.multiply(self, factor))
-
-    getNorm = property(lambda self: lambda: float(np.linalg.norm(self)))
-    rotate = property(lambda self: lambda vector: Vec3(Rotation.from_quat(self).apply(vector)))
-    rotateFromQuat = property(lambda self: lambda turn: Vec3(Rotation.from_quat(turn).apply(self)))
-    toList = tolist = property(lambda self: lambda: list(self))
-
-    def normalize(self) -> None:
-        """Gives it the length one."""
-        self[:] = np.divide(self, np.linalg.norm(self))
-
-    @staticmethod
-    def createFromAxisAngle(axis: Any, angle: float) -> Vec3:
-        """A quaternion of a turn about an axis.
-
-        Args:
-            axis: The axis.
-            angle: The angle [rad].
-        """
-        return Vec3(Rotation.from_rotvec(angle * np.divide(axis, np.linalg.norm(axis))).as_quat())
-
-    @staticmethod
-    def createFromEuler(angles: Any, axes: str = "sxyz", inDegree: bool = False) -> Vec3:
-        """A quaternion by angles about the fixed axes.
-
-        Args:
-            angles: The angles.
-            axes: Not read.
-            inDegree: Whether they are in degrees.
-        """
-        return Vec3(Rotation.from_euler("xyz", list(angles), degrees=inDegree).as_quat())
-
-
-class _Vectors:
-    """The functions of the module ``vec3``."""
-
-    vadd = staticmethod(lambda a, b: list(np.add(a, b)))
-    vsub = staticmethod(lambda a, b: list(np.subtract(a, b)))
-    vmul = staticmethod(lambda a, b: list(np.multiply(a, b)))
-    vnorm = staticmethod(lambda a: float(np.linalg.norm(a)))
-
-
-def animate(*given: Any, **named: Any) -> None:
-    """Keeps that the scene moves something over time.
-
-    Args:
-        *given: Not read.
-        **named: Not read.
-    """
-    Recorder.note_unknown("animate")
-
-
 def set_data(component: Any, **fields: Any) -> None:
     """Sets fields of a component.
 
@@ -240,9 +171,8 @@ def set_data(component: Any, **fields: Any) -> None:
 
 KNOWN: dict[str, Any] = {
     **{name: partial(make, name) for name in TABLE}, "Scene": Scene, "Rigidify": rigidify,
-    "addOrientedBoxRoi": oriented_box_roi, "Vec3": Vec3, "Quat": Vec3, "vec3": _Vectors,
-    "to_radians": math.radians, "to_degrees": math.degrees, "sdiv": lambda a, b: list(np.divide(a, b)),
-    "sin": math.sin, "cos": math.cos, "pi": math.pi, "setData": set_data, "SofaPrefab": lambda made: made,
-    "SofaObject": object, "animate": animate, "loadPointListFromFile": lambda file: json.loads(Path(file).read_text()), "AnimationManager": Nothing(), "ShowGrid": Nothing(),
+    "addOrientedBoxRoi": oriented_box_roi, "setData": set_data, "SofaPrefab": lambda made: made,
+    "animate": lambda *given, **named: Recorder.note_unknown("animate"), "AnimationManager": Nothing(),
+    "loadPointListFromFile": lambda file: json.loads(Path(file).read_text()), "ShowGrid": Nothing(), "SofaObject": object,
 }  # fmt: skip
 """What the helper packages offer, by name; behind ``inverse.`` what those for inverse problems do."""

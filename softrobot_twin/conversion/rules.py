@@ -14,18 +14,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from softrobot_twin.conversion.computed_values import (
-    LOADERS,
     LoadedMesh,
-    MAPPINGS,
-    STATES,
-    TOPOLOGIES,
     is_rigid,
     mapped_from,
     points_of,
     state_of,
+    whole_of,
 )
 from softrobot_twin.conversion.scene_text import SOURCE
 from softrobot_twin.conversion.scene_tree import (
+    KINDS,
+    TABLE,
     NotConverted,
     SceneComponent,
     SceneNode,
@@ -36,29 +35,8 @@ from softrobot_twin.conversion.scene_tree import (
 from softrobot_twin.conversion.units import Units
 from softrobot_twin.errors import one_line
 
-NOT_PHYSICAL = re.compile(
-    r"RequiredPlugin|VisualStyle|Visual.*|Ogl.*|.*AnimationLoop|.*VisualManagerLoop|BackgroundSetting|"
-    r"InteractiveCamera|LightManager|.*Light|InfoComponent|ClipPlane|Recorded?Camera|MouseButton|"
-    r".*MouseConfiguration|ViewerSetting|DefaultCamera|Camera|.*Exporter|MessageHandler.*|"
-    r".*(LinearSolver|LDLSolver|LUSolver|PCGSolver|CholeskySolver)|CG.*Solver|.*Preconditioner|"
-    r".*ConstraintCorrection|.*TopologyModifier|.*GeometryAlgorithms|.*TopologyAlgorithms|"
-    r"GenericConstraintSolver|LCPConstraintSolver|.*GaussSeidelConstraintSolver|.*ConstraintSolver|"
-    r"CollisionPipeline|DefaultPipeline|BruteForce.*|BVHNarrowPhase|IncrSAP|DirectSAP|"
-    r"APIVersion|AddResourceRepository|AddDataRepository|Sofa.*Settings|.*Monitor|Data.*Monitor|"
-    r"TransferFunction|TextureInterpolation|ConstraintAnimationLoop|SelectionColor|AttachBodyButtonSetting|"
-    r"QPInverseProblemSolver|QPInverse.*|BoxR[Oo][Ii]|SphereROI|ComplementaryROI|SubsetTopology|DataDisplay|ViewportController|.*TopologicalMapping|VolumeFrom(Tetrahedrons|Triangles)|"
-    r"ArticulatedHierarchyContainer|GenerateRigidMass|IndexValueMapper|CubeTopology|Eigen.*|.*LinearSystem|.*Ordering.*|SofaDefaultPathSetting")
-"""Kinds of components that are drawn, or that solve what is solved here in another way."""
-NOT_PHYSICAL_FIELDS = re.compile(
-    r"show.*|draw.*|print.*|display.*|compute.*|update.*|do[A-Z].*|template|name|listening|tags|src|color.*|"
-    r"bbox|verbose|debug|help|visu.*|createTriangleArray|flipNormals|triangulate|generatePlateau|"
-    r"mapForces|mapMasses|mapConstraints|mapMatrices|.*Visualization|topology|mstate|mechanicalState|"
-    r"handleEventTriggersUpdate|assembling|gatherPt|gatherBsize|isToPrint|angularStiffness|reserve|"
-    r"recompute_indices|handleDynamicMapping|.*Scale$|size|threshold|tolerance|iterations|"
-    r"noSym|initialPoints|path|rest_position")
-"""Fields that are drawn, or that say how SOFA solves."""
-
-
+_NOT_PHYSICAL, _NOT_PHYSICAL_FIELDS = (
+    re.compile(TABLE[key].replace(" ", "")) for key in ("not_physical", "not_physical_fields"))  # fmt: skip
 UNREADABLE = (ValueError, TypeError, IndexError, KeyError, ArithmeticError, RecursionError)
 """Errors of rules where a file has values of another kind or shape."""
 _IDLE_EVENTS = ("init", "bwdInit", "reset", "onIdleEvent", "onSimulationInitDoneEvent")
@@ -97,6 +75,16 @@ def rule(stage: int, *kinds: str):
     return register
 
 
+def made_name(text: str) -> str:
+    """A name of letters, digits and underscores.
+
+    Args:
+        text: What it is made of.
+    """
+    word = re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_")
+    return word if re.match("[A-Za-z]", word) else f"part_{word}".rstrip("_")
+
+
 @dataclass(eq=False)
 class BodyRecord:
     """A body that was converted.
@@ -126,6 +114,7 @@ class Conversion:
         bodies: Deformable bodies, by the identity of their state.
         frames: Names of rigid bodies or of a beam for each frame of a rigid state, by its identity.
         goals: Identities of states that hold goals.
+        surfaces: States of the surfaces that touch, by the name of their body or obstacle.
         missing: What has no counterpart: component, or None, and why.
         told: What was converted: component, and what it became.
         notes: Remarks.
@@ -141,6 +130,7 @@ class Conversion:
     bodies: dict[int, BodyRecord] = field(default_factory=dict)
     frames: dict[int, list[str]] = field(default_factory=dict)
     goals: set[int] = field(default_factory=set)
+    surfaces: dict[str, SceneComponent] = field(default_factory=dict)
     missing: list[tuple[SceneComponent | None, str]] = field(default_factory=list)
     told: list[tuple[SceneComponent, str]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -169,8 +159,7 @@ class Conversion:
         """
         if otherwise and wanted in self._names:
             return self.name(otherwise)
-        word = re.sub(r"\W+", "_", wanted, flags=re.ASCII).strip("_")
-        word = word if re.match("[A-Za-z]", word) else f"part_{word}".rstrip("_")
+        word = made_name(wanted)
         made, number = word, 2
         while made in self._names or made == "world":
             made, number = f"{word}_{number}", number + 1
@@ -201,32 +190,51 @@ class Conversion:
         """
         return rounded(np.asarray(values, float) * self.units.metre)
 
-    def carrier(self, state: SceneComponent) -> str | None:
+    def carrier(self, state: SceneComponent, index: int = 0) -> str | None:
         """Name of what carries the points of a state: a body, a rigid body; None for the world.
 
         Args:
             state: A state.
+            index: One of its frames.
 
         Raises:
             NotConverted: It is carried by what was not converted.
         """
         if id(state) in self.bodies:
             return self.bodies[id(state)].name
-        if id(state) in self.frames:
-            names = self.frames[id(state)]
-            return names[0] if names else None
-        sources = mapped_from(state)
-        if not sources:
-            return None
-        if len(sources) == 1 and id(sources[0]) in self.frames and not is_rigid(state):
-            names = self.frames[id(sources[0])]
-            mapping = first(state.node, MAPPINGS)
-            index = 0 if mapping is None else int(mapping.fields.get("index") or 0)
+        names, sources = self.frames.get(id(state)), mapped_from(state)
+        if names is None and len(sources) == 1 and not is_rigid(state):
+            names, mapping = self.frames.get(id(sources[0])), first(state.node, KINDS["mappings"])
+            index = 0 if mapping is None else whole_of(mapping, "index")
+        if names is not None:
             return names[min(index, len(names) - 1)] or None
         found = [name for name in map(self.carrier, sources) if name is not None]
-        if not found:
+        if sources and not found:
             raise NotConverted("what carries its points is not converted")
-        return found[0]
+        return found[0] if found else None
+
+    def needed_carrier(self, state: SceneComponent, index: int = 0) -> str:
+        """The same, where the world can be none.
+
+        Args:
+            state: A state.
+            index: One of its frames.
+
+        Raises:
+            NotConverted: Nothing that was converted carries it.
+        """
+        carrier = self.carrier(state, index)
+        if carrier is None:
+            raise NotConverted("its points are on no body that is converted")
+        return carrier
+
+    def record_of(self, name: str | None) -> BodyRecord | None:
+        """The deformable body of a name; None where it is none.
+
+        Args:
+            name: The name.
+        """
+        return next((one for one in self.bodies.values() if one.name == name), None)
 
     def state(self, component: SceneComponent) -> SceneComponent:
         """The state that a component acts on.
@@ -257,22 +265,20 @@ class Conversion:
                                 key=lambda one: RULES[one.kind].stage):  # fmt: skip
             try:
                 told = RULES[component.kind].convert(self, component)
+                self.told += [(component, told)] if told is not None else []
             except NotConverted as error:
                 self.missing.append((component, str(error)))
-                continue
             except UNREADABLE as error:  # values that nobody foresaw, of a foreign file
                 reason = "its links go in a circle" if isinstance(error, RecursionError) else one_line(error)
                 self.missing.append((component, f"cannot be read ({type(error).__name__}: {reason})"))
-                continue
-            if told is not None:
-                self.told.append((component, told))
-        for component in dict.fromkeys((*(one for one, _ in self.told), *(one.state for one in self.bodies.values()))):
+        states = [record.state for record in self.bodies.values()]
+        for component in dict.fromkeys([*(one for one, _ in self.told), *states]):
             self._list_unread(component)
         for component in everything:
             if component.kind == "Controller" and self._is_by_keys(component):
                 continue
-            known = component.kind in RULES or component.kind in (*STATES, *LOADERS, *TOPOLOGIES, *MAPPINGS)
-            if not known and not NOT_PHYSICAL.fullmatch(component.kind):
+            is_known = component.kind in RULES or any(component.kind in kinds for kinds in KINDS.values())
+            if not is_known and not _NOT_PHYSICAL.fullmatch(component.kind):
                 self.missing.append((component, "has no counterpart here"))
 
     def _is_by_keys(self, controller: SceneComponent) -> bool:
@@ -286,7 +292,7 @@ class Conversion:
 
     def _list_unread(self, component: SceneComponent) -> None:
         for name, value in component.fields.items():
-            is_known = name in component.read or NOT_PHYSICAL_FIELDS.fullmatch(name)
+            is_known = name in component.read or _NOT_PHYSICAL_FIELDS.fullmatch(name)
             if not is_known and value not in (None, "", [], 0, 0.0, "0", False):
                 self.missing.append((component, f"its field {name} = {str(value)[:40]} has no counterpart"))
 

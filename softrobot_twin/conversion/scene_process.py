@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from softrobot_twin.conversion import computed_values, prefabs, stand_ins
-from softrobot_twin.conversion.scene_tree import to_plain
+from softrobot_twin.conversion.scene_tree import json_value, to_plain
 from softrobot_twin.conversion.stand_ins import Controller, Node, Nothing, Prefab
 
 SOFA = ("Sofa", "SofaRuntime", "SofaGui", "SofaImGui", "SofaTypes", "SofaDeformable")
@@ -57,10 +57,10 @@ class _Module(types.ModuleType):
 
 
 class _StandIns(importlib.abc.MetaPathFinder, importlib.abc.Loader):
-    """Finds modules of some names, or those that nothing else finds."""
+    """Finds the modules of SOFA, or where it is the last one those that nothing else finds."""
 
-    def __init__(self, names: tuple[str, ...] = (), missing: list[str] | None = None):
-        self.names, self.missing = names, missing
+    def __init__(self, is_last: bool):
+        self.is_last = is_last
 
     def find_spec(self, name, path=None, target=None):
         """See `importlib`; a module below one that is stood in is stood in too.
@@ -71,12 +71,7 @@ class _StandIns(importlib.abc.MetaPathFinder, importlib.abc.Loader):
             target: Not read.
         """
         top = name.split(".")[0]
-        if self.missing is None:
-            is_ours = top in self.names
-        else:
-            is_ours = top == name or isinstance(sys.modules.get(top), _Module)
-            if is_ours and top == name and top not in self.missing:
-                self.missing.append(top)
+        is_ours = top in SOFA or self.is_last and (top == name or isinstance(sys.modules.get(top), _Module))
         return importlib.machinery.ModuleSpec(name, self, is_package=True) if is_ours else None
 
     def create_module(self, spec):
@@ -102,12 +97,11 @@ def record(file: Path) -> dict:
         file: The Python file.
 
     Returns:
-        The tree as `to_plain` writes it, with ``missing`` modules, and with ``error`` and its
-        ``line`` where the file stopped.
+        The tree as `to_plain` writes it, with ``missing`` modules, and with ``error`` and where it is, ``at``,
+        if the file stopped.
     """
-    missing: list[str] = []
-    sys.meta_path.insert(0, _StandIns(SOFA))
-    sys.meta_path.append(_StandIns(missing=missing))
+    sys.meta_path.insert(0, _StandIns(is_last=False))
+    sys.meta_path.append(_StandIns(is_last=True))
     folder = file.resolve().parent
     sys.path.insert(0, str(folder))
     sys.argv = [str(file)]
@@ -117,23 +111,24 @@ def record(file: Path) -> dict:
     recorded: dict[str, Any] = {}
     try:
         names = runpy.run_path(str(file), run_name="scene")
-        if "createScene" not in names:
-            recorded["error"], recorded["no_scene"] = "has no function createScene", True
-        else:
+        if "createScene" in names:
             names["createScene"](root)
+        else:
+            recorded |= {"error": "has no function createScene", "at": ""}
     except BaseException as error:  # foreign code may raise anything, and call exit
-        frames = [frame for frame in traceback.extract_tb(error.__traceback__)
+        frames = [f" at {Path(frame.filename).name}:{frame.lineno}"
+                  for frame in traceback.extract_tb(error.__traceback__)
                   if Path(frame.filename).is_relative_to(folder)]  # fmt: skip
-        recorded["error"] = f"{type(error).__name__}: {' '.join(str(error).split())[:300]}"
-        if frames:
-            recorded["line"] = [frames[-1].filename, frames[-1].lineno]
-    return recorded | to_plain(root) | {
-        "missing": [name for name in missing if name not in HELPERS], "unknown": stand_ins.Recorder.unknown}
+        recorded |= {"error": f"{type(error).__name__}: {' '.join(str(error).split())[:300]}",
+                     "at": frames[-1] if frames else ""}  # fmt: skip
+    missing = [name for name, module in sys.modules.items() if isinstance(module, _Module)
+               and "." not in name and name not in SOFA + HELPERS]  # fmt: skip
+    return recorded | to_plain(root) | {"missing": missing, "unknown": stand_ins.Recorder.unknown}
 
 
 if __name__ == "__main__":
     np.set_printoptions(threshold=sys.maxsize)
     Path(sys.argv[2]).resolve().write_text("")
     _output = Path(sys.argv[2]).resolve()
-    _output.write_text(json.dumps(record(Path(sys.argv[1]))))
+    _output.write_text(json.dumps(record(Path(sys.argv[1])), default=json_value))
     os._exit(0)  # threads and exit hooks of the scene do not keep the process

@@ -7,14 +7,23 @@ A value is as the file gives it: a number, a text, a list, or a link such as ``@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from softrobot_twin.errors import SoftRobotTwinError
+
+TABLE: dict[str, Any] = yaml.safe_load(Path(__file__).with_name("components.yaml").read_text(encoding="utf-8"))
+"""What components of SOFA are here."""
+KINDS: dict[str, tuple[str, ...]] = {key: tuple(kinds) for key, kinds in TABLE["kinds"].items()}
+KINDS["elastic"] = KINDS["linear"] + KINDS["hyperelastic"]
+KINDS["movers"] = KINDS["euler_implicit"] + KINDS["static"] + KINDS["other_motion"]
+KINDS["meshes"] = KINDS["loaders"] + KINDS["topologies"]
+"""Names of components by what they are here."""
 
 
 class ConversionError(SoftRobotTwinError):
@@ -135,7 +144,7 @@ def above(node: SceneNode) -> Iterator[SceneNode]:
         seen += [parent for parent in one.parents if parent not in seen]
 
 
-def first(node: SceneNode, kinds: tuple[str, ...]) -> SceneComponent | None:
+def first(node: SceneNode, kinds: Collection[str]) -> SceneComponent | None:
     """The first component of a node that is of one of some kinds.
 
     Args:
@@ -244,7 +253,7 @@ def _flat(value: Any) -> list[float]:
 
 
 def to_plain(root: SceneNode) -> dict:
-    """A tree as what JSON can hold; `from_plain` makes the tree again.
+    """A tree as what JSON can hold by `json_value`; `from_plain` makes the tree again.
 
     Args:
         root: The node at the top.
@@ -252,24 +261,22 @@ def to_plain(root: SceneNode) -> dict:
     nodes = list(walk(root))
     index = {id(node): number for number, node in enumerate(nodes)}
     return {"nodes": [
-        {"name": node.name, "fields": _plain(node.fields),
+        {"name": node.name, "fields": node.fields,
          "parents": [index[id(one)] for one in node.parents if id(one) in index],
-         "components": [{"kind": one.kind, "name": one.name, "fields": _plain(one.fields),
-                         "place": list(one.place)} for one in node.components]}
+         "components": [{"kind": one.kind, "name": one.name, "fields": one.fields,
+                         "place": one.place} for one in node.components]}
         for node in nodes]}  # fmt: skip
 
 
-def _plain(value: Any) -> Any:
-    """A value of JSON; what is none becomes its text."""
-    if isinstance(value, dict):
-        return {str(key): _plain(part) for key, part in value.items()}
+def json_value(value: Any) -> Any:
+    """A value that JSON has not, as one that it has.
+
+    Args:
+        value: An array, what stands for a link, or something else, whose text is taken.
+    """
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
-    if not isinstance(value, str) and is_link(value):
-        return value.linkpath
-    if isinstance(value, list | tuple | set | range):
-        return [_plain(part) for part in value]
-    return value if value is None or isinstance(value, bool | int | float | str) else str(value)
+    return value.linkpath if is_link(value) else str(value)
 
 
 def from_plain(plain: dict) -> SceneNode:

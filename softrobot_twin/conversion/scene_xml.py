@@ -40,7 +40,7 @@ class _Reader:
     """Builds the tree while the parser reads."""
 
     def __init__(self, path: Path):
-        self.path, self.root = path, SceneNode("root")
+        self.path, self.root = path, SceneNode("root", {"folder": str(path.resolve().parent)})
         self.open: list[SceneNode | None] = []
         self.parser = parser = expat.ParserCreate()
         parser.StartElementHandler, parser.EndElementHandler = self.start, self.end

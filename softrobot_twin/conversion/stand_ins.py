@@ -11,11 +11,11 @@ from typing import Any, ClassVar
 import numpy as np
 
 from softrobot_twin.conversion.scene_tree import (
+    KINDS,
     UNKNOWN,
     NotConverted,
     SceneComponent,
     SceneNode,
-    above,
     first,
     follow,
     is_link,
@@ -56,11 +56,10 @@ class Nothing:
         return self
 
 
+_OPERATORS = ("getitem", "neg", "add", "radd", "sub", "rsub", "mul", "rmul", "truediv", "rtruediv")
 for _name, _value in {"len": 0, "bool": False, "float": 0.0, "int": 0, "str": "", "setitem": None, "exit": None,
-                      "getitem": Nothing(), "neg": Nothing()}.items():  # fmt: skip
+                      **dict.fromkeys(_OPERATORS, Nothing())}.items():  # fmt: skip
     setattr(Nothing, f"__{_name}__", lambda self, *given, _value=_value: _value)
-for _name in ("add", "radd", "sub", "rsub", "mul", "rmul", "truediv", "rtruediv"):
-    setattr(Nothing, f"__{_name}__", lambda self, other: other)
 
 
 class Recorder:
@@ -109,10 +108,8 @@ class Data:
     _METHODS: ClassVar[dict[str, Callable]] = {
         "getLinkPath": lambda data: data.linkpath, "getName": lambda data: data.label,
         "getOwner": lambda data: data.owner, "getValueString": lambda data: str(data),
-        "setParent": lambda data, other: setattr(data, "value", other),
-        "setValue": lambda data, value: setattr(data, "value", value),
-        "writeableArray": lambda data: WriteableArray(data), "writeable": lambda data: WriteableArray(data),
-        "toList": lambda data: data.array.tolist(), "tolist": lambda data: data.array.tolist(),
+        "toList": lambda data: data.array.tolist(),
+        **dict.fromkeys(("setParent", "setValue"), lambda data, value: setattr(data, "value", value)),
     }  # fmt: skip
 
     def __init__(self, owner: Any, name: str):
@@ -146,7 +143,9 @@ class Data:
             return partial(self._METHODS[name], self)
         if name.startswith("__"):
             raise AttributeError(name)
-        return getattr(self.value, name) if hasattr(self.value, name) else Nothing()
+        if not hasattr(self.value, name):
+            Recorder.note_unknown(f"{self.label}.{name}")
+        return getattr(self.value, name, Nothing())
 
     def __getitem__(self, index: Any) -> Any:
         return self.value[index]
@@ -159,40 +158,13 @@ class Data:
     def __array__(self, dtype: Any = None, copy: Any = None) -> np.ndarray:
         return np.asarray(self.value, dtype=dtype)
 
-    def __len__(self) -> int:
-        return len(self.array)
 
-    def __iter__(self) -> Iterator:
-        return iter(self.array)
-
-    def __bool__(self) -> bool:
-        return bool(self.array.any()) if self.array.dtype.kind in "bif" else len(self.array) > 0 and bool(self.array[0])
-
-    def __float__(self) -> float:
-        return float(self.array.ravel()[0])
-
-    def __str__(self) -> str:
-        return " ".join(map(str, self.array.ravel()))
-
-
-class WriteableArray:
-    """Writes the numbers of data at the end of a ``with`` section."""
-
-    def __init__(self, data: Data):
-        """Makes it.
-
-        Args:
-            data: The data.
-        """
-        self.data = data
-
-    def __enter__(self) -> np.ndarray:
-        value = self.data.value
-        self.array = np.array(np.zeros((1, 3)) if value is None else value)
-        return self.array
-
-    def __exit__(self, *raised: Any) -> None:
-        self.data.value = self.array
+_CONVERSIONS: dict[str, Callable[[np.ndarray], Any]] = {
+    "len": len, "iter": iter, "float": lambda array: float(array.flat[0]),
+    "bool": lambda array: bool(array.astype(object).any()), "str": lambda array: " ".join(map(str, array.flat)),
+}  # fmt: skip
+for _name, _convert in _CONVERSIONS.items():
+    setattr(Data, f"__{_name}__", lambda self, _convert=_convert: _convert(self.array))
 
 
 def _as_read(value: Any) -> Any:
@@ -224,21 +196,18 @@ class _Owner:
     linkpath = property(lambda self: f"@{self.path}")
     _METHODS: ClassVar[dict[str, Callable]] = {
         "getLinkPath": lambda one: one.linkpath, "getPathName": lambda one: one.path,
-        "getName": lambda one: str(one.name), "findData": lambda one, name: Data(one, name),
-        "getData": lambda one, name: Data(one, name), "getContext": lambda one: one.node,
-        "getClassName": lambda one: one.kind, "addData": lambda one, *given, **more: _add_data(one, *given, **more),
+        "getName": lambda one: str(one.name), "getContext": lambda one: one.node,
+        "getClassName": lambda one: one.kind,
+        **dict.fromkeys(("findData", "getData"), lambda one, name: Data(one, name)),
+        **dict.fromkeys(("init", "reinit", "bwdInit", "addLink"), lambda one, *given, **more: None),
+        "addData": lambda one, *given, **more: _add_data(one, *given, **more),
         "addNewData": lambda one, name, group, text, kind, value=None: _add_data(one, name, value),
-        **{name: lambda one, *given, **more: None for name in ("init", "reinit", "bwdInit", "addLink", "addAll")},
-        "getRoot": lambda node: root_of(node), "getMechanicalState": lambda node: first(node, ("MechanicalObject",)),
-        "getChild": lambda node, name, *more: node.children[name] if isinstance(name, int) else next(
-            (one for one in node.children if one.name == name), None),
-        "getObject": lambda node, name, *given, **more: _object_at(node, name),
-        "hasObject": lambda node, name: _object_at(node, name) is not None, "isInitialized": lambda node: False,
-        "getRootPath": lambda node: "/".join([".."] * max(1, len(list(above(node))) - 1)),
+        "getRoot": root_of, "getMechanicalState": lambda node: first(node, KINDS["states"]),
+        "getChild": lambda node, name: next((one for one in node.children if one.name == name), None),
+        "getObject": lambda node, name, *given: _object_at(node, name), "isInitialized": lambda node: False,
+        "hasObject": lambda node, name: _object_at(node, name) is not None,
         "removeObject": lambda node, one: node.components.remove(one) if one in node.components else None,
         "removeChild": lambda node, child: (node.children.remove(child), child.parents.remove(node)),
-        "moveChild": lambda node, child, *more: ([one.children.remove(child) for one in child.parents],
-                                                 child.parents.clear(), node.addChild(child)),
     }  # fmt: skip
 
 
@@ -316,13 +285,11 @@ class Node(_Owner, SceneNode):
             kind: Its kind, or a controller.
             **fields: Its fields.
         """
-        if isinstance(kind, Component) and kind not in self.components:
-            self.components.append(kind)
         if isinstance(kind, Controller):
-            own = type(kind)
-            events = [name for name in dir(own) if name.startswith("on") and name.endswith("Event")]
-            self.components.append(Component("Controller", Named(own.__name__), self, {"events": events},
-                                             Recorder.place()))  # fmt: skip
+            events = [name for name in dir(kind) if name.startswith("on") and name.endswith("Event")]
+            self.addObject("Controller", name=type(kind).__name__, events=events)
+        elif isinstance(kind, Component) and kind not in self.components:
+            self.components.append(kind)
         if not isinstance(kind, str):
             return kind
         name = fields.pop("name", None) or kind
@@ -337,10 +304,9 @@ class Node(_Owner, SceneNode):
         """A link from the top as what it leads to: a node may get other nodes above it later."""
         if isinstance(value, list):
             return [self._bound(part) for part in value]
-        if not isinstance(value, str) or not value.startswith("@/"):
-            return value
         try:
-            owner, label = follow(value, self)
+            is_whole = isinstance(value, str) and value.startswith("@/")
+            owner, label = follow(value, self) if is_whole else (value, None)
         except NotConverted:
             return value
         return owner if label is None else Data(owner, label)

@@ -30,26 +30,16 @@ class Units(NamedTuple):
     kilogram: float
     reason: str
 
-    @property
-    def force(self) -> float:
-        """Newtons in its unit of force."""
-        return self.kilogram * self.metre
-
-    @property
-    def pressure(self) -> float:
-        """Pascals in its unit of pressure."""
-        return self.kilogram / self.metre
-
-    @property
-    def density(self) -> float:
-        """kg/m³ in its unit of density."""
-        return self.kilogram / self.metre**3
-
-    @property
-    def stiffness(self) -> float:
-        """N/m in its unit of stiffness."""
-        return self.kilogram
-
+    force = property(lambda self: self.kilogram * self.metre)
+    """Newtons in its unit of force."""
+    pressure = property(lambda self: self.kilogram / self.metre)
+    """Pascals in its unit of pressure."""
+    volume = property(lambda self: self.metre**3)
+    """Cubic metres in its unit of volume."""
+    density = property(lambda self: self.kilogram / self.metre**3)
+    """kg/m³ in its unit of density."""
+    stiffness = property(lambda self: self.kilogram)
+    """N/m in its unit of stiffness."""
 
 def units_of(gravity: np.ndarray | None, extent: float, given: str | None) -> Units:
     """The units of a scene.

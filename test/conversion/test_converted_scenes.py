@@ -131,7 +131,7 @@ def test_soft_springs_to_the_rest_shape_pull_back_from_it(convert):
     assert all(one.ends[0].point == one.ends[1].point for one in springs)
 
 
-def test_a_grid_is_written_as_hexahedra(convert, folder):
+def test_hexahedra_of_a_file_in_python_are_written(convert, folder):
     body = convert("grid.py").scene.deformables[0]
     assert body.element == "hexahedral" and body.mass == "consistent"
     assert body.mesh.file.name == "grid_bar.msh" and (folder / "grid_bar.msh").is_file()
@@ -202,7 +202,9 @@ def test_what_has_no_counterpart_is_listed_by_component_and_line(convert):
     for kind, line, why in (("PartialFixedProjectiveConstraint", 16, "along some axes"),
                             ("TetrahedronFEMForceField", 14, "plasticMaxThreshold"),
                             ("CableConstraint", 20, "pullPoint is not known"),
-                            ("ConstantForceField", 17, "no counterpart")):
+                            ("ConstantForceField", 17, "no counterpart"),
+                            ("IndexValueMapper", 22, "no counterpart"),
+                            ("RegularGridTopology", 24, "no counterpart")):
         assert re.search(rf"{kind} +foreign.py:{line} .*{why}", converted.told)
         assert re.search(rf"# Not converted: {kind}", converted.text)
     assert not converted.scene.cables
@@ -247,7 +249,8 @@ def test_entities_of_xml_are_refused(convert):
     ('youngModulus="@other.youngModulus"/><MechanicalObject name="other" youngModulus="@FEM.youngModulus"', "in a circle"),
     ('youngModulus="soft"', "is no list of numbers"), ('youngModulus="1 2 3"', "3 moduli"),
     ('youngModulus="0"', "is zero"), ('poissonRatio="0.5"', "must be below 0.5"),
-    ('youngModulus="@nowhere.E"', "leads nowhere"), ('poissonRatio="0 . 3"', "is no list of numbers"),
+    ('youngModulus="@nowhere.E"', "leads nowhere"),
+    ('youngModulus="@m.outputValues"/><IndexValueMapper name="m" value="3"', "comes from IndexValueMapper"), ('poissonRatio="0 . 3"', "is no list of numbers"),
 ])  # fmt: skip
 def test_odd_values_are_refused_by_component_and_line(convert, folder, field, reason):
     text = (folder / "bar.scn").read_text().replace('<FastTetrahedralCorotationalForceField youngModulus="600"',

@@ -19,3 +19,6 @@ def createScene(root):
     cable.addObject("MechanicalObject", position=[[50, 10, 10]])
     cable.addObject("CableConstraint", pullPoint=a_module_that_nobody_has.winch)
     cable.addObject("BarycentricMapping")
+    bar.addObject("IndexValueMapper", name="layers", indices=[0], value=600)
+    grid = root.addChild("grid")
+    grid.addObject("RegularGridTopology", n=[2, 2, 2])
