@@ -106,6 +106,19 @@ class ConstraintTerm(Protocol):
             values: δ [unit of δ], shape (k,); overwritten.
         """
 
+    def rows_at(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """H and the values δ at a state, as `evaluate` writes them.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+
+        Returns:
+            Entries of H, shape (entry_count, 3), and δ, shape (row_count,).
+        """
+        blocks, values = np.empty((len(self.entry_rows), 3)), np.empty(self.row_count)
+        self.evaluate(positions, blocks, values)
+        return blocks, values
+
     def add_stiffness(
         self, positions: np.ndarray, multipliers: np.ndarray, storage: np.ndarray,
         projected: bool = False,

@@ -40,7 +40,7 @@ from softrobot_twin.geometry.matrix3 import IDENTITY, add_outer, scaled_matrix, 
 from softrobot_twin.geometry.vector3 import norm, scaled, set_row
 from softrobot_twin.mechanics.kinematics import CarriedPoints, FoldedSegments
 from softrobot_twin.mechanics.springs import segment_vector
-from softrobot_twin.mechanics.stencil import add_weighted_matrices, bind_stencils
+from softrobot_twin.mechanics.stencil import add_weighted_matrices, bind_stencils, stacked
 from softrobot_twin.traced_stage import clear
 
 # A fibre that is shorter than this share of its length at rest has no direction.
@@ -149,13 +149,8 @@ class Muscles(ConstraintTerm):
             points: The carried points of the scene; None without any.
         """
         parts = [own for muscle in muscles for own in muscle]
-        width = max(own.nodes.shape[1] for own in parts)
-        pads = [((0, 0), (0, width - own.nodes.shape[1])) for own in parts]
-        self._nodes, self._coefficients = (
-            np.concatenate([np.pad(own[field], pad, constant_values=none)
-                            for own, pad in zip(parts, pads, strict=True)])
-            for field, none in ((0, -1), (1, 0.0))
-        )  # fmt: skip
+        self._nodes = stacked([own.nodes for own in parts])
+        self._coefficients = stacked([own.coefficients for own in parts], 0.0)
         self.row_count = len(muscles)
         counts = [sum(len(own.nodes) for own in muscle) for muscle in muscles]
         self._muscle = np.repeat(np.arange(len(muscles)), counts)

@@ -30,7 +30,7 @@ from softrobot_twin.constraints.spread_stiffness import MOST_COUPLED
 from softrobot_twin.geometry.vector3 import dot, row, scaled, set_row
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.kinematics import CarriedPoints, FoldedStiffness
-from softrobot_twin.mechanics.stencil import bind_stencils, lower_pairs
+from softrobot_twin.mechanics.stencil import bind_stencils, lower_pairs, stacked
 from softrobot_twin.traced_stage import clear
 
 
@@ -130,7 +130,7 @@ class PointForces(ConstraintTerm):
         if points is None or not len(points.turning_unknowns):
             return np.empty((0, 1), np.int64)
         of_rows = [self.entry_nodes[self.entry_rows == row] for row in range(self.row_count)]
-        return _table([own[own >= points.free_count] for own in of_rows])
+        return stacked([own[None, own >= points.free_count] for own in of_rows])
 
     def stencils(self) -> np.ndarray:
         """Unknowns that the stiffness couples, -1 where none, shape (row_count, width)."""
@@ -217,7 +217,7 @@ class TurningForces(PointForces):
             np.add.at(weights, np.searchsorted(nodes, self.entry_nodes[own]), shares)
             arms[np.searchsorted(nodes, reached[reached >= 0])] = self._arms[patch][reached >= 0]
             self._parts.append((row, self._turning.index(row), nodes, weights, arms))
-        return _table(coupled)
+        return stacked([own[None] for own in coupled])
 
     def evaluate(self, positions: np.ndarray, blocks: np.ndarray, values: np.ndarray) -> None:
         """Write H and the displacements δ [m]; see `ConstraintTerm.evaluate`."""
@@ -275,11 +275,3 @@ def cross_matrices(vectors: np.ndarray) -> np.ndarray:
         vectors: Shape (..., 3).
     """
     return np.cross(vectors[..., None, :], np.eye(3)).swapaxes(-1, -2)
-
-
-def _table(lists: list[np.ndarray]) -> np.ndarray:
-    """Lists as lines of one array, filled up with -1, shape (count, width)."""
-    table = np.full((len(lists), max([1, *map(len, lists)])), -1, np.int64)
-    for line, own in zip(table, lists, strict=True):
-        line[: len(own)] = own
-    return table

@@ -12,6 +12,7 @@ import numpy as np
 from softrobot_twin.constraints.constraint_term import ConstraintTerm
 from softrobot_twin.mechanics.beams import BeamElements, Beams
 from softrobot_twin.mechanics.force_term import ForceTerm
+from softrobot_twin.mechanics.stencil import stacked
 
 
 class ScaledForces(ConstraintTerm):
@@ -48,11 +49,7 @@ class ScaledForces(ConstraintTerm):
 
     def stencils(self) -> np.ndarray:
         """See `ConstraintTerm.stencils`; those of all parts."""
-        every = [term.stencils() for row in self.parts for term in row]
-        width = max(own.shape[1] for own in every)
-        return np.concatenate([
-            np.pad(own, ((0, 0), (0, width - own.shape[1])), constant_values=-1) for own in every
-        ])  # fmt: skip
+        return stacked([term.stencils() for row in self.parts for term in row])
 
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
         """Bind all parts; see `ForceTerm.bind`."""

@@ -623,23 +623,18 @@ class ActuatorNames:
     """
 
     def __init__(
-        self,
-        actuator_names: Sequence[str],
-        motors: Mapping[str, Sequence[str]] | None = None,
-        rest_setpoints: np.ndarray | None = None,
-        by_position: Sequence[str] = (),
-        by_pressure: Sequence[str] = (),
-        by_angle: Sequence[str] = (),
-    ):
+        self, actuator_names: Sequence[str], motors: Mapping[str, Sequence[str]] | None = None,
+        rest_setpoints: np.ndarray | None = None, by_position: Sequence[str] = (),
+        by_pressure: Sequence[str] = (), by_angle: Sequence[str] = (),
+    ):  # fmt: skip
         names = tuple(actuator_names)
         self._count = len(names)
         self._indices = {name: [index] for index, name in enumerate(names)}
         for motor, cables in (motors or {}).items():
             self._indices[motor] = [names.index(cable) for cable in cables]
         self._rest = np.zeros(self._count) if rest_setpoints is None else np.array(rest_setpoints)
-        self.by_position = np.array([name in by_position for name in names], dtype=bool)
-        self.by_pressure = np.array([name in by_pressure for name in names], dtype=bool)
-        self.by_angle = np.array([name in by_angle for name in names], dtype=bool)
+        self.by_position, self.by_pressure, self.by_angle = (
+            np.array([name in own for name in names], bool) for own in (by_position, by_pressure, by_angle))
 
     def order_of(self, names: Sequence[str]) -> NameOrder | None:
         """Reads the names of a message.
@@ -774,16 +769,13 @@ class ActuatorInput(Input):
         self, order: NameOrder, count: int, setpoints: np.ndarray, efforts: np.ndarray
     ) -> Refusal | None:
         """The reason to refuse the values of a message whose names are valid, or None."""
-        if len(setpoints) not in (0, count) or len(efforts) not in (0, count):
-            return Refusal.WRONG_SIZE
-        if not len(setpoints) and not len(efforts):
+        sizes = len(setpoints), len(efforts)
+        if not set(sizes) <= {0, count} or not any(sizes):
             return Refusal.WRONG_SIZE
         by_position = self._names.by_position
         given = order.values(efforts)
         needed = order.named & ~by_position if len(efforts) else np.zeros_like(by_position)
-        if not np.isfinite(setpoints).all() or np.isinf(given).any():
-            return Refusal.NOT_FINITE
-        if np.isnan(given[needed]).any():
+        if not np.isfinite(setpoints).all() or np.isinf(given).any() or np.isnan(given[needed]).any():
             return Refusal.NOT_FINITE
         positioned = np.isfinite(given[by_position]).any() and not len(setpoints)
         return Refusal.WRONG_FIELDS if positioned else None

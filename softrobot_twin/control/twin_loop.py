@@ -373,15 +373,10 @@ class TwinLoop:
     touches: TouchInput | None = None
 
     def __init__(
-        self,
-        simulation: Simulation,
-        settings: LoopSettings,
-        mode: Mode = Mode.INVERSE,
-        use_device: bool = False,
-        velocity_effector: int = 0,
-        frame_id: str = "base_link",
+        self, simulation: Simulation, settings: LoopSettings, mode: Mode = Mode.INVERSE,
+        use_device: bool = False, velocity_effector: int = 0, frame_id: str = "base_link",
         ambient_pressure: float = STANDARD_ATMOSPHERE,
-    ):
+    ):  # fmt: skip
         check_mode(mode, simulation)
         self.simulation, self.mode, self.use_device = simulation, mode, use_device
         self.check(settings)
@@ -1145,13 +1140,9 @@ def _undone(
     Returns:
         The result with the restored state and the published setpoints, as an unsolved step.
     """
+    displacements = simulation.actuators.displacements(released.setpoints, before.positions)
     return replace(
-        result,
-        state=before,
-        status=Status.UNSOLVED,
-        setpoints=released.setpoints,
-        efforts=released.efforts,
-        displacements=simulation.actuators.displacements(released.setpoints, before.positions),
+        result, state=before, status=Status.UNSOLVED, **released._asdict(), displacements=displacements,
         effector_positions=simulation.effector_positions(),
         effector_orientations=simulation.effector_orientations(),
-    )
+    )  # fmt: skip

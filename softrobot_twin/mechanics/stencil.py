@@ -12,7 +12,7 @@ Arguments of the kernels here:
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -69,6 +69,18 @@ def of_frames(unknowns: np.ndarray) -> np.ndarray:
     """
     both = np.repeat(unknowns, 2, axis=1)
     return np.where(both >= 0, both + np.arange(both.shape[1]) % 2, -1)
+
+
+def stacked(tables: Sequence[np.ndarray], none: float = -1) -> np.ndarray:
+    """Tables of one row or more below each other, filled up to a common width of at least one.
+
+    Args:
+        tables: Such as stencils, each of shape (count, width) with its own width.
+        none: What narrower ones are filled up with.
+    """
+    width = max([1, *(own.shape[1] for own in tables)])
+    return np.concatenate([np.pad(own, ((0, 0), (0, width - own.shape[1])), constant_values=none)
+                           for own in tables])  # fmt: skip
 
 
 def bind_stencils(

@@ -29,8 +29,10 @@ from softrobot_twin.scene.entry import (
     refusal,
     unit,
 )
-from softrobot_twin.scene.references import check_carrier, check_known, check_pattern
+from softrobot_twin.scene.references import check_carrier, check_known, check_pattern, names_in
 
+FRAMED = "rigid_bodies", "beams"
+"""Sections of the bodies that have frames."""
 # Greatest range of the angle of a hinge [rad]: less than a whole turn.
 MOST_TURN = 6.0
 NO_LIMITS, POSITIVE = (-math.inf, math.inf), (0.0, math.inf)
@@ -67,10 +69,20 @@ class ActuatorEntry(Entry):
             scene: The scene.
             key: Key of this entry in it, for the error.
         """
-        deformable = [body.name for body in scene.deformables]
-        framed = [body.name for body in (*scene.rigid_bodies, *scene.beams)]
         body = self.body  # type: ignore[attr-defined]  # entries that call this have one
-        check_carrier(f"{key}.body", self.name, body, deformable, framed)
+        check_carrier(f"{key}.body", self.name, body, names_in(scene, "deformables"),
+                      names_in(scene, *FRAMED))  # fmt: skip
+
+    def check_also_on(self, scene, key: str) -> None:
+        """Refuses names and patterns in `also_on` that no body of the scene has.
+
+        Args:
+            scene: The scene.
+            key: Key of this entry in it, for the error.
+        """
+        bodies = names_in(scene, "deformables", *FRAMED)
+        for index, pattern in enumerate(self.also_on):  # type: ignore[attr-defined]  # as above
+            check_pattern(f"{key}.also_on[{index}]", f"{self.noun} {self.name} is also on", pattern, bodies)
 
 
 class Pulley(Entry):
@@ -146,16 +158,12 @@ class Cable(ActuatorEntry):
     def check_references(self, scene, key: str) -> None:
         """See `ActuatorEntry`."""
         self.check_body(scene, key)
-        framed = [body.name for body in (*scene.rigid_bodies, *scene.beams)]
-        carriers = [body.name for body in scene.deformables] + framed
-        for index, pattern in enumerate(self.also_on):
-            check_pattern(f"{key}.also_on[{index}]", f"cable {self.name} is also on", pattern,
-                          carriers)  # fmt: skip
-        obstacles = [obstacle.name for obstacle in scene.obstacles]
+        self.check_also_on(scene, key)
+        obstacles = names_in(scene, "obstacles")
         for index, name in enumerate(self.wraps):
             check_known(f"{key}.wraps[{index}]", f"cable {self.name} wraps", name, obstacles)
-        check_known(f"{key}.pull_point_on", f"cable {self.name} is pulled from",
-                    self.pull_point_on, ["world", "body", *framed])  # fmt: skip
+        check_known(f"{key}.pull_point_on", f"cable {self.name} is pulled from", self.pull_point_on,
+                    ["world", "body", *names_in(scene, *FRAMED)])  # fmt: skip
 
 
 class CavityWall(Entry):
@@ -183,6 +191,25 @@ class CavityWall(Entry):
                           "a part of one body's mesh lies on that body; give a file")
 
 
+def check_walls(walls: tuple[CavityWall, ...], name: str, scene, key: str) -> None:
+    """Refuse walls on bodies that the scene does not have.
+
+    Args:
+        walls: The walls.
+        name: Name of their entry.
+        scene: The scene.
+        key: Key of the entry.
+
+    Raises:
+        PydanticCustomError: A body does not exist, or has to be named.
+    """
+    bodies = names_in(scene, "deformables")
+    for index, wall in enumerate(walls):
+        check_carrier(f"{key}.walls[{index}].body", name, wall.body, bodies, [])
+        for place, other in enumerate(wall.also_on):
+            check_known(f"{key}.walls[{index}].also_on[{place}]", f"{name} is on", other, bodies)
+
+
 class WalledEntry(Entry):
     """A cavity: what its walls enclose."""
 
@@ -203,12 +230,7 @@ class WalledEntry(Entry):
         Raises:
             PydanticCustomError: A body does not exist, or has to be named.
         """
-        deformable = [body.name for body in scene.deformables]
-        for index, wall in enumerate(self.walls):
-            check_carrier(f"{key}.walls[{index}].body", self.name, wall.body, deformable, [])
-            for place, name in enumerate(wall.also_on):
-                check_known(f"{key}.walls[{index}].also_on[{place}]", f"{self.name} is on", name,
-                            deformable)  # fmt: skip
+        check_walls(self.walls, self.name, scene, key)
 
 
 class Cavity(WalledEntry, ActuatorEntry):
@@ -323,8 +345,7 @@ class HingeMotor(ActuatorEntry):
 
     def check_references(self, scene, key: str) -> None:
         """See `ActuatorEntry`."""
-        check_known(f"{key}.beam", f"hinge motor {self.name} turns", self.beam,
-                    [beam.name for beam in scene.beams])  # fmt: skip
+        check_known(f"{key}.beam", f"hinge motor {self.name} turns", self.beam, names_in(scene, "beams"))
 
 
 class Force(ActuatorEntry):
@@ -370,7 +391,7 @@ class Force(ActuatorEntry):
     def check_references(self, scene, key: str) -> None:
         """See `ActuatorEntry`."""
         self.check_body(scene, key)
-        if self.points is None and self.body not in (None, *(b.name for b in scene.deformables)):
+        if self.points is None and self.body not in (None, *names_in(scene, "deformables")):
             raise refusal(f"{key}.body", self.body,
                           "a box or sphere takes the surface of a deformable body: give points")
 
@@ -424,15 +445,14 @@ class Muscle(ActuatorEntry):
     def check(self) -> None:
         """Refuse what does not belong to a thread, or to a region, and two relations."""
         is_thread = self.points is not None
-        needed, others = (("force",), ("stress", "direction")) if is_thread else (
-            ("stress", "direction"), ("force",))  # fmt: skip
+        noun, needed, others = (("thread", ("force",), ("stress", "direction")) if is_thread else
+                                ("region", ("stress", "direction"), ("force", "also_on")))  # fmt: skip
         for key in needed:
             if getattr(self, key) is None:
-                raise refusal(key, "(nothing)", f"is required of a {'thread' if is_thread else 'region'}")
-        for key in (*others, *(() if is_thread else ("also_on",))):
+                raise refusal(key, "(nothing)", f"is required of a {noun}")
+        for key in others:
             if getattr(self, key):
-                raise refusal(key, getattr(self, key),
-                              f"is not a key of a {'thread' if is_thread else 'region'}")
+                raise refusal(key, getattr(self, key), f"is not a key of a {noun}")
         if self.free_contraction is not None and self.force_length is not None:
             raise refusal("free_contraction", self.free_contraction,
                           "force_length says how the force depends on the length")
@@ -442,12 +462,8 @@ class Muscle(ActuatorEntry):
     def check_references(self, scene, key: str) -> None:
         """See `ActuatorEntry`."""
         self.check_body(scene, key)
-        framed = [body.name for body in (*scene.rigid_bodies, *scene.beams)]
-        carriers = [body.name for body in scene.deformables] + framed
-        for index, pattern in enumerate(self.also_on):
-            check_pattern(f"{key}.also_on[{index}]", f"muscle {self.name} is also on", pattern,
-                          carriers)  # fmt: skip
-        if self.points is None and self.body in framed:
+        self.check_also_on(scene, key)
+        if self.points is None and self.body in names_in(scene, *FRAMED):
             raise refusal(f"{key}.body", self.body, "a region is of a deformable body: give points")
 
 
@@ -478,8 +494,7 @@ class RestShape(ActuatorEntry):
 
     def check_references(self, scene, key: str) -> None:
         """See `ActuatorEntry`."""
-        check_known(f"{key}.beam", f"rest shape {self.name} changes", self.beam,
-                    [beam.name for beam in scene.beams])  # fmt: skip
+        check_known(f"{key}.beam", f"rest shape {self.name} changes", self.beam, names_in(scene, "beams"))
 
 
 class Stiffener(ActuatorEntry):
@@ -510,5 +525,4 @@ class Stiffener(ActuatorEntry):
 
     def check_references(self, scene, key: str) -> None:
         """See `ActuatorEntry`."""
-        deformable = [body.name for body in scene.deformables]
-        check_carrier(f"{key}.body", self.name, self.body, deformable, [])
+        check_carrier(f"{key}.body", self.name, self.body, names_in(scene, "deformables"), [])

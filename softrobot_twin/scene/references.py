@@ -56,9 +56,7 @@ def check_references(scene) -> None:
         PydanticCustomError: A named object does not exist.
     """
     sections = "deformables", "rigid_bodies", "beams", "mass_springs", "obstacles", "cables"
-    deformable, rigid, beams, masses, obstacles, cables = (
-        [entry.name for entry in getattr(scene, section)] for section in sections
-    )
+    deformable, rigid, beams, masses, obstacles, cables = (names_in(scene, one) for one in sections)
     framed = rigid + beams
     for section in (*scene.actuator_entries, "sealed_cavities", "sensors"):
         for key, entry in scene.keyed(section):
@@ -137,6 +135,16 @@ def _check_pulleys(scene) -> None:
                 raise refusal(f"{key}.pulley", motor.name,
                               f"winds cable {cable}, which {wound[cable]} winds too")
             wound[cable] = f"{key}.pulley"
+
+
+def names_in(scene, *sections: str) -> list[str]:
+    """Names of all entries of some sections.
+
+    Args:
+        scene: The scene.
+        *sections: Such as ``beams``.
+    """
+    return [entry.name for section in sections for entry in getattr(scene, section)]
 
 
 def check_known(key: str, what: str, name: str, known: list[str]) -> None:

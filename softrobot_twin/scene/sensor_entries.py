@@ -9,9 +9,9 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from softrobot_twin.scene.actuator_entries import CavityWall
+from softrobot_twin.scene.actuator_entries import FRAMED, CavityWall, check_walls
 from softrobot_twin.scene.entry import Direction, Entry, Name, Vector, not_zero, refusal, unit
-from softrobot_twin.scene.references import check_carrier, check_known
+from softrobot_twin.scene.references import check_carrier, check_known, names_in
 
 
 class Sensor(Entry):
@@ -69,14 +69,11 @@ class Sensor(Entry):
         Raises:
             PydanticCustomError: A named object does not exist.
         """
-        sections = "deformables", "rigid_bodies", "beams", "cables", "cavities", "sealed_cavities"
-        bodies, rigid, beams, cables, cavities, sealed = (
-            [entry.name for entry in getattr(scene, section)] for section in sections)
         if self.string is not None or self.bend is not None:
-            check_carrier(f"{key}.on", self.name, self.on, bodies, rigid + beams)
-        for own, known in (("cable", cables), ("hinge", beams), ("volume", cavities + sealed),
-                           ("pressure", sealed)):  # fmt: skip
-            if getattr(self, own) is not None:
-                check_known(f"{key}.{own}", f"{self.name} measures", getattr(self, own), known)
-        for index, wall in enumerate(self.walls or ()):
-            check_carrier(f"{key}.walls[{index}].body", self.name, wall.body, bodies, [])
+            bodies, framed = names_in(scene, "deformables"), names_in(scene, *FRAMED)
+            check_carrier(f"{key}.on", self.name, self.on, bodies, framed)
+        for own, *sections in (("cable", "cables"), ("hinge", "beams"), ("pressure", "sealed_cavities"),
+                               ("volume", "cavities", "sealed_cavities")):  # fmt: skip
+            if (name := getattr(self, own)) is not None:
+                check_known(f"{key}.{own}", f"{self.name} measures", name, names_in(scene, *sections))
+        check_walls(self.walls or (), self.name, scene, key)

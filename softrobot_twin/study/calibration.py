@@ -20,7 +20,6 @@ from copy import copy
 from typing import Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
-from scipy.linalg import qr
 from scipy.special import stdtrit
 
 from softrobot_twin.errors import NamedError, SceneError
@@ -167,6 +166,11 @@ class Measurements(NamedTuple):
     kinds: np.ndarray
     poses: np.ndarray
     axes: np.ndarray | None = None
+
+    @property
+    def by_kind(self) -> dict[str, np.ndarray]:
+        """Masks of the measurements of each kind, shape (n,)."""
+        return {kind: self.kinds == kind for kind in dict.fromkeys(self.kinds.tolist())}
 
     def alike(self, residuals: np.ndarray) -> float:
         """How many points of a pose count as one: the variance of sums of their residuals over that of
@@ -320,8 +324,8 @@ class RestModel:
         """
         count = len(self._scene.markers) + len(self._scene.effectors)
         found = np.full((len(self.poses), len(self._kinds()[0])), np.nan)
-        for index, mask in enumerate(self._masks):
-            found[index, mask] = off[self.measured.poses == index]
+        if len(self._masks):
+            found[np.array(self._masks)] = off
         return found[:, : 3 * count].reshape(-1, count, 3)
 
     def predict(self, numbers: np.ndarray, with_jacobian: bool) -> Prediction:
@@ -509,9 +513,8 @@ def frame_derivative(frame: MarkerFrame, points: np.ndarray) -> np.ndarray:
     found[:, :, :3] = -R.T
     for k, axis in enumerate(axes):
         found[:, :, 3 + k] = -np.cross(axis, from_origin) @ R
-    found[:, :, :6] *= np.array(frame.scale)[:, None]
-    for k in range(3):
         found[:, k, 6 + k] = from_origin @ R[:, k]
+    found[:, :, :6] *= np.array(frame.scale)[:, None]
     return found
 
 
@@ -545,6 +548,12 @@ class Estimate(NamedTuple):
     def values(self) -> np.ndarray:
         """The numbers, each in its unit, shape (p,)."""
         return np.array([one.value(z) for one, z in zip(self.unknowns, self.z, strict=True)])
+
+    @property
+    def changes(self) -> dict[str, float]:
+        """What the numbers set in a scene, by its keys, each in its unit."""
+        each = zip(self.unknowns, self.values.tolist(), strict=True)
+        return {key: number for one, value in each for key, number in one.parameter.changes(value).items()}
 
     @property
     def intervals(self) -> np.ndarray:
@@ -747,12 +756,12 @@ def _noise(residuals: np.ndarray, measured: Measurements, count: int) -> dict[st
     """Standard deviation of the residuals of each kind, of which some may be outliers."""
     freedom = np.sqrt(len(residuals) / max(1, len(residuals) - count))
     found = {}
-    for kind in dict.fromkeys(measured.kinds.tolist()):
-        own = residuals[measured.kinds == kind]
+    for kind, is_own in measured.by_kind.items():
+        own = residuals[is_own]
         typical = 1.4826 * np.median(np.abs(own))
         inside = own[np.abs(own) <= _INLIERS * typical]
         spread = np.sqrt(np.mean(inside**2)) / _SPREAD_OF_INLIERS if len(inside) else typical
-        least = LEAST_NOISE * np.std(measured.values[measured.kinds == kind])
+        least = LEAST_NOISE * np.std(measured.values[is_own])
         found[kind] = max(float(freedom * spread), float(least), 1.0e-12)
     return found
 
@@ -792,20 +801,6 @@ def not_told(
         groups.append(tuple(sorted(group)))
         left -= group
     return groups
-
-
-def told_beside_others(jacobian: np.ndarray) -> list[int]:
-    """Numbers that the data tell beside those that they tell better.
-
-    Args:
-        jacobian: See `Estimate`.
-
-    Returns:
-        Their indices, rising.
-    """
-    _, R, order = qr(jacobian, mode="economic", pivoting=True)
-    told = np.abs(np.diag(R)) >= TOLD
-    return sorted(order[: len(told)][told].tolist())
 
 
 def deviations_with(jacobian: np.ndarray, *others: np.ndarray) -> np.ndarray:
@@ -883,10 +878,7 @@ class Calibration(NamedTuple):
     @property
     def values(self) -> dict[str, float]:
         """The fitted numbers by their keys, each in its unit."""
-        found = dict[str, float]()
-        for one, value in zip(self.estimate.unknowns, self.estimate.values, strict=True):
-            found |= one.parameter.changes(float(value))
-        return found
+        return self.estimate.changes
 
     @property
     def systematic_error(self) -> float:
@@ -1072,10 +1064,7 @@ def calibrate(
         model = RestModel(scene, [one.parameter for one in unknowns], [*used, *judges])
     fit = _fitted(model, own, unknowns, bool(keys), aside)
     kept = fit.found.without(fit.unused)
-    numbers = dict[str, float]()
-    for one, value in zip(kept.unknowns, kept.values, strict=True):
-        numbers |= one.parameter.changes(float(value))
-    fitted = changed_scene(scene, numbers)
+    fitted = changed_scene(scene, kept.changes)
     reach = reach_of(fit.found.linear(fit.model.measured.poses), np.array([one.setpoints for one in fit.poses]))
     held, off = _judged(model, fit, fitted, held, aside)
     return Calibration(
@@ -1230,7 +1219,8 @@ def _in_order(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Errors and places of the poses that were not left out, in the order in which they were driven."""
     own = [means[id(pose.setpoints)] for pose in used if id(pose.setpoints) in means]
-    return np.array([one for one, _ in own]).reshape(-1, 3), np.array([one for _, one in own]).reshape(-1, 3)
+    errors, places = np.array(own).reshape(-1, 2, 3).swapaxes(0, 1)
+    return errors, places
 
 
 def _usable(model: RestModel) -> tuple[list[RestPose], list[str]]:
@@ -1299,15 +1289,13 @@ def validated(model: RestModel, joint: Estimate, after: Scene, reach: Reach | No
         reach: See `forecast`.
     """
     start = np.array([one.parameter.read(model.begin) for one in joint.unknowns])
-    off = [model.predict(start, False).values - model.measured.values]
-    distances = [model.distances]
-    told = forecast(model, joint, after, reach)
-    kinds = {kind: model.measured.kinds == kind for kind in dict.fromkeys(model.measured.kinds.tolist())}
+    off, distances = model.predict(start, False).values - model.measured.values, model.distances
+    told, kinds = forecast(model, joint, after, reach), model.measured.by_kind
     errors = [{kind: float(np.sqrt(np.mean(one[own] ** 2) * (3 if kind in POINTS else 1)))
-               for kind, own in kinds.items()} for one in (*off, told.off)]  # fmt: skip
+               for kind, own in kinds.items()} for one in (off, told.off)]  # fmt: skip
     inside = {kind: float(np.mean(np.abs(told.off[own]) <= told.reach[own]))
               for kind, own in kinds.items() if kind in joint.noise}  # fmt: skip
-    return Validation(*errors, inside, np.array([*distances, told.distances]),
+    return Validation(*errors, inside, np.array([distances, told.distances]),
                       tuple(pose.origin for pose in model.poses))  # fmt: skip
 
 
@@ -1340,12 +1328,9 @@ def suggestions(found: Calibration, count: int = 3) -> tuple[Suggestion, ...]:
         found: A calibration.
         count: Poses of a suggestion of new ones.
     """
-    asked = _Candidates(found)
-    known = [one.known for one in found.joint.unknowns]
-    J = found.joint.jacobian
-    base = _information(J)
-    made = [(words, poses, blocks) for words, poses, blocks in asked.again()]
-    made.append(asked.new_poses(count))
+    asked, J = _Candidates(found), found.joint.jacobian
+    known, base = [one.known for one in found.joint.unknowns], _information(J)
+    made = [*asked.again(), asked.new_poses(count)]
     return tuple(sorted(
         (Suggestion(words, deviations_with(J, *blocks) * known, _information(J, *blocks) - base,
                     tuple(poses)) for words, poses, blocks in made if blocks),
@@ -1434,8 +1419,7 @@ class _Candidates:
         slopes = [one.slope(z) for one, z in zip(found.unknowns, found.z, strict=True)]
         got = model.predict(found.values, True)
         noise = np.empty(len(got.values))
-        for kind in dict.fromkeys(model.measured.kinds.tolist()):
-            own = model.measured.kinds == kind
+        for kind, own in model.measured.by_kind.items():
             largest = np.nanmax(np.abs(got.values[own]), initial=0.0) or 1.0
             noise[own] = found.noise.get(kind, EFFORT_NOISE * largest)
         J = got.jacobian * slopes / noise[:, None]

@@ -11,12 +11,13 @@ A new kind is one class with the members of `ActuatorKind`, and one call of `reg
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from softrobot_twin.constraints.constraint_term import ConstraintTerm
 from softrobot_twin.scene.actuator_entries import ActuatorEntry
 from softrobot_twin.scene.schema import add_actuator_section, remove_actuator_section
 from softrobot_twin.simulation.building.scene_layout import Layout
@@ -191,6 +192,43 @@ class ActuatorKind(Protocol):
             group: The actuators of this kind.
             index: Its place in the group.
         """
+
+
+def numbers_of(entries: Sequence[ActuatorEntry], key: str) -> np.ndarray:
+    """The values of a key, infinite where an entry has none, shape (entry_count, ...).
+
+    Args:
+        entries: The entries.
+        key: Name of a number, or of its limits.
+    """
+    values = [getattr(entry, key) for entry in entries]
+    return np.array([np.inf if value is None else value for value in values], float)
+
+
+def group_of(
+    kind: ActuatorKind, owners: Sequence[ActuatorEntry], term: ConstraintTerm | None,
+    displacement_scale: np.ndarray, effort_bounds: np.ndarray, force_per_effort: np.ndarray, **others: Any,
+) -> ActuatorGroup:  # fmt: skip
+    """The group of entries that have a `rate`, with displacements from 0 without limits.
+
+    Args:
+        kind: See `ActuatorGroup`, as all others.
+        owners: Entry of each actuator.
+        term: See there.
+        displacement_scale: See there.
+        effort_bounds: See there.
+        force_per_effort: See there.
+        **others: Further fields, also those that this fills in.
+    """
+    count = len(owners)
+    usual: dict[str, Any] = {
+        "names": tuple(entry.name for entry in owners), "moves": None, "rest_setpoints": np.zeros(count),
+        "displacement_bounds": np.tile([-np.inf, np.inf], (count, 1)), "rates": numbers_of(owners, "rate"),
+    }  # fmt: skip
+    return ActuatorGroup(
+        kind, term=term, displacement_scale=displacement_scale, effort_bounds=effort_bounds,
+        force_per_effort=force_per_effort, **usual | others,
+    )  # fmt: skip
 
 
 _KINDS: list[ActuatorKind] = []

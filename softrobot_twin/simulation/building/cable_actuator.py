@@ -17,7 +17,14 @@ from softrobot_twin.scene import Scene
 from softrobot_twin.scene.actuator_entries import Cable, Pulley
 from softrobot_twin.scene.body_entries import CapsuleShape, CylinderShape
 from softrobot_twin.scene.references import matching
-from softrobot_twin.simulation.building.actuator_kinds import ActuatorGroup, ActuatorKind, Quantity
+from softrobot_twin.scene.words import count, words
+from softrobot_twin.simulation.building.actuator_kinds import (
+    ActuatorGroup,
+    ActuatorKind,
+    Quantity,
+    group_of,
+    numbers_of,
+)
 from softrobot_twin.simulation.building.limits import (
     efforts_at_scale,
     pulley_of_cable,
@@ -61,16 +68,14 @@ class CableActuator(ActuatorKind):
         paths = [_path(layout, *keyed, notes) for keyed in layout.scene.keyed("cables")]
         cables = _term(layout, tuple(paths), entries)
         _check_cables_move(cables, rest, layout.scene)
-        ranges = np.array([cable.shortening for cable in entries])
-        rates = np.array([np.inf if cable.rate is None else cable.rate for cable in entries])
+        ranges, rates = numbers_of(entries, "shortening"), numbers_of(entries, "rate")
         pulleys = pulley_of_cable(layout.scene)
         names = _limit_by_pulleys(entries, pulleys, ranges, rates) if pulleys else ()
         ranges[:, 1] = np.where(np.isinf(ranges[:, 1]), cables.rest_lengths, ranges[:, 1])
-        return ActuatorGroup(
-            self, tuple(cable.name for cable in entries), cables, None,
-            cables.rest_lengths + [cable.offset for cable in entries], cables.scales, ranges, rates,
-            np.array([cable.tension for cable in entries]), np.ones(len(entries)),
-            rest_extents=cables.rest_lengths, limit_names=names,
+        return group_of(
+            self, entries, cables, cables.scales, numbers_of(entries, "tension"), np.ones(len(entries)),
+            rest_setpoints=cables.rest_lengths + numbers_of(entries, "offset"), displacement_bounds=ranges,
+            rates=rates, rest_extents=cables.rest_lengths, limit_names=names,
         )  # fmt: skip
 
     def doubts(self, model, group: ActuatorGroup) -> Iterator[str]:
@@ -99,19 +104,15 @@ class CableActuator(ActuatorKind):
 
     def details(self, entry: Cable, group: ActuatorGroup, index: int) -> str:
         """See `ActuatorKind.details`."""
-        count = len(entry.points)
-        words = [f"{count} point{'' if count == 1 else 's'}, pulled from the {entry.pull_point_on}"]
-        if entry.pulley is not None:
-            words.append(f"wound by a pulley of radius {1e3 * entry.pulley.radius:.6g} mm")
-        if _stretches(entry):
-            words.append(f"stretches, EA {entry.axial_stiffness:.6g} N")
-        if entry.offset:
-            words.append(f"zero error {1e3 * entry.offset:.6g} mm")
-        if entry.wraps:
-            words.append(f"around {', '.join(entry.wraps)}")
-        if entry.friction:
-            words.append(f"friction {entry.friction:.6g} along its path")
-        return ", ".join(words)
+        radius = entry.pulley and f"{1e3 * entry.pulley.radius:.6g} mm"
+        return words(
+            f"{count(entry.points, 'point')}, pulled from the {entry.pull_point_on}",
+            radius and f"wound by a pulley of radius {radius}",
+            f"stretches, EA {entry.axial_stiffness:.6g} N" if _stretches(entry) else None,
+            f"zero error {1e3 * entry.offset:.6g} mm" if entry.offset else None,
+            f"around {', '.join(entry.wraps)}" if entry.wraps else None,
+            f"friction {entry.friction:.6g} along its path" if entry.friction else None,
+        )
 
 
 def _stretches(cable: Cable) -> bool:
@@ -135,7 +136,7 @@ def _term(layout: Layout, paths: tuple[CablePath, ...], entries: tuple[Cable, ..
     )  # fmt: skip
     if not any(_stretches(cable) for cable in entries):
         return cables_along(paths, *taken[1:])
-    return ElasticCables(*taken, _axial_stiffness(entries))
+    return ElasticCables(*taken, numbers_of(entries, "axial_stiffness"))
 
 
 def cables_along(paths: tuple[CablePath, ...], *places) -> Cables:
@@ -146,11 +147,6 @@ def cables_along(paths: tuple[CablePath, ...], *places) -> Cables:
         places: Further arguments of `Cables`.
     """
     return (WrappedCables if any(path.wraps for path in paths) else Cables)(paths, *places)
-
-
-def _axial_stiffness(entries: tuple[Cable, ...]) -> np.ndarray:
-    """EA of each cable, infinite for one that does not stretch [N], shape (count,)."""
-    return np.array([cable.axial_stiffness if _stretches(cable) else np.inf for cable in entries])
 
 
 def _friction_term(
@@ -166,18 +162,11 @@ def _friction_term(
     if scene.time_scheme != "backward_euler":
         raise scene.error(f"cables[{index}].friction", entries[index].friction,
                           f"friction along cables is not built for time_scheme {scene.time_scheme}")
-    lengths = [
-        np.linalg.norm(np.diff(path.positions(nodes.rest_positions), axis=0), axis=1).sum()
-        for path in paths
-    ]
-    presliding = [
-        PRESLIDING * length if cable.presliding is None else cable.presliding
-        for cable, length in zip(entries, lengths, strict=True)
-    ]
-    materials = CableMaterials(
-        _axial_stiffness(entries), np.array([cable.friction for cable in entries]),
-        np.array(presliding),
-    )  # fmt: skip
+    pieces = [np.diff(path.positions(nodes.rest_positions), axis=0) for path in paths]
+    usual = PRESLIDING * np.array([np.linalg.norm(own, axis=1).sum() for own in pieces])
+    given = numbers_of(entries, "presliding")
+    materials = CableMaterials(numbers_of(entries, "axial_stiffness"), numbers_of(entries, "friction"),
+                               np.where(np.isinf(given), usual, given))  # fmt: skip
     return FrictionCables(paths, nodes.free_index, nodes.rest_positions, materials, nodes.carried)
 
 
@@ -202,12 +191,11 @@ def _limit_by_pulleys(
         pulley = pulleys.get(cable.name)
         if pulley is not None:
             least, most = shortenings_of_angles(pulley)
-            words = ("angle_min", "angle_max")
-            words = words if pulley.wound > 0.0 else words[::-1]
+            ends = ("angle_min", "angle_max")[:: 1 if pulley.wound > 0.0 else -1]
             if least > ranges[index, 0]:
-                ranges[index, 0], own[0] = least, words[0]
+                ranges[index, 0], own[0] = least, ends[0]
             if most < ranges[index, 1]:
-                ranges[index, 1], own[1] = most, words[1]
+                ranges[index, 1], own[1] = most, ends[1]
             if pulley.rate is not None:
                 rates[index] = min(rates[index], pulley.rate * pulley.radius)
         names.append(tuple(own))
@@ -276,7 +264,8 @@ def _nearest_segment(points: np.ndarray, wrap: Wrap) -> int:
 def _crossings(model, group: ActuatorGroup) -> Iterator[str]:
     """Obstacles and rigid bodies that a straight part of a cable passes through at rest."""
     scene, rest = model.scene, model.nodes.rest_positions
-    solid = [(one.name, build_shape(one.shape, scene, []), *_frame_of(one)) for one in scene.obstacles]
+    solid = [(one.name, build_shape(one.shape, scene, []), np.array(one.position, float),
+              Rotation.from_euler("xyz", one.rotation).as_matrix()) for one in scene.obstacles]  # fmt: skip
     solid += [(part.name, part.shape, part.origin, part.rotation) for part in model.rigid]
     for (key, cable), path in zip(scene.keyed("cables"), group.term.paths, strict=True):
         points = path.positions(rest)
@@ -291,26 +280,15 @@ def _crossings(model, group: ActuatorGroup) -> Iterator[str]:
                            "around (wraps, of an obstacle), or give it other points.")  # fmt: skip
 
 
-def _frame_of(obstacle) -> tuple[np.ndarray, np.ndarray]:
-    """Origin [m] and rotation of an obstacle."""
-    rotation = Rotation.from_euler("xyz", obstacle.rotation).as_matrix()
-    return np.asarray(obstacle.position, float), rotation
-
-
 def _straight_path(layout: Layout, key: str, cable: Cable, notes: list[str]) -> CablePath:
-    bodies = layout.bodies_of(cable)
-
-    def carried(points, place: str):
-        if len(bodies) == 1:
-            return layout.carried(cable.body, points, place, notes, cable.hold_radius)
-        return layout.carried_by_nearest(bodies, points, place, notes, cable.hold_radius)
-
-    points = carried(layout.in_world(cable.body, cable.frame, cable.points), f"{key}.points")
-    pull_point = layout.in_world(cable.body, cable.frame, [cable.pull_point])
+    """A cable's path between its points."""
+    places, pull_point = (layout.in_world(cable.body, cable.frame, one)
+                          for one in (cable.points, [cable.pull_point]))  # fmt: skip
+    points = layout.carried_along(cable, places, f"{key}.points", notes, cable.hold_radius)
     if cable.pull_point_on == "world":
         return CablePath(cable.name, points, pull_point[0])
     if cable.pull_point_on == "body":
-        start = carried(pull_point, f"{key}.pull_point")
+        start = layout.carried_along(cable, pull_point, f"{key}.pull_point", notes, cable.hold_radius)
     else:
         start = layout.carried(cable.pull_point_on, pull_point, f"{key}.pull_point", notes)
     return CablePath(cable.name, start.followed_by(points), None)

@@ -12,7 +12,13 @@ from softrobot_twin.constraints.reduced_cavities import ReducedCavities, Reduced
 from softrobot_twin.constraints.superelement_cavities import SuperelementCavities
 from softrobot_twin.mechanics.cavity_surfaces import CavitySurface
 from softrobot_twin.scene.actuator_entries import Cavity, SealedCavity
-from softrobot_twin.simulation.building.actuator_kinds import ActuatorGroup, ActuatorKind, Quantity
+from softrobot_twin.simulation.building.actuator_kinds import (
+    ActuatorGroup,
+    ActuatorKind,
+    Quantity,
+    group_of,
+    numbers_of,
+)
 from softrobot_twin.simulation.building.cavity_walls import (
     cavity_surface,
     check_walls_of_reduced,
@@ -69,16 +75,13 @@ class CavityActuator(ActuatorKind):
             _check_walls_move(term, layout)
         kinds = tuple(CavityActuator(cavity.control) for cavity in entries)
         by_volume = np.array([not kind.is_effort_driven for kind in kinds])
-        zeros = np.array([cavity.pressure_offset for cavity in entries])
-        return ActuatorGroup(
-            self, tuple(cavity.name for cavity in entries), term, None,
-            np.where(by_volume, term.rest_volumes, zeros), term.rest_volumes,
-            _growths(term, entries, layout),
-            np.array([np.inf if cavity.rate is None else cavity.rate for cavity in entries]),
-            np.array([cavity.pressure for cavity in entries]), term.rest_areas, kinds,
-            np.array([np.inf if cavity.flow is None else cavity.flow for cavity in entries]),
-            term.rest_volumes, effort_zeros=zeros,
-            effort_gains=np.array([cavity.pressure_gain for cavity in entries]),
+        zeros = numbers_of(entries, "pressure_offset")
+        return group_of(
+            self, entries, term, term.rest_volumes, numbers_of(entries, "pressure"), term.rest_areas,
+            rest_setpoints=np.where(by_volume, term.rest_volumes, zeros), kinds=kinds,
+            displacement_bounds=_growths(term, entries, layout), flows=numbers_of(entries, "flow"),
+            rest_extents=term.rest_volumes, effort_zeros=zeros,
+            effort_gains=numbers_of(entries, "pressure_gain"),
         )  # fmt: skip
 
     def doubts(self, model, group: ActuatorGroup) -> Iterator[str]:

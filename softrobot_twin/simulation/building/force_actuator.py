@@ -12,7 +12,13 @@ from softrobot_twin.geometry.regions import nodes_in_box, nodes_in_sphere
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.scene.actuator_entries import Force
 from softrobot_twin.scene.words import count, vector, words
-from softrobot_twin.simulation.building.actuator_kinds import ActuatorGroup, ActuatorKind, Quantity
+from softrobot_twin.simulation.building.actuator_kinds import (
+    ActuatorGroup,
+    ActuatorKind,
+    Quantity,
+    group_of,
+    numbers_of,
+)
 from softrobot_twin.simulation.building.constraint_building import frame_of
 from softrobot_twin.simulation.building.limits import efforts_at_scale, unlikely
 from softrobot_twin.simulation.building.scene_layout import Layout
@@ -57,11 +63,9 @@ class ForceActuator(ActuatorKind):
         nodes, kind = layout.nodes, TurningForces if any(f.patch for f in forces) else PointForces
         term = kind(tuple(forces), nodes.free_index, nodes.rest_positions, nodes.size, nodes.carried)
         kinds = tuple(ForceActuator(entry.control) for entry in owners)
-        return ActuatorGroup(
-            self, tuple(names), term, None, np.zeros(len(owners)), term.scales,
-            np.array([entry.displacement for entry in owners]),
-            np.array([np.inf if entry.rate is None else entry.rate for entry in owners]),
-            np.array([entry.force for entry in owners]), np.ones(len(owners)), kinds,
+        return group_of(
+            self, owners, term, term.scales, numbers_of(owners, "force"), np.ones(len(owners)),
+            displacement_bounds=numbers_of(owners, "displacement"), names=tuple(names), kinds=kinds,
             entries=tuple(owners),
         )  # fmt: skip
 

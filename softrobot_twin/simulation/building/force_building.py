@@ -138,12 +138,16 @@ def _touch_loads(layout: Layout, notes: list[str]) -> TouchLoads:
             raise scene.error(f"{key}.body", body.name,
                               "is reduced to vertebrae: touches on such bodies are not built")
         mappings.append(_mean(layout.carried(touch.body, touch.points, f"{key}.points", notes)))
-        size = size_of_points(body.mesh.node_positions)
-        stiffest = max(part.young_modulus for part in body.materials)
-        stiffness.append(HELD_STIFFNESS * stiffest * size)
+        stiffness.append(_holding_stiffness(body))
     axes = [[axis in touch.directions for axis in "xyz"] for touch in scene.touches]
     points = reduce(BarycentricMapping.followed_by, mappings)
     return TouchLoads(points, np.array(axes), np.array(stiffness), layout.nodes.free_index)
+
+
+def _holding_stiffness(body: Body) -> float:
+    """Of the spring that holds a body at a point [N/m]; see `HELD_STIFFNESS`."""
+    stiffest = max(part.young_modulus for part in body.materials)
+    return HELD_STIFFNESS * stiffest * size_of_points(body.mesh.node_positions)
 
 
 def _grips(layout: Layout, notes: list[str]) -> Grips:
@@ -151,19 +155,14 @@ def _grips(layout: Layout, notes: list[str]) -> Grips:
     scene, mappings, counts, frames, stiffness = layout.scene, [], [], [], []
     rigid = {part.name: part.first_node for part in layout.rigid}
     for key, grip in scene.keyed("grips"):
-        body = layout.body_named(grip.body)
-        if isinstance(body, Body) and (body.vertebrae is not None or body.reduction is not None):
-            raise scene.error(f"{key}.body", body.name, "is reduced: grips on such bodies are not built")
+        body = layout.unreduced(grip.body, key, "grips on such bodies are not built")
         if grip.stiffness is None and not isinstance(body, Body):
             raise scene.error(f"{key}.stiffness", "(nothing)",
                               f"{body.name} is no deformable body: a stiffness is needed", "N/m")
         mappings.append(layout.carried(grip.body, grip.points, f"{key}.points", notes))
         counts.append(len(grip.points))
         frames.append(rigid.get(grip.holds, -1))
-        whole = grip.stiffness
-        if whole is None:
-            stiffest = max(part.young_modulus for part in body.materials)
-            whole = HELD_STIFFNESS * stiffest * size_of_points(body.mesh.node_positions)
+        whole = _holding_stiffness(body) if grip.stiffness is None else grip.stiffness
         stiffness.append(whole / len(grip.points))
     points = reduce(BarycentricMapping.followed_by, mappings)
     grips = np.repeat(np.arange(len(counts)), counts)
@@ -189,9 +188,7 @@ def _observed_places(layout: Layout, notes: list[str]) -> Iterator[ObservedPlace
 
 def _found_place(layout: Layout, body: Body, name: str, key: str) -> ObservedPlace:
     """The middles of the triangles of a body's surface that are not held."""
-    if body.reduction is not None or body.vertebrae is not None:
-        raise layout.scene.error(f"{key}.body", body.name, "is reduced: an unknown place on it is "
-                                 "not built; give points")
+    layout.unreduced(body.name, key, "an unknown place on it is not built; give points")
     mesh, free = body.mesh, layout.nodes.free_index
     corners = mesh.node_positions[mesh.surface_triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

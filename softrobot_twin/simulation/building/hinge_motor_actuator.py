@@ -8,7 +8,13 @@ import numpy as np
 
 from softrobot_twin.constraints.hinge_angle import HingeAngles, YieldingHingeAngles
 from softrobot_twin.scene.actuator_entries import HingeMotor
-from softrobot_twin.simulation.building.actuator_kinds import ActuatorGroup, ActuatorKind, Quantity
+from softrobot_twin.simulation.building.actuator_kinds import (
+    ActuatorGroup,
+    ActuatorKind,
+    Quantity,
+    group_of,
+    numbers_of,
+)
 from softrobot_twin.simulation.building.beam_bodies import BeamBody
 from softrobot_twin.simulation.building.limits import unlikely
 from softrobot_twin.simulation.building.scene_layout import Layout
@@ -39,18 +45,14 @@ class HingeMotorActuator(ActuatorKind):
         hinges = [hinge_of(layout, motor.beam, motor.at, motor.name, f"hinge_motors[{index}]")
                   for index, motor in enumerate(entries)]  # fmt: skip
         _check_driven_once(layout, entries, hinges)
-        ranges = np.array([motor.angle for motor in entries])
+        ranges = numbers_of(entries, "angle")
         bending = [_bending(layout.body_named(motor.beam)) for motor in entries]
-        yielding = [np.inf if motor.stiffness is None else motor.stiffness for motor in entries]
+        yielding = numbers_of(entries, "stiffness")
         term = (HingeAngles(layout.hinged, hinges, ranges, bending) if np.isinf(yielding).all()
                 else YieldingHingeAngles(layout.hinged, hinges, ranges, bending, yielding))  # fmt: skip
         radii = layout.hinged.hinges.radii[term.hinges]
-        return ActuatorGroup(
-            self, tuple(motor.name for motor in entries), term, None,
-            np.array([motor.offset for motor in entries]), term.scales, ranges,
-            np.array([np.inf if motor.rate is None else motor.rate for motor in entries]),
-            np.array([motor.torque for motor in entries]), 1.0 / radii,
-        )  # fmt: skip
+        return group_of(self, entries, term, term.scales, numbers_of(entries, "torque"), 1.0 / radii,
+                        rest_setpoints=numbers_of(entries, "offset"), displacement_bounds=ranges)  # fmt: skip
 
     def doubts(self, model, group: ActuatorGroup) -> Iterator[str]:
         """Limits that are out of scale; see `ActuatorKind.doubts`."""

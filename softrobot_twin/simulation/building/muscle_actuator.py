@@ -12,7 +12,13 @@ from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.springs import segments
 from softrobot_twin.scene.actuator_entries import Muscle
 from softrobot_twin.scene.words import count, vector, words
-from softrobot_twin.simulation.building.actuator_kinds import ActuatorGroup, ActuatorKind, Quantity
+from softrobot_twin.simulation.building.actuator_kinds import (
+    ActuatorGroup,
+    ActuatorKind,
+    Quantity,
+    group_of,
+    numbers_of,
+)
 from softrobot_twin.simulation.building.deformable_body import claimed_cells
 from softrobot_twin.simulation.building.limits import efforts_at_scale, unlikely
 from softrobot_twin.simulation.building.scene_layout import Layout
@@ -43,12 +49,7 @@ class MuscleActuator(ActuatorKind):
                                      "lies wholly in what is fixed: it moves nothing")
         size = layout.nodes.size
         forces = [entry.force or scale / size for entry, scale in zip(entries, term.scales, strict=True)]
-        return ActuatorGroup(
-            self, tuple(entry.name for entry in entries), term, None, np.zeros(len(entries)),
-            term.scales, np.tile([-np.inf, np.inf], (len(entries), 1)),
-            np.array([np.inf if entry.rate is None else entry.rate for entry in entries]),
-            np.array([entry.activation for entry in entries]), np.array(forces),
-        )  # fmt: skip
+        return group_of(self, entries, term, term.scales, numbers_of(entries, "activation"), np.array(forces))
 
     def doubts(self, model, group: ActuatorGroup) -> Iterator[str]:
         """Forces and stresses that are out of scale; see `ActuatorKind.doubts`."""
@@ -84,11 +85,7 @@ def _law(entry: Muscle) -> tuple[float, float, float]:
 
 def _thread(layout: Layout, key: str, entry: Muscle, notes: list[str]) -> list[Fibres]:
     """A fibre between each two points of a thread."""
-    bodies = layout.bodies_of(entry)
-    if len(bodies) == 1:
-        path = layout.carried(entry.body, entry.points, f"{key}.points", notes)
-    else:
-        path = layout.carried_by_nearest(bodies, entry.points, f"{key}.points", notes)
+    path = layout.carried_along(entry, entry.points, f"{key}.points", notes)
     first, second, lengths = segments(path, layout.nodes.rest_positions)
     if not len(lengths):
         raise layout.scene.error(f"{key}.points", entry.name, "all its points are one place")
@@ -111,10 +108,7 @@ def _between(first: BarycentricMapping, second: BarycentricMapping) -> tuple[np.
 
 def _region(layout: Layout, key: str, entry: Muscle, notes: list[str]) -> list[Fibres]:
     """A fibre at each quadrature point of the cells of a region, by kind of cells."""
-    body = layout.body_named(entry.body)
-    if body.reduction is not None or body.vertebrae is not None:
-        raise layout.scene.error(f"{key}.body", body.name,
-                                 "is reduced: a muscle in a region of it is not built; give points")
+    body = layout.unreduced(entry.body, key, "a muscle in a region of it is not built; give points")
     cells = claimed_cells(entry, key, body.entry, body.mesh, body.parts, layout.scene, notes)
     direction = np.array(entry.direction) / np.linalg.norm(entry.direction)
     found = []

@@ -11,7 +11,6 @@ is zero at what the model moves, and on a support it is the force that the bodie
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -201,19 +200,13 @@ def _support(layout: Layout, entry: Reaction, key: str) -> Support:
         frames = frames[frames >= layout.nodes.kinds[0].first_node + 4 * len(layout.rigid)]
     elif not body.is_free:
         frames = np.array([body.first_node])
-        nodes = np.concatenate([none, *_riders(layout, body.name)])
+        riders = [one.riding[body.name] + one.first_node for one in layout.bodies if body.name in one.riding]
+        nodes = np.concatenate([none, *riders])
     if not len(nodes) and not len(frames):
         to = f" to {entry.attached_to}" if entry.attached_to else ""
         raise scene.error(f"{key}.of", entry.of, f"is not held{to} at any node: nothing reacts")
     about = np.array(entry.about) if entry.about is not None else None
     return Support(nodes, frames, about)
-
-
-def _riders(layout: Layout, name: str) -> Iterator[np.ndarray]:
-    """Nodes of each deformable body that ride on a rigid body."""
-    for body in layout.bodies:
-        if name in body.riding:
-            yield body.riding[name] + body.first_node
 
 
 def _add_contacts(contacts: Contacts, at_nodes: np.ndarray) -> None:

@@ -10,7 +10,12 @@ from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.hinged_frames import HingedTwists
 from softrobot_twin.mechanics.kinematics import on_unknowns
 from softrobot_twin.scene.actuator_entries import RestShape as RestShapeEntry
-from softrobot_twin.simulation.building.actuator_kinds import ActuatorGroup, ActuatorKind, Quantity
+from softrobot_twin.simulation.building.actuator_kinds import (
+    ActuatorGroup,
+    ActuatorKind,
+    Quantity,
+    group_of,
+)
 from softrobot_twin.simulation.building.scene_layout import Layout
 
 COMPONENTS = {"elongation": 0, "twist": 3, "bend_sideways": 4, "bend": 5}
@@ -56,13 +61,9 @@ class RestShapeActuator(ActuatorKind):
         length = np.array([layout.body_named(entry.beam).lengths.sum() for entry in entries])
         per_effort = np.array(scales) / np.abs(limits).max(axis=1).clip(1e-300)
         is_turn = np.array([entry.change != "elongation" for entry in entries])
-        return ActuatorGroup(
-            self, tuple(entry.name for entry in entries), term, None, np.zeros(len(entries)),
-            term.scales, np.tile([-np.inf, np.inf], (len(entries), 1)),
-            np.array([np.inf if entry.rate is None else entry.rate for entry in entries]),
-            np.array(limits), np.where(is_turn, per_effort / length, per_effort),
-            tuple(RestShapeActuator(entry.change) for entry in entries),
-        )  # fmt: skip
+        forces = np.where(is_turn, per_effort / length, per_effort)
+        kinds = tuple(RestShapeActuator(entry.change) for entry in entries)
+        return group_of(self, entries, term, term.scales, np.array(limits), forces, kinds=kinds)
 
     def details(self, entry: RestShapeEntry, group: ActuatorGroup, index: int) -> str:
         """See `ActuatorKind.details`."""

@@ -418,6 +418,42 @@ class Layout(NamedTuple):
             names += matching(pattern, every)
         return [self.body_named(name) for name in dict.fromkeys(names)]
 
+    def unreduced(self, name: str | None, key: str, remedy: str):
+        """The body of a name, which is not reduced.
+
+        Args:
+            name: See `body_named`.
+            key: Key of the entry that names it.
+            remedy: What is not built on reduced bodies, for the error.
+
+        Raises:
+            SceneError: The body is reduced.
+        """
+        body = self.body_named(name)
+        if isinstance(body, Body) and (body.reduction is not None or body.vertebrae is not None):
+            raise self.scene.error(f"{key}.body", body.name, f"is reduced: {remedy}")
+        return body
+
+    def carried_along(
+        self, entry, points, key: str, notes: list[str], spread_radius: float = 0.0
+    ) -> BarycentricMapping:
+        """Map points onto the body of an entry, or onto the nearest where it is `also_on` others.
+
+        Args:
+            entry: See `bodies_of`.
+            points: Points at rest [m], shape (point_count, 3).
+            key: Scene entry of the points, for errors.
+            notes: List to which a warning for each snapped point is appended.
+            spread_radius: See `carry`.
+
+        Raises:
+            SceneError: A point is too far from a deformable body.
+        """
+        bodies = self.bodies_of(entry)
+        if len(bodies) == 1:
+            return self.carried(entry.body, points, key, notes, spread_radius)
+        return self.carried_by_nearest(bodies, points, key, notes, spread_radius)
+
     def carried_by_nearest(
         self, bodies: list, points, key: str, notes: list[str], spread_radius: float = 0.0
     ) -> BarycentricMapping:

@@ -19,7 +19,12 @@ from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.geometry.vector3 import dot, row
 from softrobot_twin.scene.actuator_entries import Slide
-from softrobot_twin.simulation.building.actuator_kinds import ActuatorGroup, ActuatorKind, Quantity
+from softrobot_twin.simulation.building.actuator_kinds import (
+    ActuatorGroup,
+    ActuatorKind,
+    Quantity,
+    group_of,
+)
 from softrobot_twin.simulation.building.scene_layout import Layout
 
 NOWHERE = -1
@@ -213,12 +218,9 @@ class SlideActuator(ActuatorKind):
         """See `ActuatorKind.build`."""
         travels = -np.array([slide.travel for slide in entries])[:, ::-1]
         widest = np.abs(travels).max(axis=1)
-        return ActuatorGroup(
-            self, tuple(slide.name for slide in entries), None, Slides(layout),
-            np.zeros(len(entries)), np.where(widest > 0.0, widest, layout.nodes.size), travels,
-            np.array([np.inf if slide.rate is None else slide.rate for slide in entries]),
-            np.tile([-np.inf, np.inf], (len(entries), 1)), np.ones(len(entries)),
-        )  # fmt: skip
+        count, scales = len(entries), np.where(widest > 0.0, widest, layout.nodes.size)
+        return group_of(self, entries, None, scales, np.tile([-np.inf, np.inf], (count, 1)),
+                        np.ones(count), moves=Slides(layout), displacement_bounds=travels)  # fmt: skip
 
     def details(self, entry: Slide, group: ActuatorGroup, index: int) -> str:
         """See `ActuatorKind.details`."""

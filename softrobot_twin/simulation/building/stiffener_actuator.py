@@ -8,7 +8,13 @@ from softrobot_twin.constraints.scaled_forces import ScaledForces
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.kinematics import on_unknowns
 from softrobot_twin.scene.actuator_entries import Stiffener
-from softrobot_twin.simulation.building.actuator_kinds import ActuatorGroup, ActuatorKind, Quantity
+from softrobot_twin.simulation.building.actuator_kinds import (
+    ActuatorGroup,
+    ActuatorKind,
+    Quantity,
+    group_of,
+    numbers_of,
+)
 from softrobot_twin.simulation.building.deformable_body import MaterialPart, claimed_cells
 from softrobot_twin.simulation.building.force_building import strained_terms
 from softrobot_twin.simulation.building.scene_layout import Layout
@@ -41,12 +47,9 @@ class StiffenerActuator(ActuatorKind):
         volumes = np.array([part.volume for part in parts])
         terms = tuple(_terms(layout, *pair) for pair in zip(entries, parts, strict=True))
         term = ScaledForces("stiffeners", terms, 1.0 / zeros, volumes, layout.nodes.free_node_count, True)
-        return ActuatorGroup(
-            self, tuple(entry.name for entry in entries), term, None, zeros, volumes,
-            np.tile([-np.inf, np.inf], (len(entries), 1)),
-            np.array([np.inf if entry.rate is None else entry.rate for entry in entries]),
-            np.array([entry.young_modulus for entry in entries]) - zeros[:, None],
-            volumes / layout.nodes.size, effort_zeros=zeros, has_rest_efforts=True,
+        return group_of(
+            self, entries, term, volumes, numbers_of(entries, "young_modulus") - zeros[:, None],
+            volumes / layout.nodes.size, rest_setpoints=zeros, effort_zeros=zeros, has_rest_efforts=True,
         )  # fmt: skip
 
     def details(self, entry: Stiffener, group: ActuatorGroup, index: int) -> str:
@@ -63,12 +66,10 @@ def _part(layout: Layout, key: str, entry: Stiffener, notes: list[str]) -> Mater
         SceneError: The cells are not those of one elastic material, or its modulus is not within
             the limits.
     """
-    body, scene = layout.body_named(entry.body), layout.scene
+    body, scene = layout.unreduced(entry.body, key, "its modulus cannot change"), layout.scene
     cells = np.arange(body.mesh.cell_count)
     if entry.given(("region", "box")):
         cells = claimed_cells(entry, key, body.entry, body.mesh, body.parts, scene, notes)
-    if body.reduction is not None or body.vertebrae is not None:
-        raise scene.error(f"{key}.body", body.name, "is reduced: its modulus cannot change")
     own = [part for part in body.materials
            if np.array_equal(cells, cells if part.cells is None else part.cells)
            and (part.cells is not None or len(cells) == body.mesh.cell_count)]  # fmt: skip

@@ -1121,13 +1121,8 @@ def _missed(
 
 def _rest_rows(model: Model) -> np.ndarray:
     """Effector coordinates in the rest shape [m], shape (effector_row_count,)."""
-    places = []
-    for term in (model.effectors, model.wanted_sensors):
-        if term is not None:
-            values, blocks = np.empty(term.row_count), np.empty((len(term.entry_rows), 3))
-            term.evaluate(model.nodes.rest_positions, blocks, values)
-            places.append(values)
-    return np.concatenate(places)
+    terms = [term for term in (model.effectors, model.wanted_sensors) if term is not None]
+    return np.concatenate([term.rows_at(model.nodes.rest_positions)[1] for term in terms])
 
 
 def inverse_system(
