@@ -181,8 +181,7 @@ class PointForces(ConstraintTerm):
         """
         self.evaluate(positions, *self._buffer)
         tips = [point.positions(positions)[0] for point in self.points]
-        return [np.stack([tip - length * d, tip])
-                for tip, d in zip(tips, self._directions, strict=True)]  # fmt: skip
+        return [np.stack([tip - length * d, tip]) for tip, d in zip(tips, self._directions, strict=True)]
 
 
 class TurningForces(PointForces):
@@ -226,9 +225,7 @@ class TurningForces(PointForces):
             self._rotations, self._turnings,
         )  # fmt: skip
         turning = self._turning
-        self._directions[turning] = np.einsum(
-            "pij,pj->pi", self._rotations, self._rest_directions[turning]
-        )
+        self._directions[turning] = np.einsum("pij,pj->pi", self._rotations, self._rest_directions[turning])
         super().evaluate(positions, blocks, values)
 
     def _slopes(self, part, multipliers: np.ndarray) -> np.ndarray:

@@ -155,9 +155,7 @@ class TargetInput(Input):
         return None
 
     @latched
-    def accept_pose(
-        self, effector: int, position, quaternion, arrival: Arrival
-    ) -> Refusal | None:
+    def accept_pose(self, effector: int, position, quaternion, arrival: Arrival) -> Refusal | None:
         """Checks a target with orientation and keeps it.
 
         Args:
@@ -180,9 +178,7 @@ class TargetInput(Input):
         return None
 
     @latched
-    def accept_path(
-        self, effector: int, times, positions, arrival: Arrival
-    ) -> Refusal | None:
+    def accept_path(self, effector: int, times, positions, arrival: Arrival) -> Refusal | None:
         """Checks a path that a target will take, and keeps it; it replaces what is left of another.
 
         Args:
@@ -212,9 +208,7 @@ class TargetInput(Input):
             self._velocity_time = -math.inf
         return None
 
-    def _keep_position(
-        self, effector: int, position: np.ndarray, source: str, arrival: Arrival
-    ) -> None:
+    def _keep_position(self, effector: int, position: np.ndarray, source: str, arrival: Arrival) -> None:
         """Keeps a valid position [m], shape (3,); it replaces a velocity or a path."""
         self._courses.pop(effector, None)
         self._targets[effector] = self._inside(position)
@@ -692,9 +686,7 @@ class ActuatorInput(Input):
         self._pressures = np.full(len(self._names.by_pressure), np.nan)
 
     @latched
-    def accept(
-        self, names: Sequence[str], setpoints, efforts, arrival: Arrival
-    ) -> Refusal | None:
+    def accept(self, names: Sequence[str], setpoints, efforts, arrival: Arrival) -> Refusal | None:
         """Checks one message and keeps it.
 
         Args:
@@ -741,9 +733,7 @@ class ActuatorInput(Input):
         self._newest = time
         return None
 
-    def _keep(
-        self, order: NameOrder, setpoints: np.ndarray, efforts: np.ndarray, time: float
-    ) -> None:
+    def _keep(self, order: NameOrder, setpoints: np.ndarray, efforts: np.ndarray, time: float) -> None:
         """Keeps the values of a valid message that arrived at a time [s]."""
         apart = self._names.by_pressure | self._names.by_angle
         omitted = apart & ~order.named
@@ -787,9 +777,7 @@ class ActuatorInput(Input):
         return self._known[1]
 
 
-def replaced(
-    values: np.ndarray | None, place: np.ndarray, value: np.ndarray, count: int = 0
-) -> np.ndarray:
+def replaced(values: np.ndarray | None, place: np.ndarray, value: np.ndarray, count: int = 0) -> np.ndarray:
     """A copy with values replaced at some places; of NaN, shape (count,), where there are none yet.
 
     Args:
@@ -813,9 +801,7 @@ class DirectActuatorInput(ActuatorInput):
         efforts: See `ActuatorInput`; NaN where none was given.
     """
 
-    def _keep(
-        self, order: NameOrder, setpoints: np.ndarray, efforts: np.ndarray, time: float
-    ) -> None:
+    def _keep(self, order: NameOrder, setpoints: np.ndarray, efforts: np.ndarray, time: float) -> None:
         before = self.setpoints, self.efforts
         super()._keep(order, setpoints, efforts, time)
         self.setpoints, self.efforts = (
@@ -839,9 +825,7 @@ class SelectedActuatorInput(ActuatorInput):
             NaN where not selected; None when no actuator is selected.
     """
 
-    def _keep(
-        self, order: NameOrder, setpoints: np.ndarray, efforts: np.ndarray, time: float
-    ) -> None:
+    def _keep(self, order: NameOrder, setpoints: np.ndarray, efforts: np.ndarray, time: float) -> None:
         if not len(setpoints):
             self.setpoints, self._pressures[:] = None, np.nan
             return
@@ -984,17 +968,13 @@ class AngleInput(Input):
             torques is refused.
     """
 
-    def __init__(
-        self, pulleys: Pulleys, keeper: ActuatorInput, settings: LoopSettings, takes_torques: bool
-    ):
+    def __init__(self, pulleys: Pulleys, keeper: ActuatorInput, settings: LoopSettings, takes_torques: bool):
         self._pulleys, self._keeper = pulleys, keeper
         self._takes_torques = takes_torques
         super().__init__(settings, None, refusals=keeper.refusals)
 
     @latched
-    def accept(
-        self, names: Sequence[str], angles, torques, arrival: Arrival
-    ) -> Refusal | None:
+    def accept(self, names: Sequence[str], angles, torques, arrival: Arrival) -> Refusal | None:
         """Checks one message and keeps its angles; all of them, or none.
 
         Args:
@@ -1018,9 +998,7 @@ class AngleInput(Input):
             self._keeper.put_efforts(driven, tensions)
         return refusal
 
-    def _fault_of(
-        self, names: Sequence[str], angles: np.ndarray, torques: np.ndarray
-    ) -> Refusal | None:
+    def _fault_of(self, names: Sequence[str], angles: np.ndarray, torques: np.ndarray) -> Refusal | None:
         unknown = any(name not in self._pulleys.names for name in names)
         if not len(names) or unknown or len(set(names)) != len(names):
             return Refusal.WRONG_NAMES
@@ -1153,9 +1131,7 @@ class ChannelInput(Input):
         super().reset()
         self._values, self._heard = np.full(self._shape, np.nan), np.full(self._shape[0], -math.inf)
 
-    def accept(
-        self, index: int, names: Sequence[str], values, others, arrival: Arrival
-    ) -> Refusal | None:
+    def accept(self, index: int, names: Sequence[str], values, others, arrival: Arrival) -> Refusal | None:
         """Checks the measured numbers of an object and keeps them.
 
         Args:

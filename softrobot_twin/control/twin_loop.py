@@ -11,11 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from softrobot_twin.control.arrival import Input
-from softrobot_twin.control.cavity_pressures import (
-    STANDARD_ATMOSPHERE,
-    CavityPressures,
-    PressureInput,
-)
+from softrobot_twin.control.cavity_pressures import (STANDARD_ATMOSPHERE, CavityPressures, PressureInput)
 from softrobot_twin.control.command_gate import ActuatorCommand
 from softrobot_twin.control.device import OUTSIDE_SCALES, DeviceWatch, MeasuredSetpoints
 from softrobot_twin.control.dynamic_control import DynamicControl
@@ -39,13 +35,7 @@ from softrobot_twin.control.inputs import (
     TargetReading,
     TouchInput,
 )
-from softrobot_twin.control.loop_settings import (
-    LoopSettings,
-    Mode,
-    WhenLost,
-    check_mode,
-    check_settings,
-)
+from softrobot_twin.control.loop_settings import (LoopSettings, Mode, WhenLost, check_mode, check_settings)
 from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.control.marker_checks import MarkerPlausibility
 from softrobot_twin.control.model_history import ModelHistory, Moment
@@ -383,16 +373,13 @@ class TwinLoop:
         self.settings = settings
         self.cavities = CavityPressures(simulation, ambient_pressure)
         self.pulleys = simulation.pulleys
-        self.inputs = inputs_of(
-            simulation, mode, settings, frame_id, self.cavities, velocity_effector
-        )
+        self.inputs = inputs_of(simulation, mode, settings, frame_id, self.cavities, velocity_effector)
         vars(self).update(self.inputs)
         self._channels = {one.name: self.inputs[one.measured_name] for one in measured()}
         self._no_targets = TargetReading.none(simulation.oriented_effectors)
         self._guidance = Guidance(simulation, self.poses)
         self.measurement = EffectorMeasurement(simulation)
-        self.correction = TargetCorrection(
-            len(simulation.effector_names), simulation.lengths_per_radian)
+        self.correction = TargetCorrection(len(simulation.effector_names), simulation.lengths_per_radian)
         self.lead = TargetLead(len(simulation.effector_names))
         if self.sensors is not None:
             self._of_sensors = SensorCorrection(simulation.model.sensors.lengths)
@@ -414,9 +401,7 @@ class TwinLoop:
         self._measured_stamp = 0
         self._contested: dict[str, tuple[str, float]] = {}
         self._watch = DeviceWatch(simulation.limits)
-        self._engagement = Engagement(
-            simulation, self._guidance, self.device if use_device else None
-        )
+        self._engagement = Engagement(simulation, self._guidance, self.device if use_device else None)
         self._rest: _Rest | None = None
         self.is_repeating = False
         self.listeners: list[Callable[[str, tuple, object], None]] = []
@@ -645,9 +630,7 @@ class TwinLoop:
             return CONTESTED
         if not self._contested:
             return ""
-        self._contested = {
-            topic: one for topic, one in self._contested.items() if now < one[1]
-        }  # fmt: skip
+        self._contested = {topic: one for topic, one in self._contested.items() if now < one[1]}
         return next((reason for reason, _ in self._contested.values()), "")
 
     def _is_disputed(self, now: float) -> bool:
@@ -731,9 +714,7 @@ class TwinLoop:
         measured, misfit = self._compare(seen, activity)
         effectors = self.measurement.effectors(result.effector_positions, misfit)
         self._correct(activity, aims, effectors, measured, result, now)
-        errors = self.measurement.errors(
-            aims.reading.targets, result.effector_positions, effectors
-        )
+        errors = self.measurement.errors(aims.reading.targets, result.effector_positions, effectors)
         if released is None:
             poses = self._guidance.poses()
         else:
@@ -853,9 +834,7 @@ class TwinLoop:
         )  # fmt: skip
         return Aims(reading, wanted, aims, turns)
 
-    def _decide(
-        self, now: float, reading: TargetReading, measured: np.ndarray
-    ) -> tuple[Activity, str]:
+    def _decide(self, now: float, reading: TargetReading, measured: np.ndarray) -> tuple[Activity, str]:
         """The activity of this tick and its cause, empty while targets or commands are followed."""
         engagement = self._engagement
         if engagement.activity is Activity.RESYNCHRONISING and self.device_is_lost(now):
@@ -876,9 +855,7 @@ class TwinLoop:
     def _is_led(self, reading: TargetReading) -> bool:
         """Whether there are targets, of places, stiffness or sensors."""
         has_others = any(one is not None and one.is_given for one in (self.stiffness, self.sensors))
-        return self.mode is Mode.INVERSE and (
-            has_others or any(map(math.isfinite, reading.targets.flat))
-        )
+        return self.mode is Mode.INVERSE and (has_others or any(map(math.isfinite, reading.targets.flat)))
 
     def _loss(self, now: float, measured: np.ndarray) -> str:
         """The lost measurement for which the robot must hold; empty when there is none."""

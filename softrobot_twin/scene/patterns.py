@@ -60,9 +60,7 @@ class Pattern(Entry):
 
     count: Annotated[int | None, Field(ge=1, le=MOST_COPIES)] = None
     """Number of copies, with the entry itself; by default the number of `names`."""
-    about: Annotated[
-        Direction | None, BeforeValidator(_axis), not_zero("an axis must not be zero")
-    ] = None
+    about: Annotated[Direction | None, BeforeValidator(_axis), not_zero("an axis must not be zero")] = None
     """Axis of rotation, right-handed: x, y, z, or a vector."""
     point: Vector = (0.0, 0.0, 0.0)
     """A point of the axis."""
@@ -97,8 +95,7 @@ class Pattern(Entry):
             raise refusal("first", self.first, "is a number, but the copies have names")
         for index, name in enumerate(names):
             if not re.fullmatch(r"[A-Za-z0-9_]+", name):
-                raise refusal(f"names[{index}]", name,
-                              "must contain only letters, digits and underscores")
+                raise refusal(f"names[{index}]", name, "must contain only letters, digits and underscores")
             if name in names[:index]:
                 raise refusal(f"names[{index}]", name, "is given more than once")
 
@@ -132,8 +129,7 @@ class Pattern(Entry):
         axis = tuple(part / size for part in self.about)
         along = sum(a * p for a, p in zip(axis, self.point, strict=True))
         centre = tuple(p - along * a for a, p in zip(axis, self.point, strict=True))
-        return Motion(_rotation(axis, *self._turn(number)), axis, self._angle(number), centre,
-                      shift)  # fmt: skip
+        return Motion(_rotation(axis, *self._turn(number)), axis, self._angle(number), centre, shift)
 
     def _angle(self, number: int) -> float:
         if self.angle is None:
@@ -233,8 +229,7 @@ class Motion(NamedTuple):
     @property
     def is_quarter(self) -> bool:
         """Whether axes of the world turn into axes of the world."""
-        return self.rows is None or all(part in (-1.0, 0.0, 1.0)
-                                        for row in self.rows for part in row)  # fmt: skip
+        return self.rows is None or all(part in (-1.0, 0.0, 1.0) for row in self.rows for part in row)
 
 
 def _angles_of(rotation: np.ndarray) -> tuple[float, ...]:
@@ -243,8 +238,7 @@ def _angles_of(rotation: np.ndarray) -> tuple[float, ...]:
     y = math.atan2(-rotation[2, 0], across_y)
     if across_y < 1e-12:  # x and z turn about the same axis
         return math.atan2(-rotation[1, 2], rotation[1, 1]), y, 0.0
-    return (math.atan2(rotation[2, 1], rotation[2, 2]), y,
-            math.atan2(rotation[1, 0], rotation[0, 0]))  # fmt: skip
+    return (math.atan2(rotation[2, 1], rotation[2, 2]), y, math.atan2(rotation[1, 0], rotation[0, 0]))
 
 
 # --- copies of one entry --------------------------------------------------------------------------
@@ -318,8 +312,7 @@ def _helix(value: Any, motion: Motion, model: type[Entry]) -> Any:
         return value
     fields = model.model_fields
     point, along = (value.get(key, fields[key].default) for key in ("point", "direction"))
-    moved = {**value, "point": _vectors(point, motion.point),
-             "direction": _vectors(along, motion.direction)}  # fmt: skip
+    moved = {**value, "point": _vectors(point, motion.point), "direction": _vectors(along, motion.direction)}
     before, after = _numbers(along), _numbers(moved["direction"])
     phase = value.get("phase", 0.0)
     if motion.rows is None or not before or not any(before) or isinstance(phase, str | bool):
@@ -328,8 +321,7 @@ def _helix(value: Any, motion: Motion, model: type[Entry]) -> Any:
     axis = np.array(after) / math.hypot(*after)
     start, counted = across(np.array(before) / math.hypot(*before)), across(axis)
     begins = np.array(motion.direction(tuple(start)))
-    moved["phase"] = phase + math.atan2(float(axis @ np.cross(counted, begins)),
-                                        float(counted @ begins))  # fmt: skip
+    moved["phase"] = phase + math.atan2(float(axis @ np.cross(counted, begins)), float(counted @ begins))
     return moved
 
 
@@ -388,8 +380,7 @@ def _named(value: Any, words: tuple[str, ...], key: str = "") -> Any:
     if isinstance(value, Mapping):
         return {name: _named(one, words, f"{key}.{name}") for name, one in value.items()}
     if isinstance(value, list | tuple):
-        return _like(value, [_named(one, words, f"{key}[{index}]")
-                             for index, one in enumerate(value)])  # fmt: skip
+        return _like(value, [_named(one, words, f"{key}[{index}]") for index, one in enumerate(value)])
     if not isinstance(value, str) or "#" not in value:
         return value
 
@@ -531,8 +522,7 @@ class _Expansion:
             if isinstance(entry, dict) and "repeat" in entry and item.placed is not None:
                 copies = list(self._copies(item, entry, (*place, index)))
                 made += copies
-                origins += [Origin(index, number, len(copies))
-                            for number in range(1, len(copies) + 1)]  # fmt: skip
+                origins += [Origin(index, number, len(copies)) for number in range(1, len(copies) + 1)]
             else:
                 made.append(entry)
                 origins.append(Origin(index))
@@ -542,19 +532,16 @@ class _Expansion:
         patterns = self._patterns(entry.pop("repeat"), (*place, "repeat"))
         count = math.prod(pattern.copy_count for pattern in patterns)
         self._check_count(count, entry, place)
-        alike = [pattern.copy_count for pattern in patterns
-                 if not pattern.moves or not model.placed]  # fmt: skip
+        alike = [pattern.copy_count for pattern in patterns if not pattern.moves or not model.placed]
         named = {key: value for key, value in entry.items() if key not in ("name", "id")}
         if math.prod(alike) > 1 and not _has_mark(named):
             needed = "about or step, or # in a name inside it" if model.placed else "# in its names"
-            raise self._refused((*place, "repeat"), f"{count} copies",
-                                f"they would be alike: give {needed}")
+            raise self._refused((*place, "repeat"), f"{count} copies", f"they would be alike: give {needed}")
         # The first pattern runs fastest: each further one repeats what those before it made.
         ranges = [range(pattern.copy_count) for pattern in reversed(patterns)]
         marked = [key for key, value in entry.items() if _has_mark(value)]
         words_of = [pattern.words for pattern in patterns]
-        motions_of = [[pattern.motion(one) for one in range(pattern.copy_count)]
-                      for pattern in patterns]  # fmt: skip
+        motions_of = [[pattern.motion(one) for one in range(pattern.copy_count)] for pattern in patterns]
         for number, chosen in enumerate(product(*ranges)):
             turns = chosen[::-1]
             words = tuple(words[one] for words, one in zip(words_of, turns, strict=True))

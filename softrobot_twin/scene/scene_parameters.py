@@ -20,13 +20,7 @@ from pydantic import ValidationError
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene.entry import Entry, values_below
 from softrobot_twin.scene.patterns import as_written, expand_patterns
-from softrobot_twin.scene.refusal_messages import (
-    dotted,
-    nearest,
-    parts,
-    scene_error,
-    unit_at,
-)
+from softrobot_twin.scene.refusal_messages import (dotted, nearest, parts, scene_error, unit_at)
 from softrobot_twin.scene.schema import Scene
 
 _KEY = re.compile(r"[^.\[\]]+(?:\[\d+\])*(?:\.[^.\[\]]+(?:\[\d+\])*)*")

@@ -23,8 +23,7 @@ class Sensor(Entry):
         "pressure of {pressure}", "weight {weight:=}",
     )  # fmt: skip
     placed: ClassVar[dict[str, str]] = {"string": "point", "bend": "point", "axis": "direction"}
-    one_of: ClassVar[tuple[str, ...]] = (
-        "string", "cable", "bend", "hinge", "volume", "walls", "pressure")
+    one_of: ClassVar[tuple[str, ...]] = ("string", "cable", "bend", "hinge", "volume", "walls", "pressure")
 
     name: Name
     """Its name."""

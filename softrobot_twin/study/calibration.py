@@ -227,8 +227,7 @@ def scene_of_points(scene: Scene) -> Scene:
     taken += [{"name": one.name, "body": one.body, "points": one.points} for one in scene.effectors]
     changes: dict[str, Any] = {"effectors": taken, "markers": [], "observer": None}
     if scene.integration != "quasi_static":
-        changes |= {"integration": "quasi_static", "time_scheme": "backward_euler",
-                    "spectral_radius": None}  # fmt: skip
+        changes |= {"integration": "quasi_static", "time_scheme": "backward_euler", "spectral_radius": None}
     return changed_scene(scene, changes)
 
 
@@ -427,8 +426,7 @@ class RestModel:
             if match := _REGULATOR.fullmatch(one.key):
                 place = actuators.of_section("cavities").start + int(match[1])
                 gain = actuators.effort_gains[place]
-                told[place, column] += (
-                    1.0 if match[2] == "offset" else -state.efforts[place] / gain**2)
+                told[place, column] += (1.0 if match[2] == "offset" else -state.efforts[place] / gain**2)
         return told
 
     def _loads(self, one: Parameter, pose: RestPose) -> Loads:
@@ -769,9 +767,7 @@ def _noise(residuals: np.ndarray, measured: Measurements, count: int) -> dict[st
 # --- what the data tell --------------------------------------------------------------------------
 
 
-def not_told(
-    jacobian: np.ndarray, least: float = TOLD, given: Sequence[int] = ()
-) -> list[tuple[int, ...]]:
+def not_told(jacobian: np.ndarray, least: float = TOLD, given: Sequence[int] = ()) -> list[tuple[int, ...]]:
     """Numbers that the data cannot tell, in groups that they cannot tell apart.
 
     Args:
@@ -1273,8 +1269,7 @@ def forecast(model: RestModel, joint: Estimate, scene: Scene, reach: Reach | Non
     by_known = found.jacobian * [
         one.known * (value if one.is_relative else 1.0) for one, value in zip(joint.unknowns, at)]
     spread = np.einsum("ki,ij,kj->k", by_known, joint.covariance, by_known)
-    return Forecast(found.values - model.measured.values, 1.96 * np.sqrt(spread + noise**2),
-                    model.distances)
+    return Forecast(found.values - model.measured.values, 1.96 * np.sqrt(spread + noise**2), model.distances)
 
 
 def validated(model: RestModel, joint: Estimate, after: Scene, reach: Reach | None = None) -> Validation:

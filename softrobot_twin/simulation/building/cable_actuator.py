@@ -131,9 +131,7 @@ def _term(layout: Layout, paths: tuple[CablePath, ...], entries: tuple[Cable, ..
         return _friction_term(layout, paths, entries)
     # Past limit points a given volume needs the whole of A, and so do beams that buckle.
     others = sum(map(len, layout.scene.actuator_entries.values())) - len(entries)
-    taken = (
-        paths, nodes.free_index, nodes.rest_positions, nodes.carried, not others and not layout.beams
-    )  # fmt: skip
+    taken = (paths, nodes.free_index, nodes.rest_positions, nodes.carried, not others and not layout.beams)
     if not any(_stretches(cable) for cable in entries):
         return cables_along(paths, *taken[1:])
     return ElasticCables(*taken, numbers_of(entries, "axial_stiffness"))

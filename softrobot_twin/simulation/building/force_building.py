@@ -31,17 +31,8 @@ from softrobot_twin.mechanics.inertia import (
 )
 from softrobot_twin.mechanics.kinematics import on_unknowns, size_of_points
 from softrobot_twin.mechanics.liquid_filling import LiquidFilling
-from softrobot_twin.mechanics.patch_volumes import (
-    PatchVolumes,
-    divided,
-    element_bulk,
-    patched_cells,
-)
-from softrobot_twin.mechanics.reduced_elements import (
-    PointGradients,
-    ReducedElements,
-    point_gradients,
-)
+from softrobot_twin.mechanics.patch_volumes import (PatchVolumes, divided, element_bulk, patched_cells)
+from softrobot_twin.mechanics.reduced_elements import (PointGradients, ReducedElements, point_gradients)
 from softrobot_twin.mechanics.reduced_motion import (
     ReducedInertia,
     ReducedMassDamping,
@@ -58,12 +49,7 @@ from softrobot_twin.mechanics.touch_loads import TouchLoads
 from softrobot_twin.scene.body_entries import Fibre, Helix
 from softrobot_twin.simulation.building.beam_bodies import all_elements
 from softrobot_twin.simulation.building.cavity_walls import cavity_surface
-from softrobot_twin.simulation.building.deformable_body import (
-    Body,
-    MaterialPart,
-    part_named,
-    single_nodes,
-)
+from softrobot_twin.simulation.building.deformable_body import (Body, MaterialPart, part_named, single_nodes)
 from softrobot_twin.simulation.building.mapped_surfaces import path_on_elements
 from softrobot_twin.simulation.building.scene_layout import Layout
 
@@ -111,8 +97,7 @@ def static_terms(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
         yield Gravity(_borne_masses(layout), np.array(scene.gravity), _reduced_weights(layout))
     if scene.mass_springs and scene.integration == "quasi_static":
         check_masses_held(layout)
-    if (scene.springs or scene.tubes or scene.fibres
-            or any(body.springs for body in scene.mass_springs)):
+    if (scene.springs or scene.tubes or scene.fibres or any(body.springs for body in scene.mass_springs)):
         yield spring_term(layout, notes)
     if any(body.joined for body in scene.rigid_bodies):
         yield from _joint_terms(layout)
@@ -243,8 +228,7 @@ def _hinged_terms(layout: Layout, elements: BeamElements) -> Iterator[ForceTerm]
     """The elements of beams, those at hinges in a term of their own, and the hinges."""
     frames = layout.hinged
     at_hinge = (elements.unknowns >= layout.nodes.free_node_count).any(axis=1)
-    others, own = (BeamElements(*(field[is_own] for field in elements))
-                   for is_own in (~at_hinge, at_hinge))  # fmt: skip
+    others, own = (BeamElements(*(field[is_own] for field in elements)) for is_own in (~at_hinge, at_hinge))
     if len(others.origins):
         yield Beams(others)
     yield on_unknowns(Beams(own), HingedTwists(frames))
@@ -390,9 +374,7 @@ def _borne_masses(layout: Layout) -> np.ndarray:
             bodies.append(borne_masses(body.mesh, body.density, _lumped_elements(layout, body)))
         else:
             bodies.append(body.node_masses())
-    points = [
-        np.broadcast_to(entry.masses, len(entry.points)) for entry in layout.scene.mass_springs
-    ]
+    points = [np.broadcast_to(entry.masses, len(entry.points)) for entry in layout.scene.mass_springs]
     masses = np.concatenate([np.empty(0), *bodies, *points])[layout.nodes.free_nodes]
     rigid = [(part.mass, 0.0) for part in layout.framed if part.is_free]
     hinges = np.zeros(0 if layout.hinged is None else layout.hinged.hinge_count)
@@ -570,9 +552,7 @@ def spring_term(layout: Layout, notes: list[str]) -> Springs:
 
 
 def _made_of(parts: list[_Part], term: type[Springs], layout: Layout) -> Springs:
-    first, second = (
-        reduce(BarycentricMapping.followed_by, (part[end] for part in parts)) for end in (0, 1)
-    )
+    first, second = (reduce(BarycentricMapping.followed_by, (part[end] for part in parts)) for end in (0, 1))
     stiffness, lengths, damping, offsets, threads = (
         np.concatenate([part.of_each(field) for part in parts]) for field in _Part._fields[2:]
     )

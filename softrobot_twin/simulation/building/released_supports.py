@@ -72,8 +72,7 @@ class ReleasedSupports:
         # Of rigid bodies and beams inertia acts on their own unknowns alone.
         terms = (*static_terms(layout, []), *moving)
         self.actuators = build_actuators(layout, [])
-        self.forces = (*(on_unknowns(term, nodes.carried) for term in terms),
-                       *self.actuators.held_forces)  # fmt: skip
+        self.forces = (*(on_unknowns(term, nodes.carried) for term in terms), *self.actuators.held_forces)
         ranks = np.arange(nodes.free_node_count)
         for term in (*self.forces, *self.actuators.terms):
             term.bind(ranks, lambda rows, columns: np.zeros((2, *np.shape(rows)), np.int64))
@@ -104,8 +103,7 @@ class ReleasedSupports:
         started = np.zeros((self._nodes.free_node_count, 3))
         if len(velocities):
             steady = (after - before)[self._own] / time_step
-            started[self._unknowns] = np.where(
-                self._moved[:, None] >= 0, velocities[self._moved], steady)
+            started[self._unknowns] = np.where(self._moved[:, None] >= 0, velocities[self._moved], steady)
         for term in self.forces:
             if term.remembers_start:
                 term.begin_step(before, started, time_step)
@@ -156,8 +154,7 @@ class ReleasedSupports:
 def _released(layout: Layout) -> Layout:
     """The layout with an unknown for each node that is none of a frame, and for each frame."""
     nothing = np.empty(0, np.int64), np.empty((0, 3))
-    parts = [replace(part, is_free=True, attached=nothing[0], local=nothing[1])
-             for part in layout.framed]  # fmt: skip
+    parts = [replace(part, is_free=True, attached=nothing[0], local=nothing[1]) for part in layout.framed]
     count = layout.nodes.kinds[0].first_node if parts else len(layout.nodes.rest_positions)
     every = np.arange(count)
     nodes = frame_nodes(

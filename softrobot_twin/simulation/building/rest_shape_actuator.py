@@ -46,9 +46,7 @@ class RestShapeActuator(ActuatorKind):
         self.displacement = Quantity("force", "N") if is_length else Quantity("moment", "Nm")
         self.extent = self.displacement
 
-    def build(
-        self, layout: Layout, entries: tuple[RestShapeEntry, ...], notes: list[str]
-    ) -> ActuatorGroup:
+    def build(self, layout: Layout, entries: tuple[RestShapeEntry, ...], notes: list[str]) -> ActuatorGroup:
         """See `ActuatorKind.build`."""
         parts, scales, limits = [], [], []
         for key, entry in layout.scene.keyed(self.section):
@@ -70,9 +68,7 @@ class RestShapeActuator(ActuatorKind):
         return f"{entry.change.replace('_', ' ')} of {entry.beam}"
 
 
-def _driven(
-    layout: Layout, key: str, entry: RestShapeEntry
-) -> tuple[tuple[ForceTerm, ...], float]:
+def _driven(layout: Layout, key: str, entry: RestShapeEntry) -> tuple[tuple[ForceTerm, ...], float]:
     """Force terms of a change of one, and the stiffness of the beam against it."""
     beam, component = layout.body_named(entry.beam), COMPONENTS[entry.change]
     low, high = getattr(entry, entry.change)

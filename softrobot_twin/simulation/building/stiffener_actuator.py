@@ -34,9 +34,7 @@ class StiffenerActuator(ActuatorKind):
     displacement = extent = Quantity("strained_volume", "m3")
     is_effort_driven = True
 
-    def build(
-        self, layout: Layout, entries: tuple[Stiffener, ...], notes: list[str]
-    ) -> ActuatorGroup:
+    def build(self, layout: Layout, entries: tuple[Stiffener, ...], notes: list[str]) -> ActuatorGroup:
         """See `ActuatorKind.build`."""
         parts = [_part(layout, key, entry, notes) for key, entry in layout.scene.keyed(self.section)]
         for index, part in enumerate(parts):

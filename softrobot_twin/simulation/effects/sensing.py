@@ -25,8 +25,7 @@ class Sensing(StepPart):
         """
         self._sensors, self._rest = model.sensors, model.nodes.rest_positions
         words = [SENSOR_KINDS[kind_of(one)].quantity.word for _, one in in_order(model.scene)]
-        self._places = {word: np.flatnonzero([own == word for own in words])
-                        for word in dict.fromkeys(words)}  # fmt: skip
+        self._places = {word: np.flatnonzero([own == word for own in words]) for word in dict.fromkeys(words)}
 
     def memory_at_rest(self) -> dict[str, np.ndarray]:
         """See `StepPart`."""
