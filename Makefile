@@ -23,7 +23,7 @@ PYTEST := PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 $(VENV)/bin/python -m pytest \
 PYTEST_OLDEST := $(subst $(VENV)/,$(OLDEST)/,$(PYTEST))
 # The demo and a live viewer are timed, so their tests do not run beside two others.
 AGAINST_THE_CLOCK := test/ros/test_demo.py test/view/test_live_viewer.py
-FEW := test/test_library_names.py test/test_compilation.py \
+FEW := test/test_library_names.py test/kernels/test_compilation.py \
 	test/scripting/test_robot.py::test_after_reset_the_same_steps_follow_to_the_bit
 # Each process begins with a third of the tests, in order, and takes some of the others' when it is done.
 # There is one more than cores: the tests over ROS wait for two thirds of their time.

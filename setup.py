@@ -40,7 +40,7 @@ setup(
         *shared_files("meshes"),
     ],
     package_data={PACKAGE: [
-        "py.typed", "kernels.zip", "kernels_of_scenes.xz", "scene/material_presets.json",
+        "py.typed", "kernels/kernels.zip", "kernels/kernels_of_scenes.xz", "scene/material_presets.json",
         "study/first_scene.yaml", "conversion/components.yaml", "conversion/prefabs.yaml"]},
     python_requires=">=3.12",
     # Each lower bound is installed and tested: requirements/oldest.txt.

@@ -22,9 +22,9 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from softrobot_twin.blas_threads import use_one_blas_thread
 from softrobot_twin.errors import SoftRobotTwinError
-from softrobot_twin.instruction_set import choose_level
+from softrobot_twin.kernels.blas_threads import use_one_blas_thread
+from softrobot_twin.kernels.instruction_set import choose_level
 
 if TYPE_CHECKING:
     from softrobot_twin.scene import Scene

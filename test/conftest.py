@@ -312,15 +312,10 @@ def half_trained(tmp_path_factory) -> Path:
     import numpy as np
     import yaml
 
-    from softrobot_twin.scene import load_scene
-    from softrobot_twin.scene.loading import written_out
-    from softrobot_twin.simulation.building.reduced_body import (
-        reduction_fingerprints,
-        write_body_reduction,
-    )
-    from softrobot_twin.study.body_training import reduction_of, train
-    from softrobot_twin.study.reduction_basis import rest_stiffness
-    from softrobot_twin.study.reduction_states import (
+    from softrobot_twin.harness.sampled_axes import sampled_axes
+    from softrobot_twin.reduction.body_training import reduction_of, train
+    from softrobot_twin.reduction.reduction_basis import rest_stiffness
+    from softrobot_twin.reduction.reduction_states import (
         Sampling,
         StateFinder,
         chains,
@@ -329,8 +324,13 @@ def half_trained(tmp_path_factory) -> Path:
         spread_of,
         training_scene,
     )
-    from softrobot_twin.study.training_options import TrainingOptions
-    from softrobot_twin.study.workspace import sampled_axes
+    from softrobot_twin.reduction.training_options import TrainingOptions
+    from softrobot_twin.scene import load_scene
+    from softrobot_twin.scene.loading import written_out
+    from softrobot_twin.simulation.building.reduced_body import (
+        reduction_fingerprints,
+        write_body_reduction,
+    )
 
     root, folder = Path(__file__).parents[1], tmp_path_factory.mktemp("half_trained")
     mapping = written_out(yaml.safe_load((root / "config/scenes/diamond.yaml").read_text()))

@@ -18,8 +18,9 @@ PACKAGE = ROOT / "softrobot_twin"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
 CORE = {"geometry", "mechanics", "constraints", "solvers", "scene", "simulation"}
-# Rooms that each room may import, besides itself and the files at the top for all of them.
+# Rooms that each room may import, besides itself, the kernels and the files at the top.
 ALLOWED_ROOMS = {
+    "kernels": set(),
     "geometry": set(),
     "mechanics": {"geometry"},
     "constraints": {"geometry", "mechanics"},
@@ -32,24 +33,24 @@ ALLOWED_ROOMS = {
     "view": {"simulation"},
     "record": CORE | {"control"},
     "ros": CORE | {"control", "view", "record"},
-    "study": CORE | {"control", "view", "record"},
-    "scripting": CORE | {"control", "study", "view"},
+    "harness": CORE,
+    "reduction": CORE | {"harness"},
+    "calibration": CORE | {"control", "harness", "record"},
+    "study": CORE | {"control", "harness", "reduction", "view"},
+    "scripting": CORE | {"calibration", "control", "harness", "study", "view"},
     # It builds what it writes, and prints as studies do.
-    "conversion": {"geometry", "scene", "simulation", "study"},
-    "command_line": {"study", "ros", "conversion", "demo_command", "replay_command"},
+    "conversion": {"geometry", "harness", "scene", "simulation", "study"},
+    "command_line": CORE | {
+        "calibration", "control", "conversion", "harness", "record", "reduction", "ros", "study", "view"},
 }
 # Rooms inside the simulation, each of which imports only those before it and its vocabulary. The other
 # files at the top of the simulation put these rooms together, and only `runs` imports them.
 STEP_ROOMS = ("building", "step", "effects", "runs")
 VOCABULARY = {"command", "contact_forces", "result", "state"}
-# The files at the top besides commands, which put rooms together and end in "_command".
-ENTRANCE = {
-    "__init__.py", "__main__.py", "blas_threads.py", "compilation.py", "errors.py",
-    "instruction_set.py", "kernel_cache.py", "kernels_ahead.py", "machine_code.py", "shared_files.py",
-    "traced_stage.py", "worker_threads.py"}
+ENTRANCE = {"__init__.py", "__main__.py", "errors.py", "shared_files.py"}
 # Where a library may be imported; gmsh only in the process that meshes CAD files.
 HOMES = {
-    "rerun": {"view"}, "matplotlib": {"study"}, "mpl_toolkits": {"study"}, "gmsh": {"geometry"},
+    "rerun": {"view"}, "matplotlib": {"harness", "study"}, "mpl_toolkits": {"study"}, "gmsh": {"geometry"},
     "daqp": {"solvers"}, "mcap": {"record"}, "trimesh": {"geometry"}, "manifold3d": {"geometry"}}
 ROS_LIBRARIES = {"rclpy", "rpyutils", "ament_index_python", "std_srvs", "builtin_interfaces"}
 ROS_SUFFIXES = ("_msgs", "_interfaces")
@@ -148,11 +149,11 @@ def violations(broken: Callable[[Path, Import], bool]) -> list[str]:
 
 
 def test_a_room_imports_only_the_rooms_it_may():
-    top = {name.removesuffix(".py") for name in ENTRANCE}
+    everywhere = {name.removesuffix(".py") for name in ENTRANCE} | {"kernels"}
 
     def broken(path, found):
         room, other = place_of(path), room_of(found.module)
-        return room and other and other not in ALLOWED_ROOMS[room] | {room} | top
+        return room and other and other not in ALLOWED_ROOMS[room] | {room} | everywhere
     assert violations(broken) == []
 
 
@@ -175,9 +176,8 @@ def test_nobody_imports_the_room_for_users_but_the_entrance_of_the_package():
     assert violations(broken) == []
 
 
-def test_modules_outside_rooms_are_the_entrance_or_a_command():
-    files = {path.name for path in MODULES if not place_of(path)}
-    assert [name for name in files - ENTRANCE if not name.endswith("_command.py")] == []
+def test_modules_outside_rooms_are_the_entrance():
+    assert {path.name for path in MODULES if not place_of(path)} == ENTRANCE
 
 
 def module_name(path: Path) -> str:
@@ -271,7 +271,7 @@ def loaded_modules() -> tuple[set[str], set[str]]:
                         if path.name != "__init__.py" and wanted(path))
 
     def has_no_ros(path):
-        return path.name in ENTRANCE if not place_of(path) else place_of(path) != "ros"
+        return place_of(path) not in ("ros", "command_line") and path.name != "__main__.py"
 
     def has_no_view(path):
         return place_of(path) != "view"

@@ -23,6 +23,10 @@ from scipy.interpolate import interp1d
 
 from softrobot_twin.command_line.commands import positive_count
 from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.harness.figure import figure_file
+from softrobot_twin.harness.machine_facts import NUMERICAL_LIBRARIES, describe_machine
+from softrobot_twin.harness.output_file import make_folder
+from softrobot_twin.harness.terminal import by_key, console, table
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.scene.actuator_entries import Cable
 from softrobot_twin.scene.body_entries import Body, BoxMesh, BoxRegion, Mesh, Region
@@ -48,10 +52,6 @@ from softrobot_twin.study.bench_measurement import (
     held_commands,
     swept_setpoints,
 )
-from softrobot_twin.study.figure import figure_file
-from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine
-from softrobot_twin.study.output_file import make_folder
-from softrobot_twin.study.terminal import by_key, console, table
 
 
 INTERVAL_TIME_STEP = 0.02

@@ -20,6 +20,10 @@ from scipy.sparse.linalg import splu
 
 from softrobot_twin.command_line.commands import positive_count
 from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.harness.machine_facts import NUMERICAL_LIBRARIES, describe_machine
+from softrobot_twin.harness.output_file import OutputError, make_folder
+from softrobot_twin.harness.terminal import console, table, warn
+from softrobot_twin.harness.timing import Spread, SuperLUReference, spread
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.solvers.dense_stiffness import without_rows
 from softrobot_twin.solvers.factorization import Factorization, NodeRows
@@ -39,10 +43,6 @@ from softrobot_twin.study.bench_measurement import (
     given_cases,
     without_garbage_collection,
 )
-from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine
-from softrobot_twin.study.output_file import OutputError, make_folder
-from softrobot_twin.study.terminal import console, table, warn
-from softrobot_twin.study.timing import Spread, SuperLUReference, spread
 
 # Every set of active rows is tried up to this many unknowns.
 MOST_ENUMERATED = 4

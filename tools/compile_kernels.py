@@ -81,7 +81,7 @@ def run(job: Job):
 
 def run_scene(name: str, changes: Sequence[str]):
     """Builds a scene and takes every path of a step and a tick; see `run`."""
-    from softrobot_twin import kernel_cache, kernels_ahead
+    from softrobot_twin.kernels import kernel_cache, kernels_ahead
     from softrobot_twin.control.loop_settings import LoopSettings, Mode
     from softrobot_twin.control.twin_loop import TwinLoop
     from softrobot_twin.errors import ParameterError
@@ -104,7 +104,7 @@ def run_scene(name: str, changes: Sequence[str]):
 
 def run_readme():
     """Runs the Python of the README, and what a twin computes in idle time; see `run`."""
-    from softrobot_twin import kernel_cache
+    from softrobot_twin.kernels import kernel_cache
     from softrobot_twin.scene import load_scene
     from softrobot_twin.simulation.mesh_error import MeshErrorEstimator
 
@@ -131,8 +131,8 @@ def in_two_processes(work: Sequence[Job], **options):
 
 def ship(work: Sequence[Job]) -> None:
     """Puts the entries that Python calls, which are all on disk, and their list into the package."""
-    from softrobot_twin.kernel_cache import SHIPPED, kernel_folder
-    from softrobot_twin.kernels_ahead import LIST
+    from softrobot_twin.kernels.kernel_cache import SHIPPED, kernel_folder
+    from softrobot_twin.kernels.kernels_ahead import LIST
 
     # A process that compiles nothing asks for what Python calls, and for nothing else.
     found = list(in_two_processes(work, maxtasksperchild=1))
@@ -153,7 +153,7 @@ def stamp() -> Path:
     """The file that says for some days that these sources have been here and all is compiled."""
     import numba
 
-    from softrobot_twin.kernel_cache import kernel_folder
+    from softrobot_twin.kernels.kernel_cache import kernel_folder
 
     state = sha256(repr((sys.version, numba.__version__, numba.config.CPU_NAME)).encode())
     for path in (Path(__file__), *sorted(SCENES.glob("*.yaml")),
@@ -165,7 +165,7 @@ def stamp() -> Path:
 def main(arguments: Sequence[str]) -> None:
     """Warms up all scenes."""
     if arguments[:1] == ["--ship"]:
-        from softrobot_twin.kernel_cache import SHIPPED
+        from softrobot_twin.kernels.kernel_cache import SHIPPED
 
         SHIPPED.unlink(missing_ok=True)
         work = jobs(arguments[1:])

@@ -21,6 +21,11 @@ from bench_robots import growth_exponent
 from rich.table import Table
 from specimens import column_mesh
 
+from softrobot_twin.harness.figure import figure_file
+from softrobot_twin.harness.machine_facts import NUMERICAL_LIBRARIES, describe_machine
+from softrobot_twin.harness.output_file import OutputError, make_folder
+from softrobot_twin.harness.terminal import console, table
+from softrobot_twin.harness.timing import Spread, spread
 from softrobot_twin.scene import Scene, scene_from_mapping
 from softrobot_twin.simulation import Hold, Simulation
 from softrobot_twin.study.accuracy_study import write_mesh
@@ -29,11 +34,6 @@ from softrobot_twin.study.bench_measurement import (
     WHOLE_STEP,
     without_garbage_collection,
 )
-from softrobot_twin.study.figure import figure_file
-from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine
-from softrobot_twin.study.output_file import OutputError, make_folder
-from softrobot_twin.study.terminal import console, table
-from softrobot_twin.study.timing import Spread, spread
 
 SIDES = (2, 3, 4, 6, 8, 10, 12, 14)
 """Nodes along the side of the square that is touched."""

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import nnls
 
+from softrobot_twin.harness.terminal import console, table
 from softrobot_twin.scene.material_presets import MATERIAL_PRESETS, MaterialPreset
-from softrobot_twin.study.terminal import console, table
 
 DIGITS = 5
 """Significant digits of the fitted constants."""

@@ -14,9 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from softrobot_twin.harness.terminal import console, table
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandSetpoints, Simulation
-from softrobot_twin.study.terminal import console, table
 
 MESHES = Path(__file__).resolve().parents[1] / "meshes"
 SPRINGYS = ("springy_400", "springy_1532", "springy_4000")

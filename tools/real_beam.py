@@ -15,13 +15,13 @@ from scipy.signal import find_peaks
 from specimens import column_mesh
 
 from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.harness.terminal import console, table
 from softrobot_twin.mechanics.laws import law_named, law_names
 from softrobot_twin.mechanics.material import shear_modulus
 from softrobot_twin.scene import Scene, scene_from_mapping
 from softrobot_twin.scene.material_presets import MATERIAL_PRESETS
 from softrobot_twin.simulation import Hold, Simulation
 from softrobot_twin.study.accuracy_study import write_mesh
-from softrobot_twin.study.terminal import console, table
 
 UP = 0
 """Axis of the recordings that points up."""

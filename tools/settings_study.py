@@ -16,6 +16,8 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.harness.machine_facts import NUMERICAL_LIBRARIES, describe_machine
+from softrobot_twin.harness.terminal import console, table
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.scene.scene_changes import without_reductions
 from softrobot_twin.simulation import FollowTargets, Simulation
@@ -33,8 +35,6 @@ from softrobot_twin.study.accuracy_study import (
     ready_simulation,
     with_hold_radius,
 )
-from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine
-from softrobot_twin.study.terminal import console, table
 
 
 class _RoundedSolve:

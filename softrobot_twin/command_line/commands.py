@@ -20,10 +20,9 @@ import shtab
 
 from softrobot_twin.command_line.arguments import TEXT_WIDTH, Parser, Read, add_command
 from softrobot_twin.errors import NamedError, SoftRobotTwinError
-from softrobot_twin.shared_files import given_file
-from softrobot_twin.study import training_options
-from softrobot_twin.study.length_units import UNITS
-from softrobot_twin.study.training_options import (
+from softrobot_twin.harness.length_units import UNITS
+from softrobot_twin.reduction import training_options
+from softrobot_twin.reduction.training_options import (
     AROUND,
     ENERGY,
     FRESH_STATES,
@@ -34,6 +33,7 @@ from softrobot_twin.study.training_options import (
     TargetBox,
     TrainingOptions,
 )
+from softrobot_twin.shared_files import given_file
 
 EXIT_CODES = fill("exit codes: 0 done, 1 done but a row, a process or a check failed, 2 the input or "
                   "an argument cannot be used, 3 simulate: the last row is not_converged, inverted or "
@@ -477,7 +477,7 @@ def calibrate(
         axes (AXES): Axes of the tables that are x, y and z of the scene, such as z,x,y (default: x,y,z).
         backwards (ACTUATOR): Actuators whose setpoints and efforts have the other sign in the tables.
     """
-    from softrobot_twin.study.calibration_report import calibrate_scene
+    from softrobot_twin.calibration.calibration_report import calibrate_scene
 
     _check_outputs((scene, *data, *check), output=output, picture=picture)
     return calibrate_scene(scene, data, fit, known, output, picture, suggest, check, axes or "x,y,z", backwards)
@@ -677,7 +677,7 @@ def reduce(
         tolerance (SHARE): Virtual work that the sampled points leave out (default $default).
         states (N): Fresh states for the error (default $default; 0 for none).
     """
-    from softrobot_twin.study import body_training
+    from softrobot_twin.reduction import body_training
 
     if scheduler is not None:
         refuse("has no effect with --scheduler", workers=workers)
@@ -718,7 +718,7 @@ def reduce_vertebrae(
         seed: Of setpoints and samples (default $default).
         states (N): Fresh states for the error (default $default; 0 for none).
     """
-    from softrobot_twin.study import vertebrae_reduction
+    from softrobot_twin.reduction import vertebrae_reduction
 
     return vertebrae_reduction.reduce_vertebrae(scene, seed, states, again)
 
@@ -756,7 +756,7 @@ def replay(
         if path is not None and path.resolve() == recorded.resolve():
             raise OptionError(option, f"{path} would overwrite the run")
     # The loop is loaded only for a run of it.
-    from softrobot_twin import replay_command
+    from softrobot_twin.command_line import replay_command
     return replay_command.replay(recorded, scene, set_ or (), output, record_view)
 
 
@@ -794,7 +794,7 @@ def demo(
         import softrobot_twin.ros.demo  # noqa: F401
     except ImportError as error:
         raise NoRosError(str(error)) from error
-    from softrobot_twin import demo_command
+    from softrobot_twin.command_line import demo_command
     return demo_command.demo(robot, output, seconds, view, set_ or ())
 
 

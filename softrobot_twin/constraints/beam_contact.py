@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.constraints.contact_pairs import NO_NODE, ContactPair
 from softrobot_twin.geometry.round_axes import (
     RoundAxis,
@@ -20,6 +19,7 @@ from softrobot_twin.geometry.round_axes import (
 )
 from softrobot_twin.geometry.shapes.distance_kernels import place_frame
 from softrobot_twin.geometry.vector3 import row, subtract
+from softrobot_twin.kernels.compilation import KERNEL, njit
 
 
 @njit(**KERNEL)

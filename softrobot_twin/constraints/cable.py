@@ -33,7 +33,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import INLINED, KERNEL, njit
 from softrobot_twin.constraints.constraint_term import ConstraintTerm
 from softrobot_twin.constraints.row_stack import add_row_forces
 from softrobot_twin.constraints.spread_stiffness import MOST_COUPLED, SpreadStiffness
@@ -45,6 +44,8 @@ from softrobot_twin.geometry.matrix3 import (
     set_rows,
 )
 from softrobot_twin.geometry.vector3 import divided, dot, negated, norm, row, scaled, set_row
+from softrobot_twin.kernels.compilation import INLINED, KERNEL, njit
+from softrobot_twin.kernels.traced_stage import clear
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.force_term import DenseRows
 from softrobot_twin.mechanics.kinematics import (
@@ -55,7 +56,6 @@ from softrobot_twin.mechanics.kinematics import (
 )
 from softrobot_twin.mechanics.springs import NO_LENGTH, distinct_points, segment_vector
 from softrobot_twin.mechanics.stencil import add_block, add_weighted_matrices, bind_stencils
-from softrobot_twin.traced_stage import clear
 
 # Two segments whose directions have a smaller cosine fold back on each other.
 FOLD_COSINE = -0.5

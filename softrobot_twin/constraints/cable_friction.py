@@ -45,11 +45,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, ONCE, njit
 from softrobot_twin.constraints.cable import CablePath, add_stiffness_kernel, write_matrices
 from softrobot_twin.constraints.elastic_cable import ElasticCables
 from softrobot_twin.constraints.row_stack import add_row_forces
 from softrobot_twin.geometry.vector3 import cross, divided, dot, norm
+from softrobot_twin.kernels.compilation import INNER, KERNEL, ONCE, njit
 from softrobot_twin.mechanics.force_term import DenseRows, ForceTerm
 from softrobot_twin.mechanics.kinematics import CarriedPoints, CarriedRows
 from softrobot_twin.mechanics.springs import segment_vector

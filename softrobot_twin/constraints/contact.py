@@ -16,11 +16,11 @@ from enum import Enum
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.constraints.constraint_term import VaryingTerm
 from softrobot_twin.constraints.contact_pairs import NO_NODE, RigidSurface
 from softrobot_twin.geometry.proximities import empty_proximities
-from softrobot_twin.traced_stage import TracedStages
+from softrobot_twin.kernels.compilation import INNER, KERNEL, njit
+from softrobot_twin.kernels.traced_stage import TracedStages
 
 FIRST_ROOM = 64
 # Within a step, free motion may bring things together that are as far apart as this many times the

@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, ONCE, njit
+from softrobot_twin.kernels.compilation import KERNEL, ONCE, njit
 from softrobot_twin.mechanics.kinematics import CarriedPoints, clique_slots
 
 # A facet along a straight side would be infinitely stiff: its curvature is at least this share of

@@ -24,11 +24,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.geometry.proximities import Proximities, found_by, put_pairs
 from softrobot_twin.geometry.shapes.distance_kernels import CAPSULE
 from softrobot_twin.geometry.surface_shape import PARALLEL_FACE, RIM_POINTS
 from softrobot_twin.geometry.vector_arrays import gather_vectors
+from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.mechanics.barycentric import BarycentricMapping, write_points
 
 NO_NODE = -1

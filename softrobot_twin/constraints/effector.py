@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.constraints.constraint_term import ConstraintTerm
 from softrobot_twin.geometry.vector3 import add, add_scaled, divided, row, set_row
+from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 
 AXES = {"x": 0, "y": 1, "z": 2}

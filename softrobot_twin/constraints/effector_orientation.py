@@ -30,7 +30,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, ONCE, njit
 from softrobot_twin.constraints.effector import EffectorPoints, Effectors
 from softrobot_twin.errors import CommandError
 from softrobot_twin.geometry.matrix3 import rows, transform
@@ -44,6 +43,7 @@ from softrobot_twin.geometry.vector3 import (
     set_row,
     subtract,
 )
+from softrobot_twin.kernels.compilation import KERNEL, ONCE, njit
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.rotation import (
     inverse_jacobian,

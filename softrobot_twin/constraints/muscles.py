@@ -33,15 +33,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.constraints.constraint_term import ConstraintTerm
 from softrobot_twin.constraints.row_stack import add_row_forces
 from softrobot_twin.geometry.matrix3 import IDENTITY, add_outer, scaled_matrix, set_rows
 from softrobot_twin.geometry.vector3 import norm, scaled, set_row
+from softrobot_twin.kernels.compilation import INNER, KERNEL, njit
+from softrobot_twin.kernels.traced_stage import clear
 from softrobot_twin.mechanics.kinematics import CarriedPoints, FoldedSegments
 from softrobot_twin.mechanics.springs import segment_vector
 from softrobot_twin.mechanics.stencil import add_weighted_matrices, bind_stencils, stacked
-from softrobot_twin.traced_stage import clear
 
 # A fibre that is shorter than this share of its length at rest has no direction.
 NO_STRETCH = 1.0e-6

@@ -22,16 +22,16 @@ from typing import NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.constraints.constraint_term import ConstraintTerm
 from softrobot_twin.constraints.effector_orientation import write_rotations
 from softrobot_twin.constraints.row_stack import add_row_forces
 from softrobot_twin.constraints.spread_stiffness import MOST_COUPLED
 from softrobot_twin.geometry.vector3 import dot, row, scaled, set_row
+from softrobot_twin.kernels.compilation import KERNEL, njit
+from softrobot_twin.kernels.traced_stage import clear
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.kinematics import CarriedPoints, FoldedStiffness
 from softrobot_twin.mechanics.stencil import bind_stencils, lower_pairs, stacked
-from softrobot_twin.traced_stage import clear
 
 
 class PointForce(NamedTuple):

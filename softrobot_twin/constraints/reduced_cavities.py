@@ -27,10 +27,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.constraints.constraint_term import ConstraintTerm
 from softrobot_twin.geometry.vector3 import row
 from softrobot_twin.geometry.vector_arrays import are_same
+from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.cavity_surfaces import (
     CavitySurface,

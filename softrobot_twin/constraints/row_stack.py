@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.constraints.constraint_term import ConstraintTerm
 from softrobot_twin.geometry.vector_arrays import are_same, copy_vectors
+from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.mechanics.kinematics import CarriedPoints, CarriedRows
 
 

@@ -18,10 +18,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, ONCE, njit
+from softrobot_twin.kernels.compilation import KERNEL, ONCE, njit
+from softrobot_twin.kernels.traced_stage import clear
 from softrobot_twin.mechanics.force_term import DenseRows
 from softrobot_twin.mechanics.stencil import add_weighted_matrices, bind_stencils
-from softrobot_twin.traced_stage import clear
 
 # Segments that couple more nodes are spread. At 38 it takes as long either way.
 MOST_COUPLED = 40

@@ -19,9 +19,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from softrobot_twin.constraints.constraint_term import ConstraintTerm
+from softrobot_twin.kernels.traced_stage import clear
 from softrobot_twin.mechanics.cavity_surfaces import CavitySurface, sphere_volumes
 from softrobot_twin.mechanics.superelements import Superelements
-from softrobot_twin.traced_stage import clear
 
 
 class SuperelementCavities(ConstraintTerm):

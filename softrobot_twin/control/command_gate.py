@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, njit
+from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.simulation.building.limits import ActuatorLimits
 
 SETPOINT_SHARE = 6.0e-5

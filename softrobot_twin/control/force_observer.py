@@ -27,10 +27,10 @@ from functools import cache
 import numpy as np
 from scipy.special import gammaincinv
 
-from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.control.marker_checks import FARTHEST_MISFIT
 from softrobot_twin.control.model_history import Moment
+from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.simulation import CommandSetpoints, Hold, Simulation, State
 from softrobot_twin.simulation.command import LONG
 from softrobot_twin.simulation.effects.observed_forces import ObservedForces, numbers_of

@@ -15,11 +15,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.control.inputs import Misfit
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.control.model_history import Moment
+from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.simulation import Simulation, Status
 
 GREATEST_SHARE = 0.4

@@ -38,11 +38,11 @@ from softrobot_twin.conversion.scene_tree import (
 from softrobot_twin.conversion.scene_xml import read_xml
 from softrobot_twin.conversion.units import units_of
 from softrobot_twin.errors import SoftRobotTwinError, one_line
+from softrobot_twin.harness.output_file import OutputError, output_file
+from softrobot_twin.harness.terminal import console, print_apart, table, terminal_status
 from softrobot_twin.scene.loading import read_yaml, scene_from_mapping
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.study.first_scene import SceneExistsError
-from softrobot_twin.study.output_file import OutputError, output_file
-from softrobot_twin.study.terminal import console, print_apart, table, terminal_status
 
 CONVERTED, INCOMPLETE = 0, 3
 """Exit codes: all is converted; a scene, but something is not."""

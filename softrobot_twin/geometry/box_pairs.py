@@ -17,11 +17,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, ONCE, njit
 from softrobot_twin.geometry.proximities import Proximities, empty_proximities
 from softrobot_twin.geometry.shapes.box import Box
 from softrobot_twin.geometry.shapes.distance_kernels import place_frame
 from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, row, scaled, set_row, subtract
+from softrobot_twin.kernels.compilation import INNER, KERNEL, ONCE, njit
 
 # Result of `face_contacts` if no face is near.
 NO_FACE = -1

@@ -17,9 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import INLINED, KERNEL, njit
 from softrobot_twin.geometry.closest_features import squared_distance
 from softrobot_twin.geometry.vector3 import row
+from softrobot_twin.kernels.compilation import INLINED, KERNEL, njit
 
 # Bits of each coordinate in a Morton number, and places on the stack of a search.
 _BITS, _DEPTH = 20, 128

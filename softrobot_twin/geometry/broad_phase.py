@@ -39,8 +39,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import INLINED, INNER, ONCE, njit
 from softrobot_twin.geometry.vector3 import lower, row, upper
+from softrobot_twin.kernels.compilation import INLINED, INNER, ONCE, njit
 
 # Largest number of cells along one axis: clearing more costs more time than they save.
 _MOST_CELLS = 24

@@ -22,10 +22,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import INLINED, INNER, KERNEL, njit
 from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.surface import checked_triangles, half_edges
 from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, norm, row, set_row, subtract, unit
+from softrobot_twin.kernels.compilation import INLINED, INNER, KERNEL, njit
 
 
 class ClosedSurface(NamedTuple):

@@ -26,7 +26,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import INLINED, INNER, KERNEL, ONCE, njit
 from softrobot_twin.geometry.closed_surface import (
     ACROSS,
     EDGES,
@@ -46,6 +45,7 @@ from softrobot_twin.geometry.vector3 import (
     scaled,
     subtract,
 )
+from softrobot_twin.kernels.compilation import INLINED, INNER, KERNEL, ONCE, njit
 
 
 @njit(**KERNEL)

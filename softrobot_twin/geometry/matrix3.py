@@ -12,8 +12,8 @@ Arguments of the kernels here:
 
 from __future__ import annotations
 
-from softrobot_twin.compilation import INLINED, njit
 from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, row, scaled, set_row
+from softrobot_twin.kernels.compilation import INLINED, njit
 
 ZERO = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))

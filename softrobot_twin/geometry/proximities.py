@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, njit
+from softrobot_twin.kernels.compilation import INNER, njit
 
 
 class Proximities(NamedTuple):

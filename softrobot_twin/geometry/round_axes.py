@@ -29,7 +29,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import INLINED, INNER, KERNEL, ONCE, njit
 from softrobot_twin.geometry.proximities import write_row
 from softrobot_twin.geometry.shapes.distance_kernels import (
     CAPSULE,
@@ -48,6 +47,7 @@ from softrobot_twin.geometry.vector3 import (
     subtract,
     unit,
 )
+from softrobot_twin.kernels.compilation import INLINED, INNER, KERNEL, ONCE, njit
 
 # ε: the nearest place moves by ε R/L elements where the distance has the radius of curvature R.
 EVENNESS = 1.0e-4

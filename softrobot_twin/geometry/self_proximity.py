@@ -26,7 +26,6 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from softrobot_twin.compilation import KERNEL, ONCE, njit
 from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.broad_phase import (
     CellGrid,
@@ -62,6 +61,7 @@ from softrobot_twin.geometry.vector3 import (
     scaled,
     subtract,
 )
+from softrobot_twin.kernels.compilation import KERNEL, ONCE, njit
 
 # Default depth, in mean edge lengths.
 _DEPTH_IN_EDGES = 0.5

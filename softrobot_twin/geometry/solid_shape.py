@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import INLINED, INNER, KERNEL, ONCE, njit
 from softrobot_twin.geometry.closed_surface import (
     apply_region_planes,
     closed_surface,
@@ -56,6 +55,7 @@ from softrobot_twin.geometry.surface_shape import (
     search_vertices,
 )
 from softrobot_twin.geometry.vector3 import dot, row, scaled
+from softrobot_twin.kernels.compilation import INLINED, INNER, KERNEL, ONCE, njit
 
 # Sine by which a direction may lie outside the cone of an edge or a vertex: for round shapes, which
 # roll over it, and for flat caps, which stand on the border of a face.

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.geometry.broad_phase import (
     bounding_box,
     empty_grid,
@@ -35,6 +34,7 @@ from softrobot_twin.geometry.triangle_pairs import (
     pair_edges,
     pair_vertices,
 )
+from softrobot_twin.kernels.compilation import INNER, KERNEL, njit
 
 # Default depth, in mean edge lengths of the coarser surface.
 _DEPTH_IN_EDGES = 2.0

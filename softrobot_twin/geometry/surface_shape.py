@@ -64,7 +64,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import INLINED, INNER, KERNEL, ONCE, njit
 from softrobot_twin.geometry.broad_phase import Clusters, bounding_box, cluster_triangles
 from softrobot_twin.geometry.closed_surface import is_outside_cone, steepest_descent, triangle_fans
 from softrobot_twin.geometry.closest_features import (
@@ -101,6 +100,7 @@ from softrobot_twin.geometry.vector3 import (
     subtract,
     unit,
 )
+from softrobot_twin.kernels.compilation import INLINED, INNER, KERNEL, ONCE, njit
 
 # The keys of the candidates of one feature start at KEY_STRIDE times the number of the feature.
 KEY_STRIDE = 32

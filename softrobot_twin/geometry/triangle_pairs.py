@@ -35,7 +35,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import INLINED, INNER, ONCE, njit
 from softrobot_twin.geometry.broad_phase import CellGrid, cell_at, cell_of, holds
 from softrobot_twin.geometry.closed_surface import (
     ClosedSurface,
@@ -59,6 +58,7 @@ from softrobot_twin.geometry.closest_features import (
 )
 from softrobot_twin.geometry.proximities import write_row
 from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, norm, row, scaled, subtract
+from softrobot_twin.kernels.compilation import INLINED, INNER, ONCE, njit
 
 # Reasons for excluding a pair of a vertex and a triangle, in `ExcludedPairs.codes`: they are
 # neighbours, or the vertex is a corner of the triangle. SURROUNDED is added where all triangles

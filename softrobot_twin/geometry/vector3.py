@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import INLINED, KERNEL, njit
+from softrobot_twin.kernels.compilation import INLINED, KERNEL, njit
 
 
 @njit(**INLINED)

@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, njit
+from softrobot_twin.kernels.compilation import KERNEL, njit
 
 
 @njit(**KERNEL)

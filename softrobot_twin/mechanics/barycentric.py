@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.geometry.vector3 import add_scaled, row, set_row
+from softrobot_twin.kernels.compilation import KERNEL, njit
 
 # A weight below this is round-off of a point that is a node of the mesh.
 NO_WEIGHT = 1.0e-6

@@ -47,9 +47,9 @@ import numpy as np
 from scipy.sparse import block_diag, bsr_array, coo_array
 from scipy.sparse.linalg import spsolve
 
-from softrobot_twin.compilation import INLINED, INNER, KERNEL, ONCE, njit
 from softrobot_twin.geometry.matrix3 import ZERO, add_outer, cross_matrix, plus_identity
 from softrobot_twin.geometry.vector3 import add, add_scaled, cross, dot, row, scaled, set_row, subtract
+from softrobot_twin.kernels.compilation import INLINED, INNER, KERNEL, ONCE, njit
 from softrobot_twin.mechanics.beam_sections import BeamSection
 from softrobot_twin.mechanics.beams import BeamElements
 from softrobot_twin.mechanics.force_term import ForceTerm, InertiaTerm

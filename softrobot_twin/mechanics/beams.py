@@ -86,7 +86,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import INLINED, INNER, KERNEL, ONCE, njit
 from softrobot_twin.geometry.matrix3 import (
     IDENTITY,
     add_outer,
@@ -115,6 +114,7 @@ from softrobot_twin.geometry.vector3 import (
     subtract,
 )
 from softrobot_twin.geometry.vector_arrays import are_same, copy_vectors
+from softrobot_twin.kernels.compilation import INLINED, INNER, KERNEL, ONCE, njit
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.rigid_bodies import rotation_at
 from softrobot_twin.mechanics.rotation import logarithm, skew_polynomial, turn_between

@@ -16,7 +16,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from softrobot_twin.compilation import KERNEL, njit
+from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.mechanics.element_batches import BATCH, at
 
 # Elements that are transposed together, and entries that are added at once.

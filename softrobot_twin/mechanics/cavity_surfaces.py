@@ -37,9 +37,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.geometry.matrix3 import cross_matrix
 from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, row, set_row, subtract
+from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.kinematics import each_once

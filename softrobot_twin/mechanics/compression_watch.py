@@ -29,8 +29,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.geometry.matrix3 import determinant, inner, trace, transposed_product
+from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.mechanics.element_batches import BATCH, at, matrix_at
 from softrobot_twin.mechanics.material import LameParameters
 from softrobot_twin.mechanics.strain_watch import extreme_eigenvalues

@@ -28,7 +28,6 @@ from collections.abc import Callable
 import numpy as np
 from scipy.sparse import csr_array
 
-from softrobot_twin.compilation import INLINED, KERNEL, njit
 from softrobot_twin.geometry.cubic_bubbles import (
     FACE_LOAD_SHARE,
     FIRST_EDGE,
@@ -53,6 +52,7 @@ from softrobot_twin.geometry.matrix3 import (
 from softrobot_twin.geometry.quadrature import barycentric_coordinates, tetrahedron_rule
 from softrobot_twin.geometry.shape_functions import integration_points
 from softrobot_twin.geometry.vector3 import row, set_row
+from softrobot_twin.kernels.compilation import INLINED, KERNEL, njit
 
 MOST_ITERATIONS = 60
 ENOUGH = 2.0e-3

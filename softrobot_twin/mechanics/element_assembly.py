@@ -49,16 +49,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import (
-    GENERIC,
-    INLINED,
-    INNER,
-    INNER_UNCACHED,
-    KERNEL,
-    ONCE,
-    UNCACHED,
-    njit,
-)
 from softrobot_twin.geometry.matrix3 import (
     IDENTITY,
     ZERO,
@@ -71,6 +61,16 @@ from softrobot_twin.geometry.matrix3 import (
     transform,
 )
 from softrobot_twin.geometry.vector3 import add_scaled, dot, row, scaled, set_row, subtract
+from softrobot_twin.kernels.compilation import (
+    GENERIC,
+    INLINED,
+    INNER,
+    INNER_UNCACHED,
+    KERNEL,
+    ONCE,
+    UNCACHED,
+    njit,
+)
 from softrobot_twin.mechanics.block_addition import add_blocks, add_contiguous_blocks
 from softrobot_twin.mechanics.element_batches import (
     BATCH,

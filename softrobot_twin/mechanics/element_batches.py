@@ -26,8 +26,8 @@ from typing import NamedTuple
 import numpy as np
 from numba.extending import overload
 
-from softrobot_twin.compilation import INLINED, INNER, njit
 from softrobot_twin.geometry.shape_functions import IntegrationPoints
+from softrobot_twin.kernels.compilation import INLINED, INNER, njit
 from softrobot_twin.mechanics.stencil import bind_stencils
 
 BATCH = 16

@@ -35,7 +35,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, ONCE, njit
 from softrobot_twin.geometry.matrix3 import (
     add_scaled_matrix,
     cofactor,
@@ -49,6 +48,7 @@ from softrobot_twin.geometry.matrix3 import (
 from softrobot_twin.geometry.quadrature import barycentric_coordinates
 from softrobot_twin.geometry.shape_functions import MEAN_HEXAHEDRON, HEXAHEDRON_CORNERS
 from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, row
+from softrobot_twin.kernels.compilation import INNER, KERNEL, ONCE, njit
 from softrobot_twin.mechanics.element_batches import BATCH, copy_entries, matrix_at, put_matrix
 from softrobot_twin.mechanics.polar import is_upright
 

@@ -15,6 +15,7 @@ from softrobot_twin.geometry.vector_arrays import (
     make_unknown,
     write_differences,
 )
+from softrobot_twin.kernels.traced_stage import clear
 from softrobot_twin.mechanics.block_addition import are_contiguous
 from softrobot_twin.mechanics.compression_watch import CompressionWatch, coarseness
 from softrobot_twin.mechanics.element_assembly import assembly_of, deform_all
@@ -36,7 +37,6 @@ from softrobot_twin.mechanics.volume_barrier import (
     add_barrier_stiffness,
     largest_share_of_points,
 )
-from softrobot_twin.traced_stage import clear
 
 # Stretch by which the stiffness of a law at rest is measured.
 SMALL_STRETCH = 1.0e-4

@@ -42,7 +42,6 @@ from itertools import combinations, product as pairs_of
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, ONCE, njit
 from softrobot_twin.geometry.matrix3 import (
     add_outer,
     add_scaled_matrix,
@@ -57,6 +56,7 @@ from softrobot_twin.geometry.matrix3 import (
     transposed,
 )
 from softrobot_twin.geometry.vector3 import add_scaled, cross, row, scaled, set_row
+from softrobot_twin.kernels.compilation import INNER, KERNEL, ONCE, njit
 from softrobot_twin.mechanics.element_batches import (
     BATCH,
     ElementBatches,

@@ -58,7 +58,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import INLINED, KERNEL, ONCE, njit
 from softrobot_twin.geometry.matrix3 import (
     IDENTITY,
     add_outer,
@@ -84,6 +83,7 @@ from softrobot_twin.geometry.vector3 import (
     set_row,
     subtract,
 )
+from softrobot_twin.kernels.compilation import INLINED, KERNEL, ONCE, njit
 from softrobot_twin.mechanics.force_term import OwnBlocks
 from softrobot_twin.mechanics.kinematics import fold_own_forces
 from softrobot_twin.mechanics.rigid_bodies import (

@@ -59,8 +59,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, ONCE, njit
-from softrobot_twin.geometry.shape_functions import HourglassFields
 from softrobot_twin.geometry.matrix3 import (
     IDENTITY,
     ZERO,
@@ -74,8 +72,10 @@ from softrobot_twin.geometry.matrix3 import (
     transform,
     transposed,
 )
+from softrobot_twin.geometry.shape_functions import HourglassFields
 from softrobot_twin.geometry.vector3 import add_scaled, dot, row, scaled, set_row
 from softrobot_twin.geometry.vector_arrays import write_differences
+from softrobot_twin.kernels.compilation import INNER, KERNEL, ONCE, njit
 from softrobot_twin.mechanics.block_addition import add_blocks, add_contiguous_blocks
 from softrobot_twin.mechanics.element_assembly import deform, gather, subtract_forces
 from softrobot_twin.mechanics.element_batches import (

@@ -31,10 +31,10 @@ import numpy as np
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.linalg import splu
 
-from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.geometry.cell_mesh import CellBlock
 from softrobot_twin.geometry.quadrature import tetrahedron_rule
 from softrobot_twin.geometry.shape_functions import EDGES
+from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.mechanics.force_term import ForceTerm, InertiaTerm, OwnBlocks
 
 

@@ -24,7 +24,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from softrobot_twin.compilation import INLINED, njit
 from softrobot_twin.geometry.matrix3 import (
     add_scaled_matrix,
     cofactor,
@@ -33,6 +32,7 @@ from softrobot_twin.geometry.matrix3 import (
     inner,
     scaled_matrix,
 )
+from softrobot_twin.kernels.compilation import INLINED, njit
 from softrobot_twin.mechanics.volume_change import volume_power, volumetric_slopes
 
 

@@ -32,7 +32,6 @@ from typing import Protocol
 import numpy as np
 import scipy.sparse as sp
 
-from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.geometry.matrix3 import IDENTITY, product, rows, transposed, transposed_product
 from softrobot_twin.geometry.vector3 import dot, row
 from softrobot_twin.geometry.vector_arrays import (
@@ -41,9 +40,10 @@ from softrobot_twin.geometry.vector_arrays import (
     copy_vectors,
     multiply_transposed,
 )
+from softrobot_twin.kernels.compilation import INNER, KERNEL, njit
+from softrobot_twin.kernels.traced_stage import clear
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.stencil import add_block, bind_stencils, stencil_pairs
-from softrobot_twin.traced_stage import clear
 
 
 @njit(**KERNEL)

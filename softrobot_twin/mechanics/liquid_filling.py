@@ -28,7 +28,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, ONCE, njit
 from softrobot_twin.geometry.matrix3 import ZERO, add_outer, add_scaled_matrix, cross_matrix
 from softrobot_twin.geometry.vector3 import (
     add,
@@ -40,6 +39,7 @@ from softrobot_twin.geometry.vector3 import (
     set_row,
     subtract,
 )
+from softrobot_twin.kernels.compilation import INNER, KERNEL, ONCE, njit
 from softrobot_twin.mechanics.cavity_surfaces import CavityLoad, CavitySurface
 from softrobot_twin.mechanics.stencil import add_block
 

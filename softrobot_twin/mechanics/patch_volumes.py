@@ -36,10 +36,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import INLINED, INNER, KERNEL, ONCE, njit
 from softrobot_twin.geometry.cell_mesh import points_of
 from softrobot_twin.geometry.cell_patches import grow_patches
-from softrobot_twin.geometry.smoothed_mesh import EdgeRings
 from softrobot_twin.geometry.matrix3 import (
     IDENTITY,
     add_outer,
@@ -47,8 +45,10 @@ from softrobot_twin.geometry.matrix3 import (
     determinant,
     transform,
 )
+from softrobot_twin.geometry.smoothed_mesh import EdgeRings
 from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, row, scaled, set_row
 from softrobot_twin.geometry.vector_arrays import write_differences
+from softrobot_twin.kernels.compilation import INLINED, INNER, KERNEL, ONCE, njit
 from softrobot_twin.mechanics.block_addition import (
     add_blocks,
     add_contiguous_blocks,

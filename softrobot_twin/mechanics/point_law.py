@@ -75,7 +75,7 @@ class PointLaw(NamedTuple):
         name: Its name in scenes (``material.law``).
         parameters: The NamedTuple of its parameters: floats, or tuples of them.
         energy_density: The kernel, compiled as the others by ``@njit(**KERNEL, forceinline=True)``
-            of `softrobot_twin.compilation`.
+            of `softrobot_twin.kernels.compilation`.
         stress: The kernel.
         differential: The kernel.
         linearize: The kernel; without it F itself is given to `differential`.

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import INLINED, INNER, KERNEL, ONCE, njit
 from softrobot_twin.geometry.matrix3 import (
     add_scaled_matrix,
     cofactor,
@@ -19,6 +18,7 @@ from softrobot_twin.geometry.matrix3 import (
     scaled_matrix,
 )
 from softrobot_twin.geometry.vector3 import dot
+from softrobot_twin.kernels.compilation import INLINED, INNER, KERNEL, ONCE, njit
 from softrobot_twin.mechanics.element_batches import BATCH, at, copy_entries, matrix_at, put_matrix
 
 POLAR_ITERATIONS = 40

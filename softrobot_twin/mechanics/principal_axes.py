@@ -26,7 +26,6 @@ from __future__ import annotations
 
 import math
 
-from softrobot_twin.compilation import INLINED, KERNEL, ONCE, njit
 from softrobot_twin.geometry.matrix3 import (
     IDENTITY,
     add_outer,
@@ -37,6 +36,7 @@ from softrobot_twin.geometry.matrix3 import (
     transposed_product,
 )
 from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, scaled
+from softrobot_twin.kernels.compilation import INLINED, KERNEL, ONCE, njit
 
 # Sweeps of Jacobi's method for a 3×3 matrix; it converges quadratically, mostly within four.
 MOST_SWEEPS = 12

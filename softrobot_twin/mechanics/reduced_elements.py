@@ -34,11 +34,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, ONCE, UNCACHED, njit
 from softrobot_twin.geometry.cell_mesh import CellBlock, points_of
 from softrobot_twin.geometry.matrix3 import product, transposed_product
 from softrobot_twin.geometry.shape_functions import MEAN_HEXAHEDRON, hourglass_fields
 from softrobot_twin.geometry.vector_arrays import gather_vectors, multiply_transposed
+from softrobot_twin.kernels.compilation import INNER, KERNEL, ONCE, UNCACHED, njit
 from softrobot_twin.mechanics.compression_watch import CompressionWatch, coarseness
 from softrobot_twin.mechanics.element_assembly import (
     fill_derivatives,
@@ -62,6 +62,7 @@ from softrobot_twin.mechanics.element_batches import (
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.laws.corotational import Corotational
 from softrobot_twin.mechanics.laws.corotational import linearize as spin_stiffness
+from softrobot_twin.mechanics.material import LameParameters
 from softrobot_twin.mechanics.point_law import (
     energy_density,
     law_at,
@@ -69,7 +70,6 @@ from softrobot_twin.mechanics.point_law import (
     law_projects,
     law_turns,
 )
-from softrobot_twin.mechanics.material import LameParameters
 from softrobot_twin.mechanics.reduced_hourglass import HourglassRows, ReducedHourglass
 from softrobot_twin.mechanics.row_sums import WIDTH, add_squares, row_sums
 from softrobot_twin.mechanics.stencil import add_stencil_matrix, bind_stencils

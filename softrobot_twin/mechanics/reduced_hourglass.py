@@ -15,9 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.geometry.shape_functions import HourglassFields
 from softrobot_twin.geometry.vector_arrays import multiply_transposed
+from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.mechanics.element_batches import BATCH, at, scratch
 from softrobot_twin.mechanics.hourglass import (
     VECTORS,

@@ -25,8 +25,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.geometry.vector_arrays import gather_vectors, write_differences
+from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.mechanics.element_batches import BATCH, at, scratch
 from softrobot_twin.mechanics.force_term import InertiaTerm
 from softrobot_twin.mechanics.inertia import RememberedNodes

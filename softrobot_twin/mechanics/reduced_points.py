@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.geometry.vector_arrays import gather_vectors
+from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.mechanics.kinematics import longest_row
 
 # Numbers that stay in the nearest cache while all coordinates are added.

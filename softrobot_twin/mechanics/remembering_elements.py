@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, UNCACHED, njit
 from softrobot_twin.geometry.matrix3 import add_scaled_matrix, scaled_matrix
+from softrobot_twin.kernels.compilation import KERNEL, UNCACHED, njit
 from softrobot_twin.mechanics.element_assembly import deform, gather, is_of_package
 from softrobot_twin.mechanics.element_batches import (
     BATCH,

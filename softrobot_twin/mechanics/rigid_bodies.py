@@ -70,7 +70,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import INLINED, KERNEL, ONCE, njit
 from softrobot_twin.geometry.matrix3 import (
     IDENTITY,
     add_scaled_matrix,
@@ -93,6 +92,7 @@ from softrobot_twin.geometry.vector3 import (
     set_row,
     subtract,
 )
+from softrobot_twin.kernels.compilation import INLINED, KERNEL, ONCE, njit
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.force_term import InertiaTerm, OwnBlocks
 from softrobot_twin.mechanics.rotation import (

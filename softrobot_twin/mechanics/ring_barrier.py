@@ -12,10 +12,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.geometry.cell_mesh import node_counts_of, points_of
 from softrobot_twin.geometry.matrix3 import determinant
 from softrobot_twin.geometry.vector_arrays import write_differences
+from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.mechanics.element_assembly import deform_all
 from softrobot_twin.mechanics.element_batches import BATCH, lay_out_elements, matrix_at
 from softrobot_twin.mechanics.polar import is_upright

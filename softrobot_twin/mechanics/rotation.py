@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import INLINED, KERNEL, njit
 from softrobot_twin.geometry.matrix3 import (
     add_scaled_matrix,
     plus_identity,
@@ -23,6 +22,7 @@ from softrobot_twin.geometry.matrix3 import (
     transposed_product,
 )
 from softrobot_twin.geometry.vector3 import dot, norm, scaled
+from softrobot_twin.kernels.compilation import INLINED, KERNEL, njit
 
 # Below this angle [rad] the series is more accurate than the closed form.
 SMALL_ANGLE = 0.2

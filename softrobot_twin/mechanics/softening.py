@@ -33,7 +33,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import GENERIC, njit
 from softrobot_twin.geometry.matrix3 import (
     add_scaled_matrix,
     cofactor,
@@ -42,6 +41,7 @@ from softrobot_twin.geometry.matrix3 import (
     inner,
     scaled_matrix,
 )
+from softrobot_twin.kernels.compilation import GENERIC, njit
 from softrobot_twin.mechanics.element_batches import at
 from softrobot_twin.mechanics.point_law import (
     differential,

@@ -17,9 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import INLINED, KERNEL, njit
 from softrobot_twin.geometry.matrix3 import rows, scaled_matrix
 from softrobot_twin.geometry.vector3 import dot
+from softrobot_twin.kernels.compilation import INLINED, KERNEL, njit
 
 Slots = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 

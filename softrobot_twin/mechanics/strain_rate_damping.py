@@ -43,10 +43,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, njit
 from softrobot_twin.geometry.matrix3 import cofactor, inner, scaled_matrix
 from softrobot_twin.geometry.vector3 import dot
 from softrobot_twin.geometry.vector_arrays import are_same
+from softrobot_twin.kernels.compilation import INNER, KERNEL, njit
 from softrobot_twin.mechanics.element_assembly import (
     assembly_of,
     deform,

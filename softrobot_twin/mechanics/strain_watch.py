@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.geometry.matrix3 import (
     determinant,
     inner,
@@ -20,6 +19,7 @@ from softrobot_twin.geometry.matrix3 import (
     trace,
     transposed_product,
 )
+from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.mechanics.element_batches import BATCH, matrix_at
 
 

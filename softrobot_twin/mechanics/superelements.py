@@ -88,7 +88,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import INLINED, INNER, KERNEL, ONCE, njit
 from softrobot_twin.geometry.matrix3 import cross_matrix
 from softrobot_twin.geometry.vector3 import (
     add,
@@ -100,6 +99,7 @@ from softrobot_twin.geometry.vector3 import (
     set_row,
     subtract,
 )
+from softrobot_twin.kernels.compilation import INLINED, INNER, KERNEL, ONCE, njit
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.polynomials import Monomials, write_monomials
 from softrobot_twin.mechanics.stencil import add_lever_turning, add_stencil_matrix, of_frames

@@ -31,7 +31,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import GENERIC, njit
 from softrobot_twin.geometry.matrix3 import (
     add_scaled_matrix,
     cofactor,
@@ -43,6 +42,7 @@ from softrobot_twin.geometry.matrix3 import (
     symmetric,
     transposed_product,
 )
+from softrobot_twin.kernels.compilation import GENERIC, njit
 from softrobot_twin.mechanics.element_batches import matrix_at
 from softrobot_twin.mechanics.point_law import (
     differential,

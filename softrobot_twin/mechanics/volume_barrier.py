@@ -37,7 +37,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, ONCE, njit
 from softrobot_twin.geometry.matrix3 import (
     add_outer,
     add_scaled_matrix,
@@ -49,6 +48,7 @@ from softrobot_twin.geometry.matrix3 import (
     transform,
 )
 from softrobot_twin.geometry.vector3 import cross, scaled
+from softrobot_twin.kernels.compilation import INNER, KERNEL, ONCE, njit
 from softrobot_twin.mechanics.element_batches import (
     BATCH,
     matrix_at,

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 
-from softrobot_twin.compilation import INLINED, KERNEL, njit
+from softrobot_twin.kernels.compilation import INLINED, KERNEL, njit
 
 # Volume ratio below which functions are continued: far below what a converged step keeps.
 LEAST_VOLUME = 0.05

@@ -14,7 +14,7 @@ from contextlib import suppress
 from enum import Enum
 from pathlib import Path
 
-from softrobot_twin.worker_threads import helper_ids
+from softrobot_twin.kernels.worker_threads import helper_ids
 
 _REAL_TIME = 5
 """Priority in SCHED_FIFO's range 1 to 99: above all ordinary threads, below the kernel's."""

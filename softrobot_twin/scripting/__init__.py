@@ -1,5 +1,6 @@
 """A robot in Python, by names and units: load, build, step, run, plot."""
 
+from softrobot_twin.calibration.design import Equilibria, hull_volume
 from softrobot_twin.scripting.named_commands import (
     Efforts,
     HoldAll,
@@ -15,7 +16,6 @@ from softrobot_twin.scripting.robot import Robot, SceneWarning, build, load
 from softrobot_twin.scripting.step_outcome import Result
 from softrobot_twin.simulation import Status
 from softrobot_twin.simulation.appearance import Pose
-from softrobot_twin.study.design import Equilibria, hull_volume
 
 __all__ = [
     "Efforts",

@@ -20,6 +20,8 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from softrobot_twin.errors import CommandError
+from softrobot_twin.harness.figure import MissingExtraError
+from softrobot_twin.harness.sampled_axes import Axis, driven_by, joint_axes
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.scene_parameters import (
     JointParameter,
@@ -30,10 +32,8 @@ from softrobot_twin.scene.scene_parameters import (
 from softrobot_twin.scripting.named_commands import finite_numbers, unknown
 from softrobot_twin.scripting.robot import Robot, load
 from softrobot_twin.simulation import CommandSetpoints, Simulation, State
-from softrobot_twin.study.figure import MissingExtraError
 from softrobot_twin.study.scene_picture import layers_of, take_snapshot
 from softrobot_twin.study.triangle_drawing import Triangles, camera_at, image_of
-from softrobot_twin.study.workspace import Axis, driven_by, joint_axes
 
 try:
     import gymnasium

@@ -11,11 +11,11 @@ import numpy as np
 
 from softrobot_twin.geometry.hexahedral_mesh import HexahedralMesh
 from softrobot_twin.geometry.quadratic_mesh import QuadraticMesh
+from softrobot_twin.harness.output_file import OutputError, output_file
 from softrobot_twin.mechanics.rotation import rotation_from_quaternion
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.appearance import rigid_poses
 from softrobot_twin.simulation.building.deformable_body import Body
-from softrobot_twin.study.output_file import OutputError, output_file
 
 
 class _Part(NamedTuple):

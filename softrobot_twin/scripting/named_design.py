@@ -9,7 +9,17 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from softrobot_twin.calibration.design import (
+    DesignError,
+    DesignModel,
+    DesignSearch,
+    Found,
+    Objective,
+    Pose,
+)
 from softrobot_twin.errors import CommandError
+from softrobot_twin.harness.output_file import output_file
+from softrobot_twin.harness.terminal import by_key
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.loading import text_of
 from softrobot_twin.scene.scene_parameters import JointParameter, Parameter, parameters
@@ -25,16 +35,6 @@ from softrobot_twin.scripting.named_commands import (
 from softrobot_twin.scripting.notebook_html import table_html, text_html
 from softrobot_twin.simulation import CommandEfforts, Simulation
 from softrobot_twin.simulation.command import DEFAULT_TIME_STEP
-from softrobot_twin.study.design import (
-    DesignError,
-    DesignModel,
-    DesignSearch,
-    Found,
-    Objective,
-    Pose,
-)
-from softrobot_twin.study.output_file import output_file
-from softrobot_twin.study.terminal import by_key
 
 Variables: TypeAlias = Sequence[str] | Mapping[str, str | Mapping[str, float]]
 """Keys of numbers; or names, each with a key, or with keys and shares by which these change together."""

@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from softrobot_twin.harness.figure import png_of
+from softrobot_twin.harness.length_units import SHOWN
+from softrobot_twin.harness.terminal import by_key
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.building.actuator_kinds import Quantity
-from softrobot_twin.study.figure import png_of
-from softrobot_twin.study.length_units import SHOWN
-from softrobot_twin.study.terminal import by_key
 
 # Most rows of a table; of more the first and the last ones are shown.
 _MOST_ROWS = 20

@@ -14,9 +14,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, cast
 
 import numpy as np
 
+from softrobot_twin.calibration.calibration import Calibration, Given, calibrate
+from softrobot_twin.calibration.calibration_report import measured_poses
+from softrobot_twin.calibration.design import DesignModel, Objective
 from softrobot_twin.control.force_observer import ForceObserver
 from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.errors import CommandError
+from softrobot_twin.harness.equilibrium import is_at_rest
+from softrobot_twin.harness.figure import MissingExtraError, load_pyplot
 from softrobot_twin.scene import Scene, load_scene, scene_from_mapping
 from softrobot_twin.scene.scene_parameters import Parameter, changed_scene, parameters
 from softrobot_twin.scripting.entries_in_python import IN_PYTHON, plain_entries
@@ -80,12 +85,7 @@ from softrobot_twin.simulation.runs.input_tables import (
 from softrobot_twin.simulation.runs.run_columns import RunColumns, RunRow
 from softrobot_twin.simulation.sensitivities import Sensitivities
 from softrobot_twin.study import direct_run
-from softrobot_twin.study.calibration import Calibration, Given, calibrate
-from softrobot_twin.study.calibration_report import measured_poses
-from softrobot_twin.study.design import DesignModel, Objective
 from softrobot_twin.study.direct_run import DEFAULT_RATE, run_commands
-from softrobot_twin.study.equilibrium import is_at_rest
-from softrobot_twin.study.figure import MissingExtraError, load_pyplot
 from softrobot_twin.study.offline_run import columns_of, commands_of, unlikely_warning
 from softrobot_twin.study.offline_run import run as run_targets
 from softrobot_twin.study.passive_run import BodyReadouts, no_commands

@@ -24,6 +24,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from softrobot_twin.errors import CommandError, one_line
+from softrobot_twin.harness.sample_workers import WorkerError, core_count
+from softrobot_twin.kernels.worker_threads import use_one_thread
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.scene.loading import changes_of
 from softrobot_twin.scripting.gym_environment import (  # type: ignore[attr-defined]
@@ -32,8 +34,6 @@ from softrobot_twin.scripting.gym_environment import (  # type: ignore[attr-defi
 )
 from softrobot_twin.scripting.robot import Robot, SceneWarning
 from softrobot_twin.simulation import State
-from softrobot_twin.study.sample_workers import WorkerError, core_count
-from softrobot_twin.worker_threads import use_one_thread
 
 
 class VectorEnvironment(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):

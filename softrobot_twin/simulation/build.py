@@ -9,6 +9,7 @@ import numpy as np
 
 from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.errors import SceneError
+from softrobot_twin.kernels.worker_threads import default_thread_count
 from softrobot_twin.mechanics.kinematics import on_unknowns
 from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.scene import Scene
@@ -28,7 +29,6 @@ from softrobot_twin.solvers import FACTORIZATIONS
 from softrobot_twin.solvers.dense_stiffness import DenseStiffness
 from softrobot_twin.solvers.factorization import Factorization
 from softrobot_twin.solvers.multifrontal import Multifrontal
-from softrobot_twin.worker_threads import default_thread_count
 
 # Most unknowns of a matrix without zeros: beyond, those between several reduced bodies are worth more.
 MOST_DENSE = 400

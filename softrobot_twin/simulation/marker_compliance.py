@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, njit
+from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.simulation.apparent_compliance import CondensedHold, HeldTangent
 from softrobot_twin.simulation.effects.observed_forces import ObservedRows, observed_term
 from softrobot_twin.simulation.simulation import Simulation

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.constraints.contact import Contacts
+from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.mechanics.strain_watch import StrainOutside
 from softrobot_twin.mechanics.touch_loads import TouchState
 from softrobot_twin.simulation.state import State

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from softrobot_twin.errors import CommandError
-from softrobot_twin.kernels_ahead import help_with
+from softrobot_twin.kernels.kernels_ahead import help_with
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.simulation.build import build_model
 from softrobot_twin.simulation.building.model import Model

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, ONCE, njit
+from softrobot_twin.kernels.compilation import INNER, KERNEL, ONCE, njit
 from softrobot_twin.solvers.contact_law import (
     CONTACT_SIZE,
     admissible,

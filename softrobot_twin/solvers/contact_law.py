@@ -28,7 +28,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, ONCE, njit
+from softrobot_twin.kernels.compilation import INNER, KERNEL, ONCE, njit
 
 # Relative excess over the cone that is round-off.
 ROUND_OFF = 1.0e-14

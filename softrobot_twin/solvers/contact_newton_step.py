@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, ONCE, njit
+from softrobot_twin.kernels.compilation import INNER, KERNEL, ONCE, njit
 
 
 PLAIN, TURNING = 0, 1

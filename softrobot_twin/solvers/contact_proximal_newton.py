@@ -37,7 +37,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, ONCE, njit
+from softrobot_twin.kernels.compilation import INNER, KERNEL, ONCE, njit
 from softrobot_twin.solvers.contact_gauss_seidel import motion
 from softrobot_twin.solvers.contact_law import (
     admissible,

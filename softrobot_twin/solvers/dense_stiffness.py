@@ -17,7 +17,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, njit
+from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.solvers.factorization import Condensed, Factorization, NodeRows, laid_out_like
 
 NO_ROWS = NodeRows(*np.empty((2, 0), np.int64), np.empty((0, 3)), 0)

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, njit
+from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.solvers.daqp_program import solve_program
 from softrobot_twin.solvers.inverse_problem import MOVES_NOTHING, TINY, Bounds
 from softrobot_twin.solvers.warm_start import optimum_from_active_set

@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, njit
+from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.solvers.qpcc import QPCC
 
 # Share of each row's own compliance that is added to W in the energy term, as if each actuator were

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, njit
+from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.solvers.inverse_problem import tracking_and_energy
 from softrobot_twin.solvers.pivoting import MOST_PROGRAMS, WARM_START, never, solve_by_pivoting
 from softrobot_twin.solvers.qpcc import QPCC, QPCCSolution, Stationarity

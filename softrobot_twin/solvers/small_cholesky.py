@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, njit
+from softrobot_twin.kernels.compilation import INNER, njit
 
 
 @njit(**INNER)

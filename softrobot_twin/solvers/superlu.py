@@ -6,8 +6,8 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
+from softrobot_twin.kernels.traced_stage import clear
 from softrobot_twin.solvers.factorization import Condensed, NodeRows, block_slots
-from softrobot_twin.traced_stage import clear
 
 OPTIONS = {
     "permc_spec": "MMD_AT_PLUS_A",

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, ONCE, njit
+from softrobot_twin.kernels.compilation import INNER, KERNEL, ONCE, njit
 from softrobot_twin.solvers.small_cholesky import backward, dot_product, factorize, forward
 
 # Active sets that are tried before the caller's general solver is used.

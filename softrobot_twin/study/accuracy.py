@@ -11,6 +11,11 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
+from softrobot_twin.harness.figure import figure_file, load_pyplot
+from softrobot_twin.harness.machine_facts import NUMERICAL_LIBRARIES, describe_machine
+from softrobot_twin.harness.output_file import make_folder
+from softrobot_twin.harness.study_rows import write_rows
+from softrobot_twin.harness.terminal import console, print_apart, table, tracked
 from softrobot_twin.scene import load_scene
 from softrobot_twin.scene.scene_changes import without_reductions
 from softrobot_twin.study.accuracy_study import (
@@ -31,17 +36,12 @@ from softrobot_twin.study.accuracy_study import (
     study_reduced,
     with_hold_radius,
 )
-from softrobot_twin.study.figure import figure_file, load_pyplot
-from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine
-from softrobot_twin.study.output_file import make_folder
 from softrobot_twin.study.reduced_models import (
     every_level,
     own_file,
     reduced_models,
     train_level,
 )
-from softrobot_twin.study.study_rows import write_rows
-from softrobot_twin.study.terminal import console, print_apart, table, tracked
 
 _CASE_LABELS = {"lengths": "displacements prescribed", "tensions": "forces prescribed",
                "weightless": "displacements, no gravity"}

@@ -22,6 +22,10 @@ from scipy.optimize import minimize_scalar
 from softrobot_twin.errors import NamedError, SoftRobotTwinError
 from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.geometry.uniform_refinement import refine
+from softrobot_twin.harness.output_file import writing
+from softrobot_twin.harness.study_rows import read_rows
+from softrobot_twin.harness.terminal import tracked, warn
+from softrobot_twin.harness.timing import spread, without_garbage_collection
 from softrobot_twin.mechanics.element_kinds import HEXAHEDRAL
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.scene.body_entries import Material, Mesh, Reduced, Region
@@ -44,10 +48,6 @@ from softrobot_twin.simulation.mesh_error import (
     MeshErrorEstimator,
     MeshErrorUnknown,
 )
-from softrobot_twin.study.output_file import writing
-from softrobot_twin.study.study_rows import read_rows
-from softrobot_twin.study.terminal import tracked, warn
-from softrobot_twin.study.timing import spread, without_garbage_collection
 
 
 class AccuracyError(NamedError):

@@ -13,6 +13,11 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
+from softrobot_twin.harness.machine_facts import NUMERICAL_LIBRARIES, describe_machine
+from softrobot_twin.harness.output_file import make_folder
+from softrobot_twin.harness.study_rows import write_rows
+from softrobot_twin.harness.terminal import console, print_apart, report_activity, table
+from softrobot_twin.harness.timing import Spread
 from softrobot_twin.simulation.runs.input_tables import TableFileError
 from softrobot_twin.study.bench_measurement import (
     OUTSIDE,
@@ -25,11 +30,6 @@ from softrobot_twin.study.bench_measurement import (
     given_cases,
     measure,
 )
-from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine
-from softrobot_twin.study.output_file import make_folder
-from softrobot_twin.study.study_rows import write_rows
-from softrobot_twin.study.terminal import console, print_apart, report_activity, table
-from softrobot_twin.study.timing import Spread
 
 
 def write_bench(path: Path, sizes: Sequence[SizeMeasurement]) -> None:

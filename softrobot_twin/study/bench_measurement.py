@@ -26,6 +26,13 @@ from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.errors import NamedError, SoftRobotTwinError
+from softrobot_twin.harness.machine_facts import resident_bytes
+from softrobot_twin.harness.timing import (
+    Spread,
+    SuperLUReference,
+    spread,
+    without_garbage_collection,
+)
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.shared_files import shared_folders
 from softrobot_twin.simulation import (
@@ -40,13 +47,6 @@ from softrobot_twin.simulation.runs.input_tables import read_commands
 from softrobot_twin.solvers.dense_stiffness import without_rows
 from softrobot_twin.study.accuracy_study import OPEN_SHARE
 from softrobot_twin.study.direct_run import run_commands
-from softrobot_twin.study.machine_facts import resident_bytes
-from softrobot_twin.study.timing import (
-    Spread,
-    SuperLUReference,
-    spread,
-    without_garbage_collection,
-)
 
 
 CIRCLE_TIME_STEP = 0.01

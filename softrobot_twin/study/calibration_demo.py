@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from softrobot_twin.control.rest_watch import RestPose
+from softrobot_twin.harness.equilibrium import bring_to_rest
 from softrobot_twin.simulation import FollowTargets, Simulation
-from softrobot_twin.study.equilibrium import bring_to_rest
 
 STEPS = 10
 """Steps of the twin to a target, of which each takes any time."""

@@ -20,7 +20,19 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.harness.machine_facts import NUMERICAL_LIBRARIES, describe_machine
+from softrobot_twin.harness.study_rows import write_rows
+from softrobot_twin.harness.terminal import (
+    approximate_duration,
+    console,
+    print_to_stderr,
+    report_activity,
+    table,
+    warn,
+)
+from softrobot_twin.harness.timing import RobustTiming
 from softrobot_twin.mechanics.element_kinds import HEXAHEDRAL
+from softrobot_twin.reduction.training_options import TargetBox, TrainingOptions
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.scene.scene_changes import without_reductions
 from softrobot_twin.simulation import Simulation
@@ -50,7 +62,6 @@ from softrobot_twin.study.accuracy_study import (
     with_law,
     write_scene_copy,
 )
-from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine
 from softrobot_twin.study.reduced_models import (
     STUDY,
     SUFFIX,
@@ -64,17 +75,6 @@ from softrobot_twin.study.reduced_models import (
     trained_model,
     with_ranges,
 )
-from softrobot_twin.study.study_rows import write_rows
-from softrobot_twin.study.terminal import (
-    approximate_duration,
-    console,
-    print_to_stderr,
-    report_activity,
-    table,
-    warn,
-)
-from softrobot_twin.study.timing import RobustTiming
-from softrobot_twin.study.training_options import TargetBox, TrainingOptions
 
 STEPS = 120
 FIRST_ROUNDS, LAST_ROUNDS = 3, 4

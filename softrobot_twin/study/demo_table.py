@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from softrobot_twin.harness.output_file import csv_output
 from softrobot_twin.simulation.building.actuator_kinds import ActuatorKind
 from softrobot_twin.simulation.building.table_columns import (
     DRIVEN_BY,
@@ -22,7 +23,6 @@ from softrobot_twin.simulation.building.table_columns import (
     position_columns,
     target_name,
 )
-from softrobot_twin.study.output_file import csv_output
 from softrobot_twin.study.tracking import TrackingRecord
 
 

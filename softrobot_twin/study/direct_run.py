@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from softrobot_twin.harness.terminal import warn
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.command import DEFAULT_TIME_STEP, Command
 from softrobot_twin.simulation.runs.input_tables import CommandTable, read_commands
@@ -21,7 +22,6 @@ from softrobot_twin.study.offline_run import (
 from softrobot_twin.study.passive_run import BodyReadouts, no_commands
 from softrobot_twin.study.run_summary import RunSummary
 from softrobot_twin.study.scene_picture import Snapshot, take_snapshot
-from softrobot_twin.study.terminal import warn
 
 
 def step_times(table: CommandTable, rate: float) -> np.ndarray:

@@ -17,6 +17,16 @@ from softrobot_twin.constraints.contact import Contacts
 from softrobot_twin.control.dynamic_control import DynamicControl
 from softrobot_twin.control.force_observer import USUAL_NOISE, ForceObserver
 from softrobot_twin.geometry.wall_thickness import ThinnestPart, thinnest_part
+from softrobot_twin.harness.length_units import SHOWN
+from softrobot_twin.harness.terminal import (
+    by_key,
+    console,
+    listing,
+    print_apart,
+    table,
+    terminal_status,
+    warn,
+)
 from softrobot_twin.mechanics.laws import law_named
 from softrobot_twin.mechanics.sealed_gas import SealedGas
 from softrobot_twin.scene import Scene
@@ -37,18 +47,8 @@ from softrobot_twin.simulation.scene_warnings import expected_sag
 from softrobot_twin.simulation.step.time_integration import DEFAULT_RADIUS
 from softrobot_twin.solvers.dense_stiffness import without_rows
 from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT
-from softrobot_twin.study.length_units import SHOWN
 from softrobot_twin.study.pneumatic_warnings import burst_warnings, fibre_warnings
 from softrobot_twin.study.scene_picture import check_picture, draw_snapshots, take_snapshot
-from softrobot_twin.study.terminal import (
-    by_key,
-    console,
-    listing,
-    print_apart,
-    table,
-    terminal_status,
-    warn,
-)
 
 
 def limits(bounds, unit: str) -> str:

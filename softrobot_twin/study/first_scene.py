@@ -25,13 +25,13 @@ from softrobot_twin.geometry.hexahedral_mesh import HexahedralMesh
 from softrobot_twin.geometry.mesh_reading import MeshReading, read_solid_mesh
 from softrobot_twin.geometry.point_location import locate_points
 from softrobot_twin.geometry.surface import boundary_triangles
+from softrobot_twin.harness.output_file import OutputError, output_file
+from softrobot_twin.harness.terminal import console, table, terminal_status, warn
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.entry import check_name
 from softrobot_twin.scene.loading import read_yaml, scene_from_mapping
 from softrobot_twin.scene.material_presets import MATERIAL_PRESETS
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.study.output_file import OutputError, output_file
-from softrobot_twin.study.terminal import console, table, terminal_status, warn
 
 PRESET = "dragon_skin_30"
 """Material of a first scene."""

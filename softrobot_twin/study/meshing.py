@@ -23,7 +23,6 @@ from typing import NamedTuple
 import meshio
 import numpy as np
 
-from softrobot_twin.compilation import compilation_time
 from softrobot_twin.errors import MeshError, SoftRobotTwinError
 from softrobot_twin.geometry.cad_meshing import (
     TRIANGLE_SUFFIXES,
@@ -37,6 +36,10 @@ from softrobot_twin.geometry.quality import radius_ratios
 from softrobot_twin.geometry.solid_repair import repair_solids
 from softrobot_twin.geometry.surface_reading import read_surface
 from softrobot_twin.geometry.wall_thickness import thinnest_part
+from softrobot_twin.harness.length_units import UNITS
+from softrobot_twin.harness.output_file import OutputError, output_file
+from softrobot_twin.harness.terminal import console, table, terminal_status, warn
+from softrobot_twin.kernels.compilation import compilation_time
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.command import FollowTargets, Hold
@@ -44,9 +47,6 @@ from softrobot_twin.study.accuracy_study import with_element, with_law
 from softrobot_twin.study.choice import MARGIN
 from softrobot_twin.study.explain import FOUR_NODES, LEAST_ACROSS, print_mesh_error
 from softrobot_twin.study.first_scene import LARGEST_IN_METRES, MeshSource, first_scene
-from softrobot_twin.study.length_units import UNITS
-from softrobot_twin.study.output_file import OutputError, output_file
-from softrobot_twin.study.terminal import console, table, terminal_status, warn
 
 BUSY = 1.3
 """A machine on which steps take this many times as long as they compute is called busy."""

@@ -9,13 +9,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from softrobot_twin.harness.output_file import csv_output
+from softrobot_twin.harness.terminal import console, table, terminal_status, tracked, warn
 from softrobot_twin.simulation import Command, Simulation, Status, StepResult
 from softrobot_twin.simulation.runs.input_tables import TargetTable, read_targets
 from softrobot_twin.simulation.runs.run_columns import RunColumns, RunRow
 from softrobot_twin.simulation.scene_warnings import unlikely_commands
 from softrobot_twin.simulation.step.step_report import ITERATIONS
 from softrobot_twin.study.explain import print_mesh_error, print_reduction_errors
-from softrobot_twin.study.output_file import csv_output
 from softrobot_twin.study.run_summary import BAD_END, RunSummary
 from softrobot_twin.study.scene_picture import (
     Snapshot,
@@ -23,7 +24,6 @@ from softrobot_twin.study.scene_picture import (
     draw_snapshots,
     take_snapshot,
 )
-from softrobot_twin.study.terminal import console, table, terminal_status, tracked, warn
 
 
 MORE_ITERATIONS = 60

@@ -18,6 +18,19 @@ from typing import NamedTuple
 
 import numpy as np
 
+from softrobot_twin.harness.sample_workers import core_count
+from softrobot_twin.reduction.body_training import (
+    FRESH_SEED,
+    MARGIN,
+    Training,
+    begin_training,
+    point_count,
+    reduce,
+    reduction_of,
+    train_once,
+)
+from softrobot_twin.reduction.reduction_states import States, columns_of
+from softrobot_twin.reduction.training_options import SNAPSHOTS, TrainingOptions
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.building.reduced_body import (
     BodyReduction,
@@ -39,19 +52,6 @@ from softrobot_twin.study.accuracy_study import (
     only_body,
     write_scene_copy,
 )
-from softrobot_twin.study.body_training import (
-    FRESH_SEED,
-    MARGIN,
-    Training,
-    begin_training,
-    point_count,
-    reduce,
-    reduction_of,
-    train_once,
-)
-from softrobot_twin.study.reduction_states import States, columns_of
-from softrobot_twin.study.sample_workers import core_count
-from softrobot_twin.study.training_options import SNAPSHOTS, TrainingOptions
 
 SUFFIX = "_reduced.npz"
 """End of the names of files of reduced models, by which they are found beside meshes."""

@@ -13,6 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from softrobot_twin.harness.figure import figure_file, load_pyplot
+from softrobot_twin.harness.length_units import SHOWN
+from softrobot_twin.harness.terminal import console
 from softrobot_twin.simulation.building.table_columns import (
     DRIVEN_BY,
     STATUS,
@@ -29,9 +32,6 @@ from softrobot_twin.simulation.building.table_columns import (
 from softrobot_twin.simulation.result import Status
 from softrobot_twin.simulation.runs.input_tables import TableFileError, open_columns, take_old_names
 from softrobot_twin.simulation.runs.run_columns import ACTIVE_LIMITS, COMPUTE_TIME, TEXT_COLUMNS
-from softrobot_twin.study.figure import figure_file, load_pyplot
-from softrobot_twin.study.length_units import SHOWN
-from softrobot_twin.study.terminal import console
 
 SAMPLE = "sample"
 """First column of what ``workspace`` writes, in place of times."""

@@ -8,12 +8,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from softrobot_twin.harness.length_units import SHOWN
+from softrobot_twin.harness.terminal import by_key
+from softrobot_twin.harness.timing import spread
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Simulation, Status
 from softrobot_twin.simulation.building.actuator_kinds import ActuatorKind, Quantity
 from softrobot_twin.simulation.runs.run_columns import RunRow, pair_names, rigid_poses
-from softrobot_twin.study.length_units import SHOWN
-from softrobot_twin.study.terminal import by_key
-from softrobot_twin.study.timing import spread
 
 _SHOWN = 6
 """Most rows of things that are alike; more are put together."""

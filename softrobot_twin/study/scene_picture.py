@@ -18,10 +18,10 @@ from scipy.spatial.transform import Rotation
 
 from softrobot_twin.geometry.shapes import Sphere
 from softrobot_twin.geometry.surface import half_edges
+from softrobot_twin.harness.figure import load_pyplot, write_figure
+from softrobot_twin.harness.output_file import OutputError
+from softrobot_twin.harness.terminal import by_key
 from softrobot_twin.simulation.colours import pressure_colours
-from softrobot_twin.study.figure import load_pyplot, write_figure
-from softrobot_twin.study.output_file import OutputError
-from softrobot_twin.study.terminal import by_key
 from softrobot_twin.study.triangle_drawing import LAYERS, Camera, Triangles, camera_at, draw_triangles
 from softrobot_twin.view.draw_list import DrawList, Shown
 from softrobot_twin.view.frame import Drawn, Entity

@@ -8,13 +8,12 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
-from softrobot_twin.errors import NamedError
+from softrobot_twin.harness.equilibrium import bring_to_rest
+from softrobot_twin.harness.sampled_axes import ActuationError, column_drives
+from softrobot_twin.harness.terminal import console, print_apart, table, terminal_status, warn
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.apparent_compliance import ApparentCompliance, apparent_compliance
 from softrobot_twin.simulation.building.actuators import Actuators
-from softrobot_twin.simulation.building.table_columns import column
-from softrobot_twin.study.equilibrium import bring_to_rest
-from softrobot_twin.study.terminal import console, print_apart, table, terminal_status, warn
 
 # Factor and unit in which a motion [m] by one unit of an actuator is shown.
 _SHOWN = {
@@ -25,10 +24,6 @@ _SHOWN = {
 
 # A number that is less than this share of the greatest beside it is shown as zero.
 ROUND_OFF = 1.0e-9
-
-
-class ActuationError(NamedError):
-    """An actuation that an option gives does not fit the scene."""
 
 
 def print_stiffness(scene: Path, given: Sequence[str] = ()) -> int:
@@ -107,59 +102,6 @@ def actuation(simulation: Simulation, given: Sequence[str]) -> np.ndarray:
             set_by[place] = text
         drives[places] = drive
     return drives
-
-
-_ENDS = "a number", "two numbers, LOW:HIGH"
-
-
-def column_drives(
-    simulation: Simulation, option: str, text: str, count: int = 1
-) -> tuple[list[int], list[float]]:
-    """The actuators that a column of a commands file drives, and what holds them at its values.
-
-    Args:
-        simulation: The scene.
-        option: Option that has the text.
-        text: ``<column>=<number>``, or ``<column>=<low>:<high>``.
-        count: How many numbers it has.
-
-    Returns:
-        Places of the actuators, and increasing displacements or efforts; see `Actuators.drives`.
-
-    Raises:
-        ActuationError: The column is unknown, or the numbers are none, not finite or not in order.
-    """
-    named, _, ends = text.partition("=")
-    columns, given = _actuator_column_places(simulation), f"{option} {text}"
-    if named not in columns:
-        raise ActuationError(given, f"is no column of {', '.join(columns)}")
-    try:
-        numbers = list(map(float, ends.split(":")))
-        if len(numbers) != count:
-            raise ValueError
-    except ValueError:
-        raise ActuationError(given, f"must end with {_ENDS[count - 1]}") from None
-    if not np.isfinite(numbers).all() or numbers != sorted(numbers):
-        raise ActuationError(given, f"must be finite{', the lower one first' * (count > 1)}")
-    places, is_setpoint = columns[named]
-    setpoints, drives = np.tile(simulation.rest_setpoints, (count, 1)), numbers
-    if is_setpoint:
-        setpoints[:, places] = np.array(numbers)[:, None]
-        drives = simulation.actuators.drives(setpoints)[:, places[0]].tolist()
-    return places, sorted(drives)
-
-
-def _actuator_column_places(simulation: Simulation) -> dict[str, tuple[list[int], bool]]:
-    """Columns of a commands file: the actuators that each moves, and whether it is a setpoint."""
-    actuators, columns = simulation.actuators, {}
-    names = list(actuators.names)
-    for place, (name, kind) in enumerate(actuators.kind_of.items()):
-        if not kind.is_effort_driven:
-            columns[column(name, kind.displacement)] = [place], False
-        columns[column(name, kind.setpoint)] = [place], True
-    for motor, cables in simulation.motors.items():
-        columns[f"{motor}_shortening_m"] = [names.index(cable) for cable in cables], False
-    return columns
 
 
 def tables(simulation: Simulation, found: ApparentCompliance) -> list[Table]:

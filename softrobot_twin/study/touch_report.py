@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.study.figure import figure_file
+from softrobot_twin.harness.figure import figure_file
 from softrobot_twin.study.tracking import TimedValues
 
 _LEAST_SHARE = 0.5

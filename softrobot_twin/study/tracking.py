@@ -15,11 +15,11 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.errors import NamedError
+from softrobot_twin.harness.figure import figure_file, legend_below
+from softrobot_twin.harness.length_units import SHOWN
+from softrobot_twin.harness.machine_facts import machine, versions
+from softrobot_twin.harness.output_file import writing
 from softrobot_twin.simulation.runs.input_tables import between_rows
-from softrobot_twin.study.figure import figure_file, legend_below
-from softrobot_twin.study.length_units import SHOWN
-from softrobot_twin.study.machine_facts import machine, versions
-from softrobot_twin.study.output_file import writing
 
 
 class TimedValues(NamedTuple):

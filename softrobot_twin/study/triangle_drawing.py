@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.study.figure import load_pyplot
+from softrobot_twin.harness.figure import load_pyplot
 
 LAYERS = {"mesh": "solid", "rigid": "solid", "thin": "marks", "clear": "clear"}
 """Layer of each look of a solid."""

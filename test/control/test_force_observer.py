@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
+from softrobot_twin.calibration.calibration import calibrate
 from softrobot_twin.control.force_observer import ForceObserver
 from softrobot_twin.control.rest_watch import RestPose
 from softrobot_twin.errors import CommandError, SceneError
@@ -16,7 +17,6 @@ from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulatio
 from softrobot_twin.simulation.effects.observed_forces import ObservedForces, observed_term
 from softrobot_twin.simulation.marker_compliance import MarkerCompliance
 from softrobot_twin.solvers.multifrontal import Multifrontal
-from softrobot_twin.study.calibration import calibrate
 
 from .conftest import ROOT, Driver, coarse, warmed_up
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from softrobot_twin.compilation import INLINED, KERNEL, njit
 from softrobot_twin.geometry.matrix3 import (
     IDENTITY,
     add_scaled_matrix,
@@ -20,6 +19,7 @@ from softrobot_twin.geometry.matrix3 import (
 )
 from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.geometry.quadrature import Quadrature
+from softrobot_twin.kernels.compilation import INLINED, KERNEL, njit
 from softrobot_twin.mechanics.element_assembly import assembly_of
 from softrobot_twin.mechanics.laws import law_named
 from softrobot_twin.mechanics.point_law import register_law, stress

@@ -16,9 +16,9 @@ pytestmark = pytest.mark.libraries
 
 gymnasium = pytest.importorskip("gymnasium")
 
+from softrobot_twin.harness.figure import MissingExtraError  # noqa: E402
 from softrobot_twin.scripting import gym_environment  # noqa: E402
 from softrobot_twin.scripting.gym_environment import ENVIRONMENT_ID, ReachingEnvironment  # noqa: E402
-from softrobot_twin.study.figure import MissingExtraError  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
 FINGER = ROOT / "config" / "scenes" / "finger.yaml"

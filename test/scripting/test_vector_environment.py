@@ -14,8 +14,8 @@ import pytest
 
 import softrobot_twin as st
 from softrobot_twin.errors import CommandError, SceneError
+from softrobot_twin.harness.sample_workers import WorkerError
 from softrobot_twin.scene import load_scene
-from softrobot_twin.study.sample_workers import WorkerError
 
 gymnasium = pytest.importorskip("gymnasium")
 

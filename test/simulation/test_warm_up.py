@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numba
 import pytest
 
-from softrobot_twin import compilation
-from softrobot_twin.compilation import CompilationProgress
+from softrobot_twin.kernels import compilation
+from softrobot_twin.kernels.compilation import CompilationProgress
 
 pytestmark = pytest.mark.libraries
 

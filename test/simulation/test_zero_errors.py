@@ -12,12 +12,12 @@ from softrobot_twin.control.inputs import MarkerInput
 from softrobot_twin.control.loop_settings import LoopSettings, Mode
 from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
 from softrobot_twin.control.twin_loop import TwinLoop
+from softrobot_twin.harness.equilibrium import bring_to_rest
 from softrobot_twin.record.rest_poses import poses_of_table
 from softrobot_twin.scene import load_scene
 from softrobot_twin.scene.scene_parameters import changed_scene
 from softrobot_twin.scene.schema import MarkerFrame
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.study.equilibrium import bring_to_rest
 
 SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
 OFFSETS = np.array([6e-4, -4e-4, 3e-4, -7e-4])

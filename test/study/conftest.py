@@ -103,7 +103,7 @@ def command(*arguments) -> Finished:
 _HELD_RUN = """
 import sys, time
 from softrobot_twin.__main__ import main
-from softrobot_twin.study.sample_workers import LocalWorkers
+from softrobot_twin.harness.sample_workers import LocalWorkers
 
 run, held = LocalWorkers.run, int(sys.argv[1])
 

@@ -9,6 +9,9 @@ import yaml
 
 from specimens import column_mesh
 
+from softrobot_twin.harness.output_file import OutputError
+from softrobot_twin.harness.study_rows import write_rows
+from softrobot_twin.reduction.body_training import reduce
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import CommandSetpoints, Simulation
 from softrobot_twin.study import accuracy_study, choice, reduced_models as reduced_models_study
@@ -29,9 +32,7 @@ from softrobot_twin.study.accuracy_study import (
     write_scene_copy,
 )
 from softrobot_twin.study.bench_measurement import default_scene_path
-from softrobot_twin.study.body_training import reduce
 from softrobot_twin.study.choice import Measured, choose
-from softrobot_twin.study.output_file import OutputError
 from softrobot_twin.study.reduced_models import (
     STUDY,
     beside,
@@ -42,7 +43,6 @@ from softrobot_twin.study.reduced_models import (
     with_ranges,
     write_training_scene,
 )
-from softrobot_twin.study.study_rows import write_rows
 
 CELLS = {10: (1, 1, 5), 20: (2, 2, 10), 30: (3, 3, 15)}
 

@@ -10,6 +10,8 @@ import yaml
 
 from softrobot_twin.geometry.cad_meshing import CadMesh, write_msh
 from softrobot_twin.mechanics.reduced_elements import SampledPoints
+from softrobot_twin.reduction.body_training import output_path
+from softrobot_twin.reduction.training_options import TrainingOptions
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.building.reduced_body import (
@@ -27,9 +29,7 @@ from softrobot_twin.study.accuracy_study import (
     with_element,
     write_scene_copy,
 )
-from softrobot_twin.study.body_training import output_path
 from softrobot_twin.study.reduced_models import every_level, reduced_models
-from softrobot_twin.study.training_options import TrainingOptions
 from test.scene_changes import repeat_step
 
 SCENE = {

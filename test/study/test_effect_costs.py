@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import yaml
 
+from softrobot_twin.harness.sampled_axes import ActuationError
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.study.effect_costs import EFFECTS, NOTHING, effect_costs, path_of
-from softrobot_twin.study.stiffness import ActuationError
 from test.builder import builder
 
 BOX = {"mesh": {"box": {"size": [0.1, 0.02, 0.02], "cells": [5, 1, 1]}}, "name": "beam",

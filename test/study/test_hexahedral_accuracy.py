@@ -6,6 +6,7 @@ import pytest
 import yaml
 
 from softrobot_twin.geometry.box_mesh import read_box
+from softrobot_twin.harness.study_rows import write_rows
 from softrobot_twin.scene import load_scene
 from softrobot_twin.study import choice
 from softrobot_twin.study.accuracy import draw_accuracy
@@ -17,7 +18,6 @@ from softrobot_twin.study.accuracy_study import (
     study_meshes,
 )
 from softrobot_twin.study.choice import Measured, choose
-from softrobot_twin.study.study_rows import write_rows
 
 pytestmark = pytest.mark.exhaustive
 

@@ -9,6 +9,7 @@ from specimens import column_mesh
 
 from softrobot_twin.geometry.surface import boundary_triangles
 from softrobot_twin.geometry.tet_mesh import TetMesh
+from softrobot_twin.harness.study_rows import write_rows
 from softrobot_twin.scene import load_scene
 from softrobot_twin.study.accuracy_study import (
     AccuracyError,
@@ -22,7 +23,6 @@ from softrobot_twin.study.accuracy_study import (
     write_mesh,
 )
 from softrobot_twin.study.choice import Measured, choose
-from softrobot_twin.study.study_rows import write_rows
 
 SIZE = (0.03, 0.03, 0.06)
 FINEST = 2

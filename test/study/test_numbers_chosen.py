@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from softrobot_twin.calibration.calibration import MARKERS, RestModel, calibrate
 from softrobot_twin.control.rest_watch import RestPose
 from softrobot_twin.scene import load_scene, scene_from_mapping
 from softrobot_twin.scene.scene_parameters import changed_scene, tied
-from softrobot_twin.study.calibration import MARKERS, RestModel, calibrate
 from test.study.test_calibration import BAR, E
 
 SCENE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "emio.yaml"

@@ -3,9 +3,9 @@
 
 import pytest
 
+from softrobot_twin.harness.output_file import OutputError, output_file
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.study import direct_run, offline_run
-from softrobot_twin.study.output_file import OutputError, output_file
 from test.run_files import rows_of
 
 pytestmark = pytest.mark.libraries

@@ -5,8 +5,8 @@ import sys
 
 import pytest
 
-from softrobot_twin.study import terminal
-from softrobot_twin.study.terminal import PipedProgress, console, table
+from softrobot_twin.harness import terminal
+from softrobot_twin.harness.terminal import PipedProgress, console, table
 
 pytestmark = pytest.mark.libraries
 

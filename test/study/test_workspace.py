@@ -11,16 +11,12 @@ import numpy as np
 import pytest
 import yaml
 
+from softrobot_twin.harness import sample_workers
+from softrobot_twin.harness.sample_workers import DaskWorkers, Job, LocalWorkers
+from softrobot_twin.harness.sampled_axes import sampled_axes, sampled_setpoints
 from softrobot_twin.simulation import CommandSetpoints, Simulation
 from softrobot_twin.simulation.apparent_compliance import apparent_compliance
-from softrobot_twin.study import sample_workers
-from softrobot_twin.study.sample_workers import DaskWorkers, Job, LocalWorkers
-from softrobot_twin.study.workspace import (
-    SampleComputer,
-    UnfinishedFile,
-    sampled_axes,
-    sampled_setpoints,
-)
+from softrobot_twin.study.workspace import SampleComputer, UnfinishedFile
 from test.run_files import rows_of
 from test.scene_changes import repeat_step
 
@@ -155,7 +151,7 @@ def test_what_is_no_unfinished_run_is_left_alone(tmp_path):
 def test_a_fingerprint_depends_on_the_mesh_and_not_on_the_folder(column, tmp_path):
     def run_of(folder):
         computer = SampleComputer(folder / column.name)
-        from softrobot_twin.study.sample_workers import scene_fingerprint
+        from softrobot_twin.harness.sample_workers import scene_fingerprint
         return scene_fingerprint(computer.simulation.scene)
 
     shutil.copytree(column.parent, tmp_path / "copy")

@@ -27,10 +27,10 @@ from real_beam import (
     settled_displacement,
 )
 
+from softrobot_twin.calibration.calibration import RestModel, calibrate, forecast
 from softrobot_twin.control.rest_watch import RestPose
+from softrobot_twin.harness.terminal import console
 from softrobot_twin.scene.scene_parameters import changed_scene
-from softrobot_twin.study.calibration import RestModel, calibrate, forecast
-from softrobot_twin.study.terminal import console
 
 DATA = Path(__file__).parents[1] / "data" / "real_beam"
 HELD_WITHIN = 0.5e-3

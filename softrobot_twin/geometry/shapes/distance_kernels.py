@@ -21,8 +21,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, ONCE, njit
 from softrobot_twin.geometry.vector3 import divided, dot, norm, row, subtract
+from softrobot_twin.kernels.compilation import INNER, KERNEL, ONCE, njit
 
 HALF_SPACE, CAPSULE, CYLINDER, BOX = range(4)
 

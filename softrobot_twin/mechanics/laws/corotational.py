@@ -22,7 +22,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.geometry.matrix3 import (
     add_scaled_matrix,
     cofactor,
@@ -34,6 +33,7 @@ from softrobot_twin.geometry.matrix3 import (
     transform,
 )
 from softrobot_twin.geometry.vector3 import dot
+from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.mechanics.laws.small_displacement import hooke
 from softrobot_twin.mechanics.point_law import register_law
 

@@ -18,7 +18,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.geometry.matrix3 import (
     add_scaled_matrix,
     cofactor,
@@ -27,6 +26,7 @@ from softrobot_twin.geometry.matrix3 import (
     inner,
     scaled_matrix,
 )
+from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.mechanics.point_law import LawConstant, OwnConstants, register_law
 from softrobot_twin.mechanics.volume_change import volume_power, volumetric, volumetric_slopes
 

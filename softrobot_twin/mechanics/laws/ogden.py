@@ -34,9 +34,9 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from softrobot_twin.compilation import INLINED, KERNEL, ONCE, njit
 from softrobot_twin.geometry.matrix3 import determinant, transposed_product
 from softrobot_twin.geometry.vector3 import add_scaled, scaled
+from softrobot_twin.kernels.compilation import INLINED, KERNEL, ONCE, njit
 from softrobot_twin.mechanics.point_law import LawConstant, OwnConstants, register_law
 from softrobot_twin.mechanics.principal_axes import (
     principal_axes,

@@ -18,7 +18,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import INLINED, KERNEL, njit
 from softrobot_twin.geometry.matrix3 import (
     add_scaled_matrix,
     inner,
@@ -27,6 +26,7 @@ from softrobot_twin.geometry.matrix3 import (
     symmetric,
     transposed_product,
 )
+from softrobot_twin.kernels.compilation import INLINED, KERNEL, njit
 from softrobot_twin.mechanics.laws.saint_venant_kirchhoff import green_strain
 from softrobot_twin.mechanics.point_law import LawConstant, OwnConstants, register_law
 

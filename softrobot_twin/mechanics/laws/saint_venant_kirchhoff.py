@@ -18,7 +18,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from softrobot_twin.compilation import INLINED, KERNEL, njit
 from softrobot_twin.geometry.matrix3 import (
     add_scaled_matrix,
     inner,
@@ -28,6 +27,7 @@ from softrobot_twin.geometry.matrix3 import (
     symmetric,
     transposed_product,
 )
+from softrobot_twin.kernels.compilation import INLINED, KERNEL, njit
 from softrobot_twin.mechanics.laws.small_displacement import hooke
 from softrobot_twin.mechanics.point_law import register_law
 

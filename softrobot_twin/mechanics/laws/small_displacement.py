@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from softrobot_twin.compilation import INLINED, KERNEL, njit
 from softrobot_twin.geometry.matrix3 import (
     inner,
     plus_identity,
@@ -22,6 +21,7 @@ from softrobot_twin.geometry.matrix3 import (
     symmetric,
     trace,
 )
+from softrobot_twin.kernels.compilation import INLINED, KERNEL, njit
 from softrobot_twin.mechanics.point_law import register_law
 
 

@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from softrobot_twin.compilation import INLINED, KERNEL, njit
+from softrobot_twin.kernels.compilation import INLINED, KERNEL, njit
 from softrobot_twin.mechanics.invariants import (
     differential_of_first,
     first_invariant,

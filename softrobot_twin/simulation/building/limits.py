@@ -16,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, njit
+from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.actuator_entries import Pulley
 from softrobot_twin.simulation.building.actuator_kinds import Quantity

@@ -15,9 +15,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.geometry.vector3 import dot, row
+from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.scene.actuator_entries import Slide
 from softrobot_twin.simulation.building.actuator_kinds import (
     ActuatorGroup,

@@ -44,11 +44,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.constraints.cable import Cables
 from softrobot_twin.constraints.contact import Contacts
 from softrobot_twin.constraints.hinge_angle import HingeAngles
 from softrobot_twin.constraints.row_stack import RowStack
+from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.mechanics.force_term import NO_DENSE_ROWS, DenseRows
 from softrobot_twin.mechanics.kinematics import add_clique, clique_slots
 from softrobot_twin.simulation.building.model import Model

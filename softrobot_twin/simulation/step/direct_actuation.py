@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, njit
+from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.step.actuation import Actuation, ContactLoads
 from softrobot_twin.simulation.step.contact_solvers import FORCE_SHARE, ContactSolvers

@@ -21,8 +21,8 @@ from typing import Any
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.errors import CommandError
+from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.building.sensor_kinds import in_order
 from softrobot_twin.simulation.building.table_columns import EFFORTS, HOLD, SETPOINTS, TARGETS

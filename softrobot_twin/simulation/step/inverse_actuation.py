@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, njit
+from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.result import RATE
 from softrobot_twin.simulation.step.actuation import NO_EFFORT, Actuation, ContactLoads

@@ -39,8 +39,8 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.constraints.contact import Contacts
+from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.step.actuation import NO_EFFORT, Actuation, ContactLoads
 from softrobot_twin.simulation.step.apparent_stiffness import StiffnessRows

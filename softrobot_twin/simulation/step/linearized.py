@@ -22,8 +22,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.constraints.row_stack import RowGroups, RowStack
+from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.simulation.step.augmented_tangent import Augmentation
 from softrobot_twin.solvers.compliance import Compliance
 from softrobot_twin.solvers.factorization import Condensed, Factorization, NodeRows

@@ -16,8 +16,9 @@ import math
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, njit
 from softrobot_twin.geometry.vector_arrays import copy_vectors, write_product
+from softrobot_twin.kernels.compilation import KERNEL, njit
+from softrobot_twin.kernels.traced_stage import TracedStages, clear
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.step.actuation import Actuation
@@ -32,7 +33,6 @@ from softrobot_twin.simulation.step.merit import Merit, Move
 from softrobot_twin.simulation.step.time_budget import StageClock
 from softrobot_twin.solvers.dense_stiffness import DenseStiffness, without_rows
 from softrobot_twin.solvers.factorization import Factorization
-from softrobot_twin.traced_stage import TracedStages, clear
 
 # Where no merit tells how far a linearization holds (in motion, with friction, with slender parts), no
 # node moves further than this share of the body's size in one linearization, seen from slides that carry it.

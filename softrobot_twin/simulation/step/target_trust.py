@@ -48,7 +48,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, njit
+from softrobot_twin.kernels.compilation import KERNEL, njit
 
 # Weights on moves, as multiples of the mean curvature of the tracking term; below the first they
 # count as zero.

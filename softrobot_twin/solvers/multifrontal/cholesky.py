@@ -6,6 +6,8 @@ from copy import copy
 
 import numpy as np
 
+from softrobot_twin.kernels.traced_stage import TracedStages, clear
+from softrobot_twin.kernels.worker_threads import Team, team_of
 from softrobot_twin.solvers.factorization import (
     BLOCK,
     Condensed,
@@ -31,8 +33,6 @@ from softrobot_twin.solvers.multifrontal.numeric_factorization import SUCCESS, f
 from softrobot_twin.solvers.multifrontal.ordering import best_elimination
 from softrobot_twin.solvers.multifrontal.symbolic import NONE, node_graph, renumbered
 from softrobot_twin.solvers.multifrontal.vector_code import STRIP
-from softrobot_twin.traced_stage import TracedStages, clear
-from softrobot_twin.worker_threads import Team, team_of
 
 # W is given by its factor where its rank is at most this share of its rows.
 LOW_RANK = 0.5

@@ -41,7 +41,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.compilation import INNER, KERNEL, ONCE, njit
+from softrobot_twin.kernels.compilation import INNER, KERNEL, ONCE, njit
 from softrobot_twin.solvers.multifrontal.dense_kernels import (
     NARROW,
     TRIANGLE,

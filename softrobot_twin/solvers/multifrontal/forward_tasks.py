@@ -19,7 +19,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, ONCE, njit
+from softrobot_twin.kernels.compilation import KERNEL, ONCE, njit
+from softrobot_twin.kernels.worker_threads import finish, take, wait_for
 from softrobot_twin.solvers.multifrontal.condensation import (
     NODE_BYTES,
     solve_columns,
@@ -36,7 +37,6 @@ from softrobot_twin.solvers.multifrontal.front_tasks import TaskList, plan_whole
 from softrobot_twin.solvers.multifrontal.memory_layout import Layout
 from softrobot_twin.solvers.multifrontal.symbolic import Elimination, front_of_rows
 from softrobot_twin.solvers.multifrontal.vector_code import STRIP, STRIP_BYTES, address
-from softrobot_twin.worker_threads import finish, take, wait_for
 
 # Rows of one front that are nodes of another one: that other front's `first` to `end` of `Layout.rows`.
 SEGMENT = np.dtype([("front", np.int64), ("first", np.int64), ("end", np.int64)])

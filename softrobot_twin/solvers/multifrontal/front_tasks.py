@@ -31,7 +31,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.compilation import KERNEL, ONCE, njit
+from softrobot_twin.kernels.compilation import KERNEL, ONCE, njit
+from softrobot_twin.kernels.worker_threads import NOTED, finish, take, wait_for
 from softrobot_twin.solvers.multifrontal.dense_kernels import TRIANGLE, WIDE, solve_product
 from softrobot_twin.solvers.multifrontal.memory_layout import Layout
 from softrobot_twin.solvers.multifrontal.numeric_factorization import (
@@ -54,7 +55,6 @@ from softrobot_twin.solvers.multifrontal.symbolic import (
     front_cost,
 )
 from softrobot_twin.solvers.multifrontal.vector_code import STRIP, STRIP_BYTES, address
-from softrobot_twin.worker_threads import NOTED, finish, take, wait_for
 
 # Cycles until a helper that waits in Python works, and those that a task costs besides its work.
 WAKE, OVERHEAD = 1.2e5, 1.0e3

@@ -24,7 +24,7 @@ Arguments of the kernels here:
 
 from __future__ import annotations
 
-from softrobot_twin.compilation import INNER, KERNEL, njit
+from softrobot_twin.kernels.compilation import INNER, KERNEL, njit
 from softrobot_twin.solvers.multifrontal.dense_kernels import (
     NARROW,
     TRIANGLE,

@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from softrobot_twin.compilation import KERNEL, ONCE, njit
+from softrobot_twin.kernels.compilation import KERNEL, ONCE, njit
 from softrobot_twin.solvers.multifrontal.dense_kernels import WIDE
 from softrobot_twin.solvers.multifrontal.vector_code import STRIP
 

@@ -18,7 +18,7 @@ from llvmlite import ir
 from numba.core import cgutils
 from numba.core.registry import cpu_target
 
-from softrobot_twin.compilation import INNER, njit
+from softrobot_twin.kernels.compilation import INNER, njit
 
 # Rows are processed in strips of eight doubles, a cache line, whatever the width of a vector.
 STRIP = 8

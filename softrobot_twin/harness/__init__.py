@@ -1,0 +1,1 @@
+"""What all offline runs stand on: cases, workers, samples, equilibria, files, tables, pictures."""

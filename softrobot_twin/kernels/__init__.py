@@ -1,0 +1,1 @@
+"""Compiled kernels: options, machine code on disk and ahead of time, traced stages, threads."""

@@ -1,0 +1,1 @@
+"""Bodies of few unknowns from large ones: bases, training, superelements of vertebrae."""
