@@ -235,6 +235,6 @@ def _add_effector(
     for goal in goals[:1]:
         wanted = dict(zip(("x_m", "y_m", "z_m"), goal[:3] * conversion.units.metre, strict=True))
         if "orientation" in entry and frame is not None:
-            from_rest = Rotation.from_quat(goal[3:]) * Rotation.from_quat(frame[3:]).inv()
-            wanted |= zip(("qx", "qy", "qz", "qw"), from_rest.as_quat(), strict=True)
+            turn_of_goal = Rotation.from_quat(goal[3:]) * Rotation.from_quat(frame[3:]).inv()
+            wanted |= zip(("qx", "qy", "qz", "qw"), turn_of_goal.as_quat(), strict=True)
         conversion.targets |= {f"{entry['name']}_{key}": rounded(value) for key, value in wanted.items()}

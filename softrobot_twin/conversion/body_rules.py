@@ -476,11 +476,11 @@ def rest_shape_springs(conversion: Conversion, component: SceneComponent) -> str
     anchors = points[chosen] if anchors is None else anchors
     if len(anchors) != len(chosen):
         raise NotConverted(f"{len(chosen)} points are held at {len(anchors)} places")
-    for index, value, anchor in zip(chosen, np.resize(hardness, len(chosen)), anchors, strict=True):
+    for index, value, held_at in zip(chosen, np.resize(hardness, len(chosen)), anchors, strict=True):
         conversion.add("springs", component, {
             "name": conversion.name(f"{record.name}_rest_{index}"),
             "ends": [{"on": record.name, "point": conversion.length(points[index])},
-                     {"point": conversion.length(anchor)}],
+                     {"point": conversion.length(held_at)}],
             "stiffness": rounded(value), "rest_length": 0.0})  # fmt: skip
     return f"{len(chosen)} springs of {hardness[0]:.4g} N/m"
 

@@ -40,7 +40,7 @@ def count_driven(monkeypatch):
 
 def states_of(path, drawn_seed):
     """Positions and efforts over a few steps of all kinds."""
-    simulation, random = Simulation.from_scene_file(path), np.random.default_rng(seed)
+    simulation, random = Simulation.from_scene_file(path), np.random.default_rng(drawn_seed)
     actuators, found = simulation.actuators, []
     wanted = simulation.state.setpoints + 0.02 * random.uniform(0.0, 1.0, actuators.count) * (
         actuators.setpoints(actuators.limits.drive_scale)
