@@ -85,6 +85,11 @@ def parameters_of(law, young, poisson):
     own, mu = law_named(law).own, shear_modulus(young, poisson)
     if own is None:
         return law_named(law).of_moduli(young, poisson)
+    if law == "orthotropic":
+        each = {"young_moduli": young, "shear_moduli": mu, "poisson_ratios": poisson}
+        axes = {"first_axis": (2.0, 1.0, 0.0), "second_axis": (-1.0, 2.0, 0.0)}
+        return own.parameters({name: 3 * (value,) for name, value in each.items()} | axes,
+                              bulk_modulus(young, poisson))  # fmt: skip
     scale = {constant.name: mu if constant.unit else 1.0 for constant in own.constants}
     constants = {
         name: tuple(scale[name] * one for one in share) if isinstance(share, tuple)
