@@ -25,7 +25,7 @@ Publishes targets along a path for an effector of a twin.""",
 def _topics_of(name: str) -> list[str]:
     """A line for each topic and service of a node: direction, name, type, unit."""
     topics = NODES[name].values()
-    width = max(len(topic.name) for topic in topics)
+    width = min(30, max(len(topic.name) for topic in topics))
     types = max(len(topic.type_name) for topic in topics)
     lines = []
     for direction in Direction:
@@ -35,7 +35,7 @@ def _topics_of(name: str) -> list[str]:
             lines.append(line.rstrip())
     if name == "twin":
         services = ", ".join(f"{one.name} ({one.type_name})" for one in TWIN_SERVICES)
-        lines.append(f"  services  {services}")
+        lines.append(fill(services, 96, initial_indent="  services  ", subsequent_indent=" " * 12))
     return lines
 
 

@@ -3,7 +3,6 @@ record what they are given stand where its own are.
 """
 
 import importlib.util
-import re
 import sys
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -11,6 +10,7 @@ from types import ModuleType, SimpleNamespace
 import pytest
 import yaml
 
+from softrobot_twin.command_line.commands import NODES
 from softrobot_twin.ros.parameters import ALL_TABLES
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -61,15 +61,10 @@ def launch(monkeypatch):
     return run
 
 
-def executables():
-    return set(re.findall(r'f"(\w+) = \{PACKAGE\}\.ros\.process', (ROOT / "setup.py").read_text()))
-
-
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_the_nodes_and_the_parameter_file_of_a_robot_exist(launch, robot):
     nodes = launch(robot=robot)
-    assert [node.executable for node in nodes] == ["twin", "device", "target"]
-    assert {node.executable for node in nodes} <= executables()
+    assert [node.executable for node in nodes] == list(NODES)
     for node in nodes:
         assert node.package == "softrobot_twin" and node.name == node.executable
         assert Path(node.parameters[0]).is_file() and node.namespace is None

@@ -82,7 +82,8 @@ def test_the_twin_offers_the_services_of_its_table(world, make_twin):
         return "/twin/reset" in found
 
     world.until(offered)
-    for service in TWIN_SERVICES:
+    # This scene has no grips.
+    for service in (one for one in TWIN_SERVICES if "<" not in one.name):
         name = service.name.replace("~", "/twin")
         assert found[name] == [service.type_name.replace("/", "/srv/")]
 

@@ -9,7 +9,7 @@ from softrobot_twin.calibration.calibration import MARKERS, RestModel, calibrate
 from softrobot_twin.control.rest_watch import RestPose
 from softrobot_twin.scene import load_scene, scene_from_mapping
 from softrobot_twin.scene.scene_parameters import changed_scene, tied
-from test.study.test_calibration import BAR, E
+from test.calibration.test_calibration import BAR, E
 
 SCENE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "emio.yaml"
 EMIO = {"beams[0].material.young_modulus#": 0.1, "hinge_motors[0].offset#": 0.04,
