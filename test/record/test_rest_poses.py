@@ -1,6 +1,5 @@
 """Poses at rest, of recorded runs and of tables."""
 
-from secrets import randbits
 
 import numpy as np
 import pytest
@@ -114,10 +113,8 @@ def test_a_table_without_times_has_a_pose_in_each_row(simulation):
 
 
 @pytest.mark.parametrize("period", [0.01, 0.05])
-def test_noise_of_the_cameras_is_no_motion(simulation, period):
-    seed = randbits(32)
-    print(f"seed {seed}")
-    random, samples = np.random.default_rng(seed), []
+def test_noise_of_the_cameras_is_no_motion(simulation, period, drawn_rng):
+    random, samples = drawn_rng, []
     for time in np.arange(0.0, 100.0, period):
         noise = random.normal(0.0, 2e-4, (8, 3))
         samples.append(sample(time, simulation, 1e-3 * (time // 2.0), noise))

@@ -1,7 +1,6 @@
 """An ordinary run over ROS is enough to calibrate: the robot moves to some targets and rests there."""
 
 import time
-from secrets import randbits
 
 import numpy as np
 import pytest
@@ -48,10 +47,9 @@ def own_scene_file(small_scene_file, tmp_path):
 
 
 @pytest.fixture
-def robot(world, make_twin, own_scene_file, tmp_path):
+def robot(world, make_twin, own_scene_file, tmp_path, drawn_seed):
     """A twin, and a softer robot with a zero error of a winch."""
-    seed = randbits(16)
-    print(f"seed {seed}")
+    seed = drawn_seed % 2**16
     twin = make_twin(scene_file=str(own_scene_file), record=str(tmp_path / "run.mcap"), use_device=True,
                      rate=20.0, calibrate_fit=[E, ZERO])  # fmt: skip
     world.add(DeviceNode, device_scene_file=str(own_scene_file), device_scene_changes=ROBOT,
