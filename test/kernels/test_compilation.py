@@ -221,7 +221,7 @@ REASONS = dict.fromkeys(
     "mechanics.stencil.add_block": "numbers of four bytes",
     "mechanics.stencil.add_stencil_matrix": "numbers of four bytes",
     "solvers.contact_law.copy_into": "numbers of rows",
-    "traced_stage.clear": "counts",
+    "kernels.traced_stage.clear": "counts",
 }
 
 
