@@ -929,7 +929,8 @@ def usual_keys(scene: Scene) -> list[list[str]]:
     found.append([key for key in known if re.fullmatch(r"cables.*\.offset", key)])
     if scene.markers:
         found += [[f"+markers.*.point[{axis}]"] for axis in range(3)]
-        found.append([key for key in known if _FRAME.fullmatch(key)])
+        # Scales would take up what the model is off: they are fitted where somebody asks for them.
+        found.append([key for key in known if _FRAME.fullmatch(key) and ".scale" not in key])
     return [keys for keys in found if keys]
 
 
@@ -1119,13 +1120,14 @@ def _without_faults(
     model: RestModel, poses: list[RestPose], unknowns: tuple[Unknown, ...], aside: list[str]
 ) -> tuple[Estimate, list[RestPose], RestModel]:
     """The estimate by the poses without faulty points, these poses, and their model."""
+    found = estimate(at := model.of(poses), at.measured, unknowns)
     for _ in range(_FAULT_ROUNDS):
-        found = estimate(at := model.of(poses), at.measured, unknowns)
         left, words = _cleaned(at, poses, found.residuals * found.scale_of(at.measured.kinds))
         if not words:
             break
         aside += words
         poses = left
+        found = estimate(at := model.of(poses), at.measured, unknowns)
     return found, poses, at
 
 
