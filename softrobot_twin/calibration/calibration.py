@@ -1120,14 +1120,13 @@ def _without_faults(
     model: RestModel, poses: list[RestPose], unknowns: tuple[Unknown, ...], aside: list[str]
 ) -> tuple[Estimate, list[RestPose], RestModel]:
     """The estimate by the poses without faulty points, these poses, and their model."""
-    found = estimate(at := model.of(poses), at.measured, unknowns)
-    for _ in range(_FAULT_ROUNDS):
+    for cleaned_times in range(_FAULT_ROUNDS + 1):
+        found = estimate(at := model.of(poses), at.measured, unknowns)
         left, words = _cleaned(at, poses, found.residuals * found.scale_of(at.measured.kinds))
-        if not words:
+        if not words or cleaned_times == _FAULT_ROUNDS:
             break
         aside += words
         poses = left
-        found = estimate(at := model.of(poses), at.measured, unknowns)
     return found, poses, at
 
 
