@@ -18,7 +18,8 @@ GAIN, IN_DEVIATIONS = 2.0, 0.5
 """A number is worth its place where the held-back error falls by this (Akaike 1974: two for each number),
 and by this share of the standard deviation of the sum of what single poses gain."""
 FAULTY, MOST_FAULTY = 4.0, 0.3
-"""A point is faulty that is off by so many times the median; where more than this share are, the model is wrong."""
+"""A point is faulty where it is off by so many times the median of its errors, or the median of all points if that is
+larger or if this point is off in most poses; where more than this share are, the model is wrong."""
 _DIRECTIONS, _TOLD = 12, 3.0
 """Least poses that tell a hysteresis, and its least ratio to its standard error."""
 
@@ -215,7 +216,10 @@ def faulty(off: np.ndarray, least: float = 0.0) -> np.ndarray:
     seen = np.isfinite(distances)
     if not seen.any():
         return seen
-    found = seen & (distances > FAULTY * max(np.median(distances[seen]), least))
+    median = max(np.median(distances[seen]), least)
+    of_points = np.median(np.where(seen, distances, median), axis=0)  # a tip is further off than a base
+    of_points[(of_points < median) | (of_points > FAULTY * median)] = median
+    found = seen & (distances > FAULTY * of_points)
     return found if found.sum() <= MOST_FAULTY * seen.sum() else np.zeros_like(found)
 
 

@@ -49,6 +49,12 @@ def test_a_block_of_rows_is_faulty_and_a_wrong_model_is_not():
     assert not faulty(off).any()
 
 
+def test_a_point_that_is_always_further_off_than_others_is_no_fault(drawn_rng):
+    off = 1e-4 * drawn_rng.normal(size=(60, 8, 3))
+    off[:, :2] *= 4.0
+    assert not faulty(off).any()
+
+
 def test_hysteresis_is_separated_from_noise():
     rng = np.random.default_rng(7)
     places = rng.uniform(-0.05, 0.05, (60, 3))
