@@ -435,7 +435,7 @@ class Scene(Entry):
     integration: Literal["quasi_static", "first_order", "dynamic"] = "quasi_static"
     """Equilibria, viscous motion, or motion with inertia."""
     time_scheme: Literal["backward_euler", "generalized_alpha"] = "backward_euler"
-    """First order, damps much; or second order, damps by `spectral_radius`."""
+    """First order with much damping, or second order with `spectral_radius`."""
     spectral_radius: Annotated[float | None, unit("", ge=0.0, le=1.0)] = None
     """ρ∞, by default 0.8: 1 damps nothing, 0 fast vibrations at once."""
     body: Body | None = None
