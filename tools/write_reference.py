@@ -123,7 +123,7 @@ def _introduction(
     if not pages:
         raise UndescribedError(f"{place} has no page that explains it: add one to GUIDES")
     links = [f"[{page.partition('.')[0].replace('_', ' ')}]({page})" for page in dict.fromkeys(pages)]
-    text += f" See {', '.join(links)}."
+    text = f"{text.removesuffix('.')} ({', '.join(links)})."
     return "\n\n".join([text, *_of_others(shared, models)])
 
 
@@ -174,7 +174,8 @@ def _rows(
             value.startswith("as [") and name not in meanings)  # fmt: skip
         told = "" if is_said else f". {_plain(meaning)}"
         value = _with_default(field, value.replace("list of sections", "list")).removeprefix("section, ")
-        rows.append(f"- `{before}{name}`: {value}{told}".replace(": section. ", ": "))
+        star = "\\*" if field.is_required() else ""
+        rows.append(f"- `{before}{name}`{star}: {value}{told}".replace(": section. ", ": "))
         for part in new:
             top = key.partition(".")[0]
             below, others = _rows(part, f"{before}{name}.", key, anchors, owners)
@@ -315,11 +316,9 @@ def _units_in(annotation: Any) -> list[str]:
 
 
 def _with_default(field: FieldInfo, words: str) -> str:
-    """What may be given, with `required` or the default after it; a default among words is bold."""
-    if field.is_required():
-        return f"{words}, required"
+    """What may be given, with the default after it; a default among words is bold."""
     value = field.default
-    if value is None or value == () or isinstance(value, BaseModel):
+    if field.is_required() or value is None or value == () or isinstance(value, BaseModel):
         return words
     shown = "zeros" if value == (0.0, 0.0, 0.0) else f"`{_yaml(value)}`"
     return words.replace(shown, f"**{shown}**") if shown in words else f"{words}, {shown}"

@@ -130,7 +130,7 @@ class Cable(ActuatorEntry):
     shortening: Annotated[OpenRange, unit("m"), allows_zero("the shortening at rest")] = NO_LIMITS
     """Limits of the shortening from rest."""
     rate: Annotated[OpenNumber | None, unit("m/s", gt=0.0)] = None
-    """Greatest change of length per second."""
+    """Greatest speed."""
     tension: Annotated[OpenPull, unit("N"), not_below_zero(_CANNOT_PUSH)] = POSITIVE
     """Its limits; the lower is not negative."""
     pulley: Pulley | None = None
@@ -140,7 +140,7 @@ class Cable(ActuatorEntry):
     friction: Annotated[float, unit("", ge=0.0)] = 0.0
     """µ at its points: the tension falls by exp(-µβ) at a turn by β."""
     offset: Annotated[float, unit("m")] = 0.0
-    """Zero error of its winch: measured less true length."""
+    """Measured less true length."""
     presliding: Annotated[float | None, unit("m", gt=0.0)] = None
     """Motion until friction acts; by default a thousandth of the length."""
 
@@ -286,7 +286,7 @@ class Motor(Entry):
     name: Name
     """Its name."""
     cables: Annotated[tuple[Name, ...], Field(min_length=1)]
-    """Names of its cables."""
+    """Its cables."""
     pulley: Pulley | None = None
     """Pulley that winds them all."""
 
@@ -325,7 +325,7 @@ class HingeMotor(ActuatorEntry):
     angle: Annotated[ClosedRange, unit("rad"), allows_zero("the angle at rest")]
     """Limits of its angle, 0 at rest, about the hinge's axis."""
     offset: Annotated[float, unit("rad")] = 0.0
-    """Zero error of the motor: measured less true angle."""
+    """Measured less true angle."""
     rate: Annotated[float | None, unit("rad/s", gt=0.0)] = None
     """Greatest speed."""
     torque: Annotated[OpenRange, unit("N m"), allows_zero("no torque")] = NO_LIMITS

@@ -56,7 +56,7 @@ class BoxMesh(Entry):
     cell_size: Annotated[float | None, unit("m", gt=0.0)] = None
     """Greatest edge of its cells."""
     cells: tuple[_CellCount, _CellCount, _CellCount] | None = None
-    """Numbers of cells along x, y, z."""
+    """Cells along x, y, z."""
 
     def check(self) -> None:
         """Refuse more cells than `MOST_BOX_CELLS`."""
@@ -68,7 +68,7 @@ class BoxMesh(Entry):
 
     @property
     def cell_counts(self) -> tuple[int, int, int]:
-        """Numbers of cells along x, y, z."""
+        """Cells along x, y, z."""
         if self.cell_size is not None:
             return cells_of_size(self.size, self.cell_size)
         assert self.cells is not None  # it is checked that one is given
@@ -85,7 +85,7 @@ class Mesh(Entry):
     placed: ClassVar[dict[str, str]] = {"rotation": "angles", "translation": "point"}
 
     file: Path | None = None
-    """Mesh file, or CAD file (.stl, .obj, .ply, .off, .step, .stp)."""
+    """A mesh, or CAD file (.stl, .obj, .ply, .off, .step, .stp)."""
     box: BoxMesh | None = None
     """A box from the origin, in place of a file."""
     size: Annotated[float | None, unit("m", gt=0.0)] = None
@@ -93,9 +93,9 @@ class Mesh(Entry):
     scale: Annotated[float, unit("m per file unit", gt=0.0)] = 1.0
     """Metres in a unit of the file; not for STEP."""
     rotation: Angles = (0.0, 0.0, 0.0)
-    """Angles about the world's axes; after the scale."""
+    """About the world's axes; after the scale."""
     translation: Vector = (0.0, 0.0, 0.0)
-    """Displacement; after the rotation."""
+    """After the rotation."""
     merge_distance: Annotated[float | None, unit("m", ge=0.0)] = None
     """Nearer nodes are merged; by default coincident ones that separate the mesh."""
 
@@ -381,7 +381,7 @@ class Material(ElasticEntry):
     density: Annotated[float | None, unit("kg/m³", gt=0.0)] = None
     """Mass by volume."""
     total_mass: Annotated[float | None, unit("kg", gt=0.0)] = None
-    """Mass of the whole body, in place of a density."""
+    """In place of a density."""
     viscosity: tuple[ViscosityTerm, ...] = ()
     """Prony series of a hyperelastic law."""
     softening: Softening | None = None
@@ -534,7 +534,7 @@ class Visual(Entry):
     file: Path
     """Surface mesh, placed like the body's own mesh."""
     scale: Annotated[float, unit("m per file unit", gt=0.0)] = 1.0
-    """Metres in a unit of the file."""
+    """Metres in its unit."""
 
 
 class ContactSurface(Visual):
@@ -554,7 +554,7 @@ class Body(Entry):
     """Linear is too stiff in bending; smoothed is about as exact as quadratic, and faster."""
     material: Material
     materials: tuple[RegionMaterial, ...] = ()
-    """Materials of parts; other cells have `material`."""
+    """Of parts; other cells have `material`."""
     fixed: tuple[Region, ...] = ()
     """Nodes that do not move."""
     attached: tuple[Attachment, ...] = ()
@@ -659,9 +659,9 @@ class RectangleSection(Entry):
     width: Annotated[float, unit("m", gt=0.0)]
     """At right angles to it."""
     torsion: Annotated[float | None, unit("m⁴", gt=0.0)] = None
-    """Measured torsion constant; by default by Saint-Venant."""
+    """Torsion constant; by default by Saint-Venant."""
     shear_factor: Annotated[float | None, unit("", gt=0.0, le=1.0)] = None
-    """Measured shear area by area; by default by Cowper."""
+    """Shear area by area; by default by Cowper."""
 
 
 class CircleSection(Entry):
@@ -733,7 +733,7 @@ class CrossSection(Entry):
 
 
 class BeamMaterial(Entry):
-    """The material of a beam, isotropic and linear elastic."""
+    """Isotropic, linear elastic."""
 
     told: ClassVar[tuple[str, ...]] = (
         "E {young_modulus} Pa", "ν {poisson_ratio}", "{density} kg/m³",
@@ -753,7 +753,7 @@ class BeamJoint(Entry):
     placed: ClassVar[dict[str, str]] = {"axis": "direction", "through": "point"}
 
     at: Literal["start", "end"] | Annotated[int, Field(ge=0)]
-    """First or last point, or a point by its index."""
+    """A point, by its index."""
     to: str
     """A rigid body, beam or ``world``; of a pattern such as ``hub_*`` the nearest."""
     by: Literal["rigid", "hinge", "ball"] = "rigid"
@@ -763,7 +763,7 @@ class BeamJoint(Entry):
     axis: Direction | None = None
     """Axis of a hinge, in the world at rest."""
     through: Vector | None = None
-    """Place of the hinge or ball joint; by default the joined point."""
+    """Its place; by default the joined point."""
 
     def check(self) -> None:
         """Refuse a hinge without an axis, and an axis or a place without a hinge."""
@@ -901,7 +901,7 @@ class CylinderShape(Entry):
     told: ClassVar[tuple[str, ...]] = ("cylinder of radius {radius:mm} mm", "{ends:|} mm long")
 
     ends: _Ends
-    """Centres of the two flat ends."""
+    """Centres of its ends."""
     radius: Radius
     """Radius."""
 
@@ -927,11 +927,11 @@ class SurfaceShape(Entry):
     file: Path
     """Mesh file."""
     scale: Annotated[float, unit("m per file unit", gt=0.0)] = 1.0
-    """Metres in a unit of the file."""
+    """Metres in its unit."""
     rotation: Angles = (0.0, 0.0, 0.0)
     """Angles about the axes; after the scale."""
     translation: Vector = (0.0, 0.0, 0.0)
-    """Displacement; after the rotation."""
+    """After the rotation."""
     hull: bool = False
     """Take its convex hull."""
 
@@ -985,11 +985,11 @@ class RigidJoint(Entry):
     by: Literal["hinge", "ball"]
     """A hinge about `axis`, or a ball joint."""
     through: Vector
-    """Place of the hinge or ball joint, as drawn."""
+    """Its place, as drawn."""
     axis: Annotated[Direction | None, not_zero("must not be zero")] = None
     """Axis of a hinge, in the world as drawn."""
     stiffness: Annotated[float, unit("N/m", gt=0.0)] = 1.0e6
-    """Stiffness of the bearing."""
+    """Of the bearing."""
 
     def check(self) -> None:
         """Refuse a hinge without an axis, and a ball joint with one."""
@@ -1018,9 +1018,9 @@ class RigidBody(Shaped):
     density: Annotated[float | None, unit("kg/m³", gt=0.0)] = None
     """Of a free body, in place of a mass."""
     velocity: Annotated[tuple[float, float, float], unit("m/s")] = (0.0, 0.0, 0.0)
-    """Initial velocity."""
+    """At the start."""
     angular_velocity: Annotated[tuple[float, float, float], unit("rad/s")] = (0.0, 0.0, 0.0)
-    """Initial angular velocity."""
+    """At the start."""
     damping: Annotated[float, unit("1/s", ge=0.0)] = 0.0
     """α: the drag is α times mass and inertia."""
     speed: Annotated[float | None, unit("m/s", gt=0.0)] = None
@@ -1180,7 +1180,7 @@ class MassSpringBody(Entry):
     name: Name
     """Its name."""
     points: Annotated[tuple[Vector, ...], Field(min_length=1)]
-    """Places of the masses at rest."""
+    """At rest."""
     masses: tuple[Annotated[float, unit("kg", gt=0.0)], ...]
     """One for each point, or one for all."""
     springs: tuple[tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]], ...] = ()

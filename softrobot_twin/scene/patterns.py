@@ -67,7 +67,7 @@ class Pattern(Entry):
     angle: Annotated[float | None, unit("rad")] = None
     """From copy to copy; by default a full turn over `count`."""
     step: Vector = (0.0, 0.0, 0.0)
-    """Translation from one copy to the next."""
+    """From copy to copy."""
     names: tuple[str, ...] | None = None
     """What ``#`` stands for; by default the number."""
     first: Annotated[int, Field(ge=0, le=1_000_000)] = 0

@@ -431,7 +431,7 @@ class Scene(Entry):
     name: Name
     """Its name."""
     gravity: Acceleration = (0.0, 0.0, -9.81)
-    """Acceleration of gravity; zeros for none."""
+    """Zeros for none."""
     integration: Literal["quasi_static", "first_order", "dynamic"] = "quasi_static"
     """Equilibria, viscous motion, or motion with inertia."""
     time_scheme: Literal["backward_euler", "generalized_alpha"] = "backward_euler"
