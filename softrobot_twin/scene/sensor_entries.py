@@ -15,7 +15,7 @@ from softrobot_twin.scene.references import check_carrier, check_known, names_in
 
 
 class Sensor(Entry):
-    """A length, an angle, a volume or a pressure that is told, measured, or wanted."""
+    """A length, an angle, a volume or a pressure that is reported, measured, or wanted."""
 
     told: ClassVar[tuple[str, ...]] = (
         "string of {string:#point}", "path of {cable}", "bend of {bend:#point}",
