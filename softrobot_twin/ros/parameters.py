@@ -210,7 +210,7 @@ RUNTIME = (
              0.0, 1000.0),
     _setting("correction_gain", "Gain of the integrator, where setpoints are not measured.", "1/s", 0.0, 1000.0),
     _setting("correction_limit", "Greatest length of the correction.", "m", 0.0, 1.0),
-    _setting("lead_limit", "Time ahead at which a moving target is aimed in closed loop, at most.",
+    _setting("lead_limit", "Greatest time by which a moving target is led in closed loop.",
              "s", 0.0, 1.0),
     _setting("marker_timeout", "Time without a message until markers are lost.", "s", 0.001,
              60.0),

@@ -152,7 +152,7 @@ class Softening(Entry):
     r: Annotated[float, unit("", gt=1.0)]
     """The stress falls by 1/r of itself at most."""
     m: Annotated[float, unit("J/m³", gt=0.0)]
-    """Energy density; small: softens after small stretches."""
+    """Energy density; a small one softens early."""
     beta: Annotated[float, unit("", ge=0.0)] = 0.0
     """β: greater ones soften less after great stretches."""
 
@@ -534,7 +534,7 @@ class Visual(Entry):
     file: Path
     """Surface mesh, placed like the body's own mesh."""
     scale: Annotated[float, unit("m per file unit", gt=0.0)] = 1.0
-    """Metres in its unit."""
+    """Metres in a file unit."""
 
 
 class ContactSurface(Visual):
@@ -927,7 +927,7 @@ class SurfaceShape(Entry):
     file: Path
     """Mesh file."""
     scale: Annotated[float, unit("m per file unit", gt=0.0)] = 1.0
-    """Metres in its unit."""
+    """Metres in a file unit."""
     rotation: Angles = (0.0, 0.0, 0.0)
     """Angles about the axes; after the scale."""
     translation: Vector = (0.0, 0.0, 0.0)
