@@ -1024,9 +1024,9 @@ class RigidBody(Shaped):
     damping: Annotated[float, unit("1/s", ge=0.0)] = 0.0
     """α: the drag is α times mass and inertia."""
     speed: Annotated[float | None, unit("m/s", gt=0.0)] = None
-    """Of a guided body; by default the robot's size per second."""
+    """Greatest speed; by default the robot's size per second."""
     turn_rate: Annotated[float | None, unit("rad/s", gt=0.0)] = None
-    """Its angular speed; by default 1 rad/s."""
+    """Greatest angular speed; by default 1 rad/s."""
     joined: tuple[RigidJoint, ...] = ()
     """Hinges and ball joints of a free body."""
 

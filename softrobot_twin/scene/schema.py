@@ -102,7 +102,7 @@ class Contact(Entry):
     alarm_distance: Annotated[float, unit("m", gt=0.0)] = 0.003
     """Nearer features become contact candidates."""
     contact_distance: Annotated[float, unit("m", ge=0.0)] = 0.0
-    """Distance in contact."""
+    """Features this near are in contact."""
     force_limit: Annotated[float | None, unit("N", gt=0.0)] = None
     """Greatest force of one contact in the inverse problem."""
     push_out_speed: Annotated[float, unit("m/s", gt=0.0)] = 0.05
