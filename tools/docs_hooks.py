@@ -22,6 +22,9 @@ EQUATION = re.compile(r"(?<![\\$`\w])\$([^\s$`](?:[^$`\n]*[^\s$`])?)\$(?![\w$])"
 DIAGRAM = re.compile(r" *```mermaid\ngraph BT\n(.*?)```", re.DOTALL)
 # Size of a box of a diagram, and the gaps between boxes, in pixels.
 WIDTH, HEIGHT, GAP, RISE = 150, 64, 14, 46
+# Code in a line of text, and words in it that stay on one line: short names, options, statuses.
+INLINE = re.compile(r"<code>([^<]+)</code>")
+WORD = re.compile(r"(?<!\S)(?:&#?\w+;|[^&\s]){1,40}(?!\S)")
 FENCE = re.compile(r"^( *```.*?^ *```)", re.MULTILINE | re.DOTALL)
 
 
@@ -56,6 +59,24 @@ def on_page_markdown(markdown: str, page, config, files) -> str:
     parts[::2] = [EQUATION.sub(lambda found: convert(found[1]), TO_SOURCES.sub(lead, part))
                   for part in parts[::2]]
     parts[1::2] = [DIAGRAM.sub(lambda found: diagram(found[1]), part) for part in parts[1::2]]
+    return "".join(parts)
+
+
+def on_page_content(page_html: str, page, config, files) -> str:
+    """Keeps words of code on one line, which browsers break at hyphens; called by mkdocs.
+
+    Args:
+        page_html: The page.
+        page: The page; not used.
+        config: Configuration of the site; not used.
+        files: All files of the site; not used.
+    """
+    def keep(match: re.Match) -> str:
+        return f"<code>{WORD.sub(lambda word: f'<span class=word>{word[0]}</span>', match[1])}</code>"
+
+    # Code blocks are every second part.
+    parts = re.split(r"(<pre.*?</pre>)", page_html, flags=re.DOTALL)
+    parts[::2] = [INLINE.sub(keep, part) for part in parts[::2]]
     return "".join(parts)
 
 

@@ -1,4 +1,4 @@
-"""Prints the table of docs/measurements.md that tells what each effect of scenes costs."""
+"""Prints a table of what each effect of scenes costs."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from softrobot_twin.study.effect_costs import effect_costs, told
 
 
 def page_lines(scenes: Sequence[Path]) -> Iterator[str]:
-    """The table of docs/measurements.md.
+    """The lines of the table.
 
     Args:
         scenes: Scene files.

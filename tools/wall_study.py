@@ -1,7 +1,7 @@
 """Thin walls of solid elements: published shells, and a wall of a tenth of its radius.
 
-`python tools/wall_study.py` prints the tables of docs/pneumatics.md and docs/measurements.md, in minutes; names of
-problems as arguments print theirs alone. All are those of small displacements: one linearization.
+`python tools/wall_study.py` prints these tables, one of them in docs/pneumatics.md, in minutes; names of problems
+as arguments print theirs alone. All are those of small displacements: one linearization.
 """
 
 from __future__ import annotations

@@ -65,6 +65,8 @@ EVERYWHERE = ("SCENE", "--set KEY=VALUE ...", "--scheduler ADDRESS", "--workers 
 """Arguments of many commands that docs/commands.md explains once, above its generated part."""
 EXPLAINED = ("Its name.", "Its body.")
 """Meanings of keys that docs/scene_reference.md explains once, above its generated part."""
+PLURALS = ("points", "numbers", "positive numbers", "integers", "names", "texts")
+"""Words that say by themselves that a list is given."""
 USUAL_QUALITY = ("reliable", "newest 1")
 """Quality of service of topics that docs/topics.md does not tell for each of them."""
 
@@ -117,14 +119,11 @@ def _introduction(
 ) -> str:
     """What a section is, where it is explained, and the keys that it has of another one."""
     text = _plain(inspect.getdoc(model).split("\n\nAttributes:")[0])
-    if model.placed is not None and any(
-            item_of_list(field.annotation) is model for field in Scene.model_fields.values()):
-        text += " [Repeatable](#repeat)."
     pages = [page for key, page in GUIDES.items() if key.partition(".")[0] == place]
     if not pages:
         raise UndescribedError(f"{place} has no page that explains it: add one to GUIDES")
     links = [f"[{page.partition('.')[0].replace('_', ' ')}]({page})" for page in dict.fromkeys(pages)]
-    text += f" See {', '.join(links)}."
+    text = f"{text.removesuffix('.')} ({', '.join(links)})."
     return "\n\n".join([text, *_of_others(shared, models)])
 
 
@@ -166,7 +165,7 @@ def _rows(
             raise UndescribedError(f"{key} has no unit: declare it by unit(..)")
         owner = next(part for part in model.__mro__ if name in part.__dict__.get("__annotations__", {}))
         if owners.setdefault((owner, name), (place, field.default))[0] != place and (
-                owners[owner, name][1] == field.default):
+                field.default in (owners[owner, name][1], None)):
             shared.setdefault(owners[owner, name][0], []).append(name)
             continue
         new = [part for part in dict.fromkeys(inner) if part not in anchors]
@@ -174,11 +173,9 @@ def _rows(
         is_said = meaning in EXPLAINED or meaning.lower() == f"{name.replace('_', ' ')}." or (
             value.startswith("as [") and name not in meanings)  # fmt: skip
         told = "" if is_said else f". {_plain(meaning)}"
-        item = item_of_list(field.annotation)
-        if place and is_entry(item) and item.placed is not None:
-            told += " [Repeatable](#repeat)."
         value = _with_default(field, value.replace("list of sections", "list")).removeprefix("section, ")
-        rows.append(f"- `{before}{name}`: {value}{told}".replace(": section. ", ": "))
+        star = "\\*" if field.is_required() else ""
+        rows.append(f"- `{before}{name}`{star}: {value}{told}".replace(": section. ", ": "))
         for part in new:
             top = key.partition(".")[0]
             below, others = _rows(part, f"{before}{name}.", key, anchors, owners)
@@ -230,7 +227,7 @@ def _words(annotation: Any, metadata: list, anchors: dict) -> str:
     if origin is tuple and arguments[-1] is Ellipsis:
         item = _words(arguments[0], [], anchors)
         items = "points" if item == "xyz" else _plural(item) + " each" * item[0].isdigit()
-        return f"list of {items}{_length(metadata)}"
+        return f"{'' if items in PLURALS else 'list of '}{items}{_length(metadata)}"
     if origin is tuple:
         kinds = sorted({_words(part, [], anchors) for part in arguments})
         free = " or null" if any(type(None) in get_args(part) for part in arguments) else ""
@@ -251,6 +248,8 @@ def _words(annotation: Any, metadata: list, anchors: dict) -> str:
 def _plural(words: str) -> str:
     if words[0] in "><≥≤":
         return f"numbers {words}"
+    if words == "positive":
+        return "positive numbers"
     if words.startswith("as "):
         return f"entries {words}"
     for word in ("number", "integer", "name", "text", "section", "file"):
@@ -279,14 +278,18 @@ def _text(metadata: list) -> str:
 
 def _limits(metadata: list) -> str:
     signs = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}
-    given = [f"{sign} {_number(getattr(part, name))}" for part in _flat(metadata)
-             for name, sign in signs.items() if getattr(part, name, None) is not None]  # fmt: skip
-    return ", ".join(dict.fromkeys(given))
+    given = {f"{sign} {_number(getattr(part, name))}": None for part in _flat(metadata)
+             for name, sign in signs.items() if getattr(part, name, None) is not None}  # fmt: skip
+    words = ", ".join(given)
+    if words == "> 0":
+        return "positive"
+    both = re.fullmatch(r"≥ (\S+), ≤ (\S+)", words)
+    return f"{both[1]}…{both[2]}" if both else words
 
 
 def _length(metadata: list) -> str:
     least = next((part.min_length for part in metadata if hasattr(part, "min_length")), None)
-    return f", at least {least}" if least else ""
+    return f", at least {least}" if least and least > 1 else ""
 
 
 def _has_numbers(annotation: Any) -> bool:
@@ -313,11 +316,9 @@ def _units_in(annotation: Any) -> list[str]:
 
 
 def _with_default(field: FieldInfo, words: str) -> str:
-    """What may be given, with `required` or the default after it; a default among words is bold."""
-    if field.is_required():
-        return f"{words}, required"
+    """What may be given, with the default after it; a default among words is bold."""
     value = field.default
-    if value is None or value == () or isinstance(value, BaseModel):
+    if field.is_required() or value is None or value == () or isinstance(value, BaseModel):
         return words
     shown = "zeros" if value == (0.0, 0.0, 0.0) else f"`{_yaml(value)}`"
     return words.replace(shown, f"**{shown}**") if shown in words else f"{words}, {shown}"

@@ -237,7 +237,6 @@ def mesh(
 
     Examples:
         softrobot_twin mesh finger.stl --size 6mm --output finger.msh
-        softrobot_twin mesh finger.step --rate 50 --output finger.msh
         softrobot_twin mesh scan.obj --repair --output scan.stl
 
     Args:
@@ -250,8 +249,7 @@ def mesh(
         unit: Unit of a file of triangles, which states none (default: mm).
         element: Elements whose step is measured (default: quadratic).
         repair: Close holes, and unite solids that overlap or touch.
-        turn (N): Elements in a full turn of curved faces; 0 refines none (default: about 16 on round
-            walls of cavities).
+        turn (N): Elements in a full turn of curved faces; 0 refines none (default: 16 in cavities).
     """
     from softrobot_twin.study.choice import MARGIN
     from softrobot_twin.study.meshing import mesh_part
@@ -267,8 +265,8 @@ def init(
 ) -> int:  # fmt: skip
     """Write a first scene for a mesh.
 
-    Write a commented scene for a mesh or CAD file. It runs as it is: fixed region, scale, material,
-    effector and limits of pressure are guessed and told.
+    Write a commented scene for a mesh or CAD file. It runs as it is: what the file does not say is
+    guessed and told.
 
     Examples:
         softrobot_twin init finger.msh
@@ -293,11 +291,10 @@ def convert(
 ) -> int:  # fmt: skip
     """Convert a scene of SOFA.
 
-    Write a scene from one of SOFA, with a comment on the source of each entry. What has no counterpart
-    is listed, with exit code 3. A Python scene is a program: it runs in a process of its own.
+    Write a scene from one of SOFA, with comments on its source. What has no counterpart is listed, with
+    exit code 3. A Python scene is a program: it runs in a process of its own.
 
     Examples:
-        softrobot_twin convert robot.py --output robot.yaml
         softrobot_twin convert robot.scn --units mm-g-s --output robot.yaml
 
     Args:
@@ -322,7 +319,7 @@ def simulate(
     """Run a scene offline, without ROS.
 
     Run a scene over a targets file, a row a step, over a commands file at a fixed rate, or without
-    commands. docs/files.md describes the columns. What a run wrote can be given back as either.
+    commands. docs/files.md describes the columns.
 
     Examples:
         softrobot_twin simulate config/scenes/diamond.yaml --targets config/targets/diamond_circle.csv --output run.csv
@@ -386,11 +383,9 @@ def _check_outputs(inputs: Sequence[Path | None], **outputs: Path | None) -> Non
 def plot(file: Path, *, columns: Sequence[str] = (), output: Path | None = None) -> int:
     """Draw what a run wrote over time.
 
-    Draw the file of a run, a panel for each quantity. Files of workspace, targets and commands can be
-    drawn too.
+    Draw the file of a run, of workspace, targets or commands, a panel for each quantity.
 
     Examples:
-        softrobot_twin plot run.csv
         softrobot_twin plot run.csv --columns 'tip_*' '*_tension_N' --output tensions.png
 
     Args:
@@ -410,11 +405,10 @@ def explain(
 ) -> int:  # fmt: skip
     """Show the effects of a scene and the terms they become.
 
-    Print what a scene contains: actuators, effectors, size, mass, sag, entries, terms, stages of a
-    step, and an estimate of the mesh's error.
+    Print what a scene contains: actuators, effectors, size, mass, sag, terms, stages of a step, and an
+    estimate of the mesh's error.
 
     Examples:
-        softrobot_twin explain config/scenes/diamond.yaml
         softrobot_twin explain config/scenes/diamond.yaml --stiffness --at north_shortening_m=0.01
         softrobot_twin explain config/scenes/grasper.yaml --effects
 
@@ -425,8 +419,7 @@ def explain(
         picture_view (ELEVATION AZIMUTH): Direction of view [degrees] (default 24 -58).
         stiffness: Print instead how effectors yield to forces, and how each actuator moves them.
         effects: Print instead what each effect costs in time, and what changes without it.
-        at (COLUMN=VALUE): With --stiffness or --effects: the actuation, such as north_shortening_m=0.01
-            (default: at rest).
+        at (COLUMN=VALUE): With these two: the actuation, such as north_shortening_m=0.01 (default: at rest).
     """
     from softrobot_twin.study.effect_costs import print_effects
     from softrobot_twin.study.explain import explain as print_scene
@@ -463,19 +456,17 @@ def calibrate(
 
     Args:
         scene (SCENE): Scene file (YAML).
-        data (FILE): Recorded runs (.mcap), or tables (.csv) with setpoints, markers (marker_4_x_m) and
-            efforts.
+        data (FILE): Recorded runs (.mcap), or tables (.csv) with setpoints, markers and efforts.
         fit (KEY): Numbers to fit, perhaps with *; keys joined by + change together, # moves copies of a
             repeated entry (default: those that lower the error of poses held back).
         known (KEY=DEVIATION): Standard deviation before the fit, in the unit of the number, or as a
-            share of moduli and densities (default: 30 % of moduli, 2 % of the size for lengths). Or
-            KEY=VALUE±DEVIATION of what was measured otherwise.
+            share of moduli and densities. Or KEY=VALUE±DEVIATION of what was measured otherwise.
         check (FILE): Runs and tables that judge the result (default: every fourth pose).
         output (FILE.yaml): Scene to write (default: beside the scene, SCENE_calibrated.yaml).
         picture (FILE.png): Draw the errors before and after, and the intervals.
         suggest: Tell what should be measured next.
-        axes (AXES): Axes of the tables that are x, y and z of the scene, such as z,x,y (default: x,y,z).
-        backwards (ACTUATOR): Actuators whose setpoints and efforts have the other sign in the tables.
+        axes (AXES): Axes of the tables that are x, y and z of the scene (default: x,y,z).
+        backwards (ACTUATOR): Actuators with the other sign in the tables.
     """
     from softrobot_twin.calibration.calibration_report import calibrate_scene
 
@@ -491,7 +482,7 @@ def workspace(
     """Sample where a robot gets, and how stiff it is there.
 
     Sample the actuators over their bounds, and write where the effectors come to rest, their stiffness,
-    and the efforts. After Ctrl-C the same command goes on.
+    and the efforts. After Ctrl-C the command goes on.
 
     Examples:
         softrobot_twin workspace config/scenes/diamond.yaml --samples 160 --output workspace.csv --picture workspace.png
@@ -525,11 +516,10 @@ def bench(
     """Time a step, stage by stage.
 
     Time every stage of a step while the effector follows a circle, or the actuators move over their
-    limits. Without a scene it times the Diamond.
+    limits; by default of the Diamond.
 
     Examples:
-        softrobot_twin bench
-        softrobot_twin bench config/scenes/diamond.yaml config/scenes/fetch_reduced.yaml --steps 300
+        softrobot_twin bench config/scenes/diamond.yaml --steps 300
 
     Args:
         scenes (SCENE): Scene file (YAML).
@@ -553,8 +543,8 @@ def accuracy(
 ) -> int:  # fmt: skip
     """Measure accuracy against computing time.
 
-    Measure the effector's error and the time of a step over meshes, elements and laws. Meshes of one
-    family lie beside the mesh of the scene, with other numbers at the end of their names.
+    Measure the effector's error and the time of a step over meshes, elements and laws. Meshes lie
+    beside the mesh of the scene, with other numbers at the end of their names.
 
     Examples:
         softrobot_twin accuracy config/scenes/diamond.yaml
@@ -596,13 +586,11 @@ def choose(
         accuracy (FILE.csv): File of errors written by accuracy; made quickly if it does not exist.
         write (FILE.yaml): Scene file to write (default <name>_<rate>hz.yaml here).
         reduced (FILE.npz): Further reduced models of these meshes, written by 'reduce'.
-        given: Choose by the error at given lengths and volumes, or at given forces and pressures
-            (default lengths).
+        given: Choose by the error at given lengths, or at given forces (default lengths).
         train: First train the reduced model that is expected to be best.
 
     What a training samples, see 'reduce':
-        range_ (COLUMN=LOW:HIGH): Bounds of the actuators (default: cables up to 0.4 of their limits,
-            others their own).
+        range_ (COLUMN=LOW:HIGH): Bounds of the actuators (default: cables up to 0.4 of their limits).
         targets (BOX): As of reduce: NAME=XLOW:XHIGH,YLOW:YHIGH,ZLOW:ZHIGH [m].
         loads (N): Forces up to this [N] at the effectors.
         tilts (DEGREES): Directions of gravity up to this angle from the scene's.
@@ -636,14 +624,12 @@ def reduce(
 ) -> int:  # fmt: skip
     """Make the reduced model of a deformable body.
 
-    Bring the full model to many states, take modes from its displacements and few weighted quadrature
-    points, and write a file that the scene names by 'reduced: {file: ...}'. Sample what the robot will
-    meet: loads, tilts and the whole range. After Ctrl-C the same command goes on.
+    Train a reduced model, and write a file that the scene names by 'reduced: {file: ...}'. Sample what
+    the robot will meet: loads, tilts and the whole range. After Ctrl-C the command goes on.
 
     Examples:
         softrobot_twin reduce config/scenes/diamond.yaml --error 1% \\
             --targets tip=-0.02:0.02,-0.02:0.02,0.122:0.140
-        softrobot_twin reduce config/scenes/fetch.yaml --snapshots 200 --modes 48
 
     Args:
         scene (SCENE): Scene file (YAML).
@@ -656,10 +642,10 @@ def reduce(
     What is sampled:
         snapshots (N): States of the full model (default $SNAPSHOTS; with --error $FIRST_SNAPSHOTS to
             begin with).
-        range_ (COLUMN=LOW:HIGH): Bounds in place of the scene's, such as north_shortening_m=0:0.01.
+        range_ (COLUMN=LOW:HIGH): Bounds in place of the scene's.
         targets (BOX): Sample where the inverse brings the effectors:
             NAME=XLOW:XHIGH,YLOW:YHIGH,ZLOW:ZHIGH [m]; fewer modes, valid only there.
-        along (TARGETS.csv): Sample along a path of targets, in the contact of the scene.
+        along (TARGETS.csv): Sample along a path of targets, in contact.
         around (M): Shift of each pass of that path, at most [m] (default $AROUND).
         loads (N): Forces up to this [N] in any direction, in half of the states (default none).
         load_points (X,Y,Z): Points of --loads at rest [m] (default the effectors).
@@ -706,8 +692,7 @@ def reduce_vertebrae(
 ) -> int:  # fmt: skip
     """Make the superelements of bodies with vertebrae.
 
-    Make superelements that are missing or out of date, and state their error against the full model at
-    fresh states.
+    Make superelements that are missing or out of date, and state their error at fresh states.
 
     Examples:
         softrobot_twin reduce-vertebrae config/scenes/fetch_reduced.yaml
@@ -737,11 +722,10 @@ def replay(
 ) -> int:  # fmt: skip
     """Run a recorded run of a twin again.
 
-    Repeat a run that a twin recorded, each message and tick in its order. It prints whether all results
-    are equal to the bit, or the differences.
+    Repeat a recorded run, each message and tick in its order, and print whether all results are equal to
+    the bit, or the differences.
 
     Examples:
-        softrobot_twin replay run.mcap
         softrobot_twin replay run.mcap --set body.material.young_modulus=1.5e5
         softrobot_twin replay run.mcap --scene config/scenes/diamond.yaml --output run.csv
 
@@ -778,7 +762,6 @@ def demo(
     errors.
 
     Examples:
-        softrobot_twin demo
         softrobot_twin demo --robot trunk --seconds 10 --no-view
 
     Args:
@@ -786,7 +769,7 @@ def demo(
         output (FOLDER): Folder for report.json, run.rrd and tracking.png (default $default).
         seconds (S): Length of each run [s] (default 30).
         set_ (KEY=VALUE): Other values of the twin's scene; the device keeps its own.
-        view: Neither serve nor open a live view; run.rrd is still recorded.
+        view: No live view; run.rrd is still recorded.
     """
     enable_interrupts()
     # This comes first: the ROS wheels restart this process when rclpy is imported.
@@ -805,7 +788,6 @@ def completion(shell: Annotated[str, Read(choices=("bash", "zsh", "tcsh"))]) -> 
 
     Examples:
         softrobot_twin completion bash > ~/.local/share/bash-completion/completions/softrobot_twin
-        softrobot_twin completion zsh > "${fpath[1]}/_softrobot_twin"
 
     Args:
         shell: Shell to write for.

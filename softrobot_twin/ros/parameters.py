@@ -187,97 +187,90 @@ COMMON = (
     _setting("future_tolerance", "Messages with a stamp further in the future are refused.", "s", 0.0,
              60.0),
     *_fixed(Entry(
-        "ambient_pressure", STANDARD_ATMOSPHERE, "Absolute pressure around the robot; "
-        "only FluidPressure messages are absolute.", "Pa", 1.0, 2e8)),
+        "ambient_pressure", STANDARD_ATMOSPHERE, "Absolute pressure around the robot.", "Pa", 1.0, 2e8)),
 )
 
 RUNTIME = (
     _setting("rate", "Ticks per second.", "Hz", 0.1, 2000.0),
-    _setting("deadline", "Time of a step in which more linearizations may be made; 0 for "
-             "the scene's number. At most 1/rate.", "s",
+    _setting("deadline", "Time of a step for further linearizations, at most 1/rate; 0 for the "
+                         "scene's number.", "s",
              0.0, 10.0),
     _setting("target_timeout",
-             "The twin holds after this time without a target or command; 0 for never.", "s",
+             "Time without a target or command until the twin holds; 0 for never.", "s",
              0.0, 3600.0),
     _setting("velocity_timeout", "A received velocity is used for this time.", "s", 0.01, 10.0),
     _setting("speed_limit", "Greatest speed of a target moved by a velocity.", "m/s", 1e-6, 10.0),
-    _setting("approach_speed", "A far target is approached on a straight line at this "
-             "speed; 0 for as fast as possible.", "m/s", 0.0, 10.0),
-    _setting("workspace_min", "Lower corner of the box to which targets and poses are limited.", "m"),
+    _setting("approach_speed", "Speed on a straight line to a far target; 0 for as fast as "
+                               "possible.", "m/s", 0.0, 10.0),
+    _setting("workspace_min", "Lower corner of the box of targets and poses.", "m"),
     _setting("workspace_max", "Upper corner of that box.", "m"),
     _setting("closed_loop", "Correct the targets by the measured markers."),
     _setting("prediction", "With control law dynamic: command by prediction."),
-    _setting("misfit_rate", "Rate at which the correction follows the misfit of the markers.", "1/s",
+    _setting("misfit_rate", "Rate at which the correction follows the misfit.", "1/s",
              0.0, 1000.0),
-    _setting("correction_gain", "Gain of the integrator that corrects where setpoints "
-             "are not measured.", "1/s", 0.0, 1000.0),
+    _setting("correction_gain", "Gain of the integrator, where setpoints are not measured.", "1/s", 0.0, 1000.0),
     _setting("correction_limit", "Greatest length of the correction.", "m", 0.0, 1.0),
-    _setting("lead_limit", "A moving target is aimed at most this time ahead in closed loop.",
+    _setting("lead_limit", "Greatest time by which a moving target is led in closed loop.",
              "s", 0.0, 1.0),
-    _setting("marker_timeout", "Markers count as lost after this time without a message.", "s", 0.001,
+    _setting("marker_timeout", "Time without a message until markers are lost.", "s", 0.001,
              60.0),
     _setting("on_lost_markers",
-             "When markers are lost in closed loop: keep the last correction, or hold."),
+             "In closed loop: keep the last correction, or hold."),
     _setting("device_timeout",
-             "The device counts as lost after this time without measured setpoints.",
+             "Time without measured setpoints until the device is lost.",
              "s", 0.001, 60.0),
-    _setting("on_lost_device", "When the device is lost: continue with the model alone, or hold."),
-    _setting("touch_timeout", "A touch ends after this time without a message.",
+    _setting("on_lost_device", "Continue with the model alone, or hold."),
+    _setting("touch_timeout", "Time without a message until a touch ends.",
              "s", 0.001, 60.0),
 )
 
 _SCENE = (
-    Entry("scene_file", "scenes/diamond.yaml", "Path of the scene: absolute, or relative to the "
-          "working directory, the parameter file or the package's config folder."),
-    Entry("scene_changes", [""], "Other values, each as KEY=VALUE, such as "
-          "body.material.young_modulus=1.5e5."),
+    Entry("scene_file", "scenes/diamond.yaml", "Path of the scene, perhaps relative to the working"
+                                               " directory, this file or the package's config "
+                                               "folder."),
+    Entry("scene_changes", [""], "Other values, such as body.material.young_modulus=1.5e5."),
 )
 
 TWIN = COMMON + RUNTIME + _fixed(
     *_SCENE,
-    Entry("mode", Mode.INVERSE.value, "What drives the robot: targets, or setpoints and efforts "
-          "of its actuators.",
+    Entry("mode", Mode.INVERSE.value, "Driven by targets, or by setpoints and efforts.",
           choices=tuple(mode.value for mode in Mode)),
-    Entry("use_device", False, "Drive a device: the twin starts disabled, and is enabled at the "
-          "measured setpoints."),
+    Entry("use_device", False, "Drive a device: the twin starts disabled."),
     Entry("mesh_error", True, "Estimate the error of the mesh, in another process."),
     Entry("reduction_error", True, "Compare reduced bodies with the full model, in another "
           "process."),
     Entry("calibrate_fit", [""], "Keys that ~/calibrate fits; [''] for its choice."),
-    Entry("observer", False, "Find unknown forces from the markers, also of a scene without "
-          "observer."),
+    Entry("observer", False, "Find unknown forces, also of a scene without observer."),
     Entry("velocity_effector", "",
           "Effector that target_velocity moves; empty for the first."),
-    Entry("priority", Priority.REAL_TIME.value, "Priority of the ticks: real-time, a negative "
-          "nice value, or none.",
+    Entry("priority", Priority.REAL_TIME.value, "Of the ticks: real-time, a negative nice value, "
+                                                "or none.",
           choices=tuple(priority.value for priority in Priority)),
     Entry("view", False, "Show the twin in rerun."),
-    Entry("view_port", 9876, "Port for viewers on this machine; 0 selects a free one.", "", 0, 65535),
-    Entry("view_every", 1, "The first of every so many ticks is shown.", "ticks", 1, 100000),
+    Entry("view_port", 9876, "Port for viewers; 0 selects a free one.", "", 0, 65535),
+    Entry("view_every", 1, "One of so many ticks is shown.", "ticks", 1, 100000),
     Entry("view_spawn", False, "Open a viewer."),
-    Entry("view_force_scale", 0.1, "Length of the arrow of a contact force.", "m/N", 1e-6, 1000.0),
+    Entry("view_force_scale", 0.1, "Length of an arrow by its force.", "m/N", 1e-6, 1000.0),
     Entry("visualization_rate", 10.0,
-          "Most messages on ~/visualization per second; 0 for none.",
+          "Messages on ~/visualization; 0 for none.",
           "Hz", 0.0, 1000.0),
     Entry("tf", "auto",
-          "Publish /tf while somebody receives it; on tells when tf2_msgs is missing.",
+          "Publish /tf while somebody receives it; on: tell when tf2_msgs is missing.",
           choices=("auto", "on", "off")),
     Entry("tf_prefix", "",
           "Before the names of frames, such as left/."),
     Entry("base_frame", "",
-          "Frame of /tf, given in one that does not accelerate, that a moving_base follows."),
+          "Frame of /tf that a moving_base follows."),
     Entry("tf_base_frame", "", "Frame in which frame_id is fixed, such as world."),
     Entry("tf_base_pose", [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0],
           "Where frame_id is in it: position, and quaternion x, y, z, w.", "m"),
-    Entry("record_file", "", "File to record the view into, .rrd. It grows without bound: see "
-          "record_every."),
-    Entry("record_every", 5, "The first of every so many shown ticks is recorded.", "frames", 1,
+    Entry("record_file", "", "File of the view, .rrd. It grows without bound: see record_every."),
+    Entry("record_every", 5, "One of so many shown ticks is recorded.", "frames", 1,
           100000),
-    Entry("record", "", "File to record the whole run into, .mcap, for `replay`. An existing "
-          "file is refused."),
+    Entry("record", "", "File of the whole run, .mcap, for `replay`. An existing file is refused."),
 )
 
-_TWIN_NAME = Entry("twin", "twin", "Name of the twin that this node works with.")
+_TWIN_NAME = Entry("twin", "twin", "Name of the twin.")
 
 DEVICE = COMMON + _fixed(
     _TWIN_NAME,
@@ -285,74 +278,66 @@ DEVICE = COMMON + _fixed(
           "Path of the simulated robot's scene."),
     Entry("device_scene_changes", [""], "Other values of its entries, as scene_changes."),
     Entry("device_rate", 50.0, "Measurements per second.", "Hz", 0.1, 2000.0),
-    Entry("device_follows", "setpoints", "What it follows: setpoints, such as lengths, "
-          "or efforts, such as tensions.", choices=("setpoints", "efforts")),
+    Entry("device_follows", "setpoints", "Setpoints, such as lengths, or efforts, such as "
+                                         "tensions.", choices=("setpoints", "efforts")),
     Entry("device_delay", 0.02, "Time from a command's arrival to its effect.", "s", 0.0, 10.0),
     Entry("device_servo_rate", 0.1, "Greatest speed of the servos of cables and slides.", "m/s", 1e-6,
           10.0),
     Entry("device_angle_rate", 6.0, "Greatest speed of the motors of hinges.", "rad/s", 1e-6, 1000.0),
     Entry("device_angle_noise", 0.0, "Standard deviation of each of their measured angles.", "rad", 0.0,
           1.0),
-    Entry("device_backlash", 0.0, "Angle by which such a motor turns back before the beam "
-          "follows.",
+    Entry("device_backlash", 0.0, "Angle that a motor turns back before the beam follows.",
           "rad", 0.0, 1.0),
     Entry("device_valve_lag", 0.05,
           "Time constant of pressure regulators; 0 for none.", "s",
           0.0, 60.0),
-    Entry("device_flow_limit", 2e-4, "Greatest flow of gas for a cavity at ambient "
-          "pressure, or speed of a syringe.", "m³/s",
+    Entry("device_flow_limit", 2e-4, "Greatest flow at ambient pressure, or speed of a syringe.", "m³/s",
           1e-12, 10.0),
-    Entry("device_leak", 0.0, "Flow out of a cavity at ambient pressure, by its gauge "
-          "pressure.", "m³/(s Pa)", 0.0, 1.0),
+    Entry("device_leak", 0.0, "Flow out at ambient pressure, by gauge pressure.", "m³/(s Pa)", 0.0, 1.0),
     Entry("device_pressure_noise", 20.0, "Standard deviation of each measured pressure.", "Pa", 0.0,
           1e6),
     Entry("device_marker_noise", 0.0002, "Standard deviation of each measured coordinate.", "m", 0.0,
           1.0),
     Entry("device_touch", "",
-          "Touch of its scene where a simulated fingertip presses."),
+          "Touch where a simulated fingertip presses."),
     Entry("device_touch_depth", 0.001, "Depth of a press.", "m", 1e-9, 1.0),
     Entry("device_touch_period", 2.0, "Time from press to press; a press takes half.", "s",
           0.01, 3600.0),
     Entry("device_touch_direction", [0.0, 0.0, -1.0], "Direction of a press."),
     Entry("device_touch_sends", "position",
-          "What the fingertip measures: the place of the touched point, or the force.",
+          "The place of the touched point, or the force.",
           choices=("position", "force")),
     Entry("device_seed", 1, "Seed of the noise.", "", 0, 2**31 - 1),
-    Entry("device_calibration_poses", 0, "Poses at rest of the device by which a demo calibrates the twin for "
-          "a last run; 0 for none.", "", 0, 200),
+    Entry("device_calibration_poses", 0, "Poses by which a demo calibrates the twin for a last "
+                                         "run.", "", 0, 200),
 )
 
 TARGET = _fixed(
     COMMON[0], _TWIN_NAME, *_SCENE,
     Entry("target_effector", "tip",
           "Effector that receives targets, or that the demo compares."),
-    Entry("target_path", "circle", "circle, lemniscate, or a CSV file with the columns of a "
-          "targets file."),
+    Entry("target_path", "circle", "circle, lemniscate, or a targets file."),
     Entry("target_sequence", [""],
-          "Paths that replace target_path, one after the other."),
+          "Paths in place of target_path, one after the other."),
     Entry("target_sequence_time", 15.0, "Time for each of these paths.", "s", 0.001, 86400.0),
     Entry("target_center", [0.0, 0.0, 0.0], "Centre of circle and lemniscate.", "m"),
     Entry("target_radius", 0.01, "Radius of the circle, half the width of the lemniscate.", "m", 1e-6,
           10.0),
     Entry("target_period", 10.0, "Time for the whole circle or lemniscate.", "s", 0.001, 86400.0),
     Entry("target_plane", "xy", "Plane of circle and lemniscate.", choices=("xy", "xz", "yz")),
-    Entry("target_ramp_time", 2.0, "Duration of the smooth transition onto a path.", "s", 0.0, 3600.0),
-    Entry("target_ahead", 0.0, "Time for which the path is sent ahead, to a scene with "
-          "`control`; 0 sends a point.", "s", 0.0, 10.0),
+    Entry("target_ramp_time", 2.0, "Time of the way onto a path.", "s", 0.0, 3600.0),
+    Entry("target_ahead", 0.0, "Time for which the path is sent ahead (`control`); 0 sends a "
+                               "point.", "s", 0.0, 10.0),
     Entry("target_rate", 50.0, "Targets per second.", "Hz", 0.1, 2000.0),
-    Entry("target_actuator", "", "Actuator or motor that is commanded meanwhile, to and fro, "
-          "such as of a hand."),
-    Entry("target_setpoints", [0.0, 0.0], "Its first setpoint, and the one after half a period.",
+    Entry("target_actuator", "", "Actuator or motor that is commanded meanwhile, to and fro."),
+    Entry("target_setpoints", [0.0, 0.0], "Its setpoint at first, and after half a period.",
           "m, Pa or m³"),
     Entry("target_setpoint_period", 10.0, "Time of a movement to and fro.", "s", 0.001, 86400.0),
-    Entry("target_stiffness", [0.0, 0.0], "Stiffness that is wanted meanwhile: the "
-          "first, and the one after half a period.", "N/m"),
+    Entry("target_stiffness", [0.0, 0.0], "Wanted stiffness at first, and after half a period.", "N/m"),
     Entry("target_stiffness_axis", "z", "Axis of that stiffness.", choices=("x", "y", "z")),
     Entry("target_stiffness_period", 20.0, "Time of that stiffness to and fro.", "s", 0.001, 86400.0),
-    Entry("target_commands", "", "CSV file of commands that are played over and over, for a "
-          "twin in direct mode."),
-    Entry("target_beginning", "", "CSV file of commands that are played once before the path, "
-          "such as to close a hand."),
+    Entry("target_commands", "", "Commands file, played over and over, for mode direct."),
+    Entry("target_beginning", "", "Commands file, played once before the path."),
 )
 
 ALL_TABLES = (TWIN, DEVICE, TARGET)

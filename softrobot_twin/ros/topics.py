@@ -182,24 +182,22 @@ def _by_name(*topics: Topic) -> dict[str, Topic]:
 
 TWIN_TOPICS = _by_name(
     Topic("~/target/<effector>", IN, PointStamped, NEWEST, "m",
-          "limited to the workspace; refused and counted if not finite, stale, out of "
-          "order or in another frame", "targets.accept_point"),
+          "limited to the workspace", "targets.accept_point"),
     Topic("~/target_pose/<effector>", IN, PoseStamped, NEWEST, "m",
           "of effectors with `orientation`: position, and turn from rest",
           "targets.accept_pose"),
     Topic("~/target_path/<effector>", IN, Path, NEWEST, "m",
-          "in scenes with `control`: where the target will be at the stamp of each pose; the "
-          "newest path, point, pose or velocity counts",
+          "in scenes with `control`: where the target will be at the stamp of each pose",
           "targets.accept_path"),
     Topic("~/target_stiffness/<effector>", IN, Vector3Stamped, NEWEST, "N/m",
           "along x, y, z, NaN where free; replaces `stiffness.target` until `~/reset` "
           "or `~/enable`", "stiffness.accept"),
     Topic("~/target_sensors", IN, JointState, NEWEST, "m, rad, m³, Pa",
-          "of sensors with a `weight`, by their names: wanted values in `position`, NaN where free; "
-          "the others keep theirs until `~/reset` or `~/enable`", "sensors.accept"),
+          "of sensors with a `weight`: wanted values in `position`, NaN where free; others keep "
+          "theirs until `~/reset` or `~/enable`", "sensors.accept"),
     Topic("~/target_velocity", IN, Twist, NEWEST, "m/s, rad/s",
-          "integrated, limited in speed and workspace, stopped after "
-          "`velocity_timeout`; the angular part turns an effector with `orientation`",
+          "integrated, limited in speed and workspace, until `velocity_timeout`; the angular part "
+          "turns an effector with `orientation`",
           "targets.accept_velocity"),
     Topic("~/touch_force/<touch>", IN, WrenchStamped, STREAM, "N",
           "force on the robot; zero or NaN ends the touch; refused above `force_limit`",
@@ -207,33 +205,29 @@ TWIN_TOPICS = _by_name(
     Topic("~/touch_position/<touch>", IN, PointStamped, STREAM, "m",
           "the touched point is held there; NaN ends the touch", "touches.accept_place"),
     Topic("~/markers", IN, PointCloud2, STREAM, "m",
-          "x y z float32, id uint32; NaN = hidden; implausible markers are left out and reported",
+          "x y z float32, id uint32; NaN = hidden",
           "markers.accept"),
     Topic("~/measured_cables", IN, JointState, STREAM, "m, N",
-          "measured setpoints and efforts, as in `~/cables`; cavities under pressure "
-          "and cables with pulleys may be omitted", "device.accept"),
+          "measured setpoints and efforts, as in `~/cables`; cavities under pressure and cables "
+          "with pulleys may be omitted", "device.accept"),
     Topic("~/measured_angles", IN, JointState, STREAM, "rad, N m",
-          "of pulleys and hinge motors: angle in `position`, torque in `effort` "
-          "(optional); beside or in place of lengths", "measured_angles.accept"),
+          "of pulleys and hinge motors: angle in `position`, torque in `effort` (optional)", "measured_angles.accept"),
     Topic("~/measured_pressures/<cavity>", IN, FluidPressure, STREAM, "Pa, absolute",
-          "of a cavity under pressure, beside or in place of `~/measured_cables`; "
-          "`frame_id` and `variance` are not used", "measured_pressures.accept"),
+          "of a cavity under pressure; `frame_id` and `variance` are not used", "measured_pressures.accept"),
     Topic("~/base_pose", IN, PoseStamped, STREAM, "m",
-          "of a scene with `moving_base`: pose of the base in any frame that does not accelerate; its "
-          "acceleration is a load. In place of it `base_frame` names a frame of `/tf`",
+          "pose of a `moving_base` in a frame that does not accelerate. In its place `base_frame` "
+          "names a frame of `/tf`",
           "measured_base.accept"),
     Topic("~/command/cables", IN, JointState, NEWEST, "m, N",
-          "setpoints in `position` or efforts in `effort`, by names of actuators or "
-          "motors, as in `~/cables`. In `mode: direct` the others go where earlier messages of the "
-          "same kind told them, or hold. In `mode: inverse` the others are optimised; an empty "
-          "message commands none",
+          "setpoints in `position` or efforts in `effort`, by names of actuators or motors. In "
+          "`mode: direct` the others follow earlier messages of this kind, or hold. In `mode: "
+          "inverse` they are optimised; an empty message commands none",
           "commands.accept"),
     Topic("~/command/angles", IN, JointState, NEWEST, "rad",
-          "in `position`, by names of cables or motors with pulleys; the other "
-          "actuators stay as they are", "angles.accept"),
+          "in `position`, by names of cables or motors with pulleys; others stay", "angles.accept"),
     Topic("~/command/pressures/<cavity>", IN, FluidPressure, NEWEST, "Pa, absolute",
-          "above 0; commands this cavity, the other actuators stay as they are. In "
-          "`mode: inverse` an empty message on `~/command/cables` ends it", "pressures.accept"),
+          "commands this cavity; others stay. In `mode: inverse` an empty message on "
+          "`~/command/cables` ends it", "pressures.accept"),
     Topic("~/command/pose/<guided body>", IN, PoseStamped, NEWEST, "m",
           "limited to the workspace and in speed and turn rate", "poses.accept"),
     Topic("~/cables", OUT, JointState, NEWEST, "m, N",
@@ -241,56 +235,50 @@ TWIN_TOPICS = _by_name(
           "slide, angle [rad] and torque [N m] of a hinge motor, pressure [Pa] twice of a "
           "cavity, or with `control: volume` its volume [m³] and pressure"),
     Topic("~/cable_paths", OUT, JointState, NEWEST, "m",
-          "length of each cable's path; shorter than in `~/cables` where the cable is slack; "
-          "only while somebody receives it"),
+          "length of each cable's path, shorter than in `~/cables` where it is slack; on demand"),
     Topic("~/cables/claim", OUT, String, CLAIM, "",
-          "five times a second: this twin lives, and whether it is enabled. A later twin on "
-          "these topics stays silent"),
+          "5 Hz: this twin lives, and is enabled or not. A later twin stays silent"),
     Topic("~/angles", OUT, JointState, NEWEST, "rad, N m",
           "angle and torque of each pulley, with the stamp of `~/cables`"),
     Topic("~/pressures/<cavity>", OUT, FluidPressure, NEWEST, "Pa, absolute",
           "gauge plus `ambient_pressure`, with the stamp of `~/cables`; `variance` 0 (unknown)"),
     Topic("~/effectors/<effector>", OUT, PointStamped, NEWEST, "m", "predicted position"),
     Topic("~/effector_poses/<effector>", OUT, PoseStamped, NEWEST, "m",
-          "of effectors with `orientation`: predicted position, and turn from the rest shape"),
+          "of effectors with `orientation`: predicted position, and turn from rest"),
     Topic("~/stiffness/<effector>", OUT, Vector3Stamped, NEWEST, "N/m",
-          "of effectors with `stiffness`: the stiffness shown, NaN where none is wanted"),
+          "the stiffness shown, NaN where none is wanted"),
     Topic("~/touch/<touch>", OUT, JointState, NEWEST, "m, N",
           "names x, y, z: `position` = displacement since the touch began [m], `effort` = force "
           "on the robot [N]"),
     Topic("~/figures", OUT, JointState, NEWEST, "as the names say",
           "what optional effects report, in `position`"),
     Topic("~/compliance/<effector>", OUT, Float64MultiArray, NEWEST, "m/N",
-          "3×3: motion of the effector by a force while the actuators hold; only while somebody "
-          "receives it"),
+          "3×3: motion by a force while the actuators hold; on demand"),
     Topic("~/jacobian/<effector>", OUT, Float64MultiArray, NEWEST, "m per unit of the actuator",
-          "3 × actuators, in the order of `~/cables`: motion of the effector by each; labels "
-          "name columns and units; only while somebody receives it"),
+          "3 × actuators, in the order of `~/cables`: motion by each; labels name columns and "
+          "units; on demand"),
     Topic("~/external_forces/<force>", OUT, WrenchStamped, NEWEST, "N, N m",
           "force on the robot that the `observer` found; a torque only on a rigid body"),
     Topic("~/force_deviations/<force>", OUT, JointState, NEWEST, "N, m",
           "names x, y, z: `position` = place of that force [m], `effort` = its standard "
           "deviation [N]"),
     Topic("~/external_contacts", OUT, JointState, NEWEST, "1",
-          "names of the observed forces: `position` = 1 where the force is larger than noise "
-          "makes it, else 0"),
+          "names of observed forces: `position` = 1 where the force is beyond noise, else 0"),
     Topic("~/predicted_markers", OUT, PointCloud2, NEWEST, "m",
-          "markers of the model; only while somebody receives it"),
+          "markers of the model; on demand"),
     Topic("~/bodies/<rigid body>", OUT, PoseStamped, NEWEST, "m",
-          "predicted pose; only while somebody receives it"),
+          "predicted pose; on demand"),
     Topic("~/poses/<guided body>", OUT, PoseStamped, NEWEST, "m",
           "commanded pose of a guided body, for the device"),
     Topic("~/contacts", OUT, PointCloud2, STREAM, "m, N",
-          "x y z fx fy fz float32: each contact, and its force on the first body of its pair"),
+          "x y z fx fy fz float32: each contact, and its force on the pair's first body"),
     Topic("~/visualization", OUT, MarkerArray, NEWEST, "m",
-          "all that the scene shows, for RViz and Foxglove, `visualization_rate` times a second "
-          "while somebody receives it"),
+          "the scene, for RViz and Foxglove, at `visualization_rate`; on demand"),
     Topic("~/status", OUT, DiagnosticStatus, LATCHED, "",
-          "when it changes: what the loop does and why, the status of the step, the active "
-          "limits"),
+          "when it changes: what the loop does and why, status, active limits"),
     Topic("/tf", OUT, "tf2_msgs/TFMessage", TRANSFORMS, "m",
-          "from `frame_id` to rigid bodies and effectors, and from `tf_base_frame` to "
-          "`frame_id`; only while somebody receives it, and with tf2_msgs"),
+          "from `frame_id` to rigid bodies and effectors, and from `tf_base_frame` to `frame_id`; "
+          "on demand, with tf2_msgs"),
     Topic("/diagnostics", OUT, DiagnosticArray, DIAGNOSTICS, "",
           "1 Hz, and at once when something serious changes: `<node>: loop`, `solver`, "
           "`limits`, `markers`, `device`, `target`, `view`, `graph`, `record`, `contact`, "
@@ -312,7 +300,7 @@ def channel_topic(channel: Channel) -> Topic:
         channel: The channel.
     """
     return Topic(f"~/{channel.name}/<object>", OUT, JointState, NEWEST, channel.unit,
-                 f"names {', '.join(channel.parts)}, `position` = their values")
+                 f"{', '.join(channel.parts)} in `position`")
 
 
 def measured_topic(channel: Channel) -> Topic:
@@ -329,15 +317,13 @@ def measured_topic(channel: Channel) -> Topic:
 
 TWIN_SERVICES = (
     Service("~/enable", SetBool,
-            "starts from the measured setpoints, or answers why it cannot; needed with "
-            "`use_device`"),
+            "starts from the measured setpoints, or says why not; needed with `use_device`"),
     Service("~/reset", Trigger,
             "back to the rest shape, within the rate limits; with a device only the model "
             "returns, and the twin is disabled"),
     Service("~/grip/<grip>", SetBool, "takes hold of what is in the reach of a grip, or lets go"),
     Service("~/calibrate", Trigger,
-            "fits `calibrate_fit` to the poses at rest so far, in another process. It answers "
-            "at once; the result is in `/diagnostics`"),
+            "fits `calibrate_fit` to the poses at rest so far; the result is in `/diagnostics`"),
 )  # fmt: skip
 """Services of the twin."""
 
@@ -348,7 +334,7 @@ DEVICE_TOPICS = _by_name(
     _of_twin("measured_cables", OUT, NEWEST,
              "measured lengths and tensions, cavities as in the twin's `~/cables`"),
     _of_twin("measured_angles", OUT, NEWEST,
-             "measured angles and torques of pulleys; only in scenes with pulleys"),
+             "measured angles and torques of pulleys"),
     _of_twin("measured_pressures/<cavity>", OUT, NEWEST,
              "measured pressure; `variance` [Pa²] as the sensor has it"),
     _of_twin("markers", OUT, NEWEST, "measured markers: x y z float32, id uint32; NaN = hidden"),
@@ -362,7 +348,7 @@ DEVICE_TOPICS = _by_name(
     Topic("~/effectors/<effector>", OUT, PointStamped, NEWEST, "m",
           "predicted position"),
     Topic("~/bodies/<rigid body>", OUT, PoseStamped, NEWEST, "m",
-          "predicted pose; only while somebody receives it"),
+          "predicted pose; on demand"),
 )  # fmt: skip
 """Topics of the device, by name."""
 
@@ -376,11 +362,9 @@ TARGET_TOPICS = _by_name(
     _of_twin("target_stiffness/<effector>", OUT, NEWEST,
              "wanted stiffness, NaN along the other axes; with `target_stiffness`"),
     _of_twin("command/cables", OUT, NEWEST,
-             "setpoint of `target_actuator`; with `target_commands` or `target_beginning` those of the "
-             "actuators with columns"),
+             "setpoint of `target_actuator`, or those of `target_commands` or `target_beginning`"),
     _of_twin("command/pose/<guided body>", OUT, NEWEST,
-             "pose of a guided body; with `target_commands` or `target_beginning` that has columns of "
-             "it"),
+             "pose of a guided body, of `target_commands` or `target_beginning`"),
 )  # fmt: skip
 """Topics of the target, by name."""
 

@@ -114,8 +114,7 @@ class Cable(ActuatorEntry):
     body: Name | None = None
     """Its body."""
     also_on: tuple[str, ...] = ()
-    """Other bodies that it runs through, or patterns such as ``rib_*``; the nearest carries each
-    point."""
+    """Further bodies, or patterns such as ``rib_*``; the nearest carries each point."""
     frame: Literal["world", "mesh"] = "world"
     """Frame of its points; `mesh` is before the placement."""
     pull_point: Vector
@@ -123,28 +122,27 @@ class Cable(ActuatorEntry):
     pull_point_on: Name = "world"
     """``body`` for its own bodies, or a rigid body."""
     points: Annotated[tuple[Vector, ...], Field(min_length=1)]
-    """Points that the cable runs through, from the pull point on."""
+    """Its path, from the pull point on."""
     wraps: tuple[Name, ...] = ()
-    """Obstacles that it is laid around without friction: capsules or cylinders, one between two of its
-    points."""
+    """Capsules or cylinders that it is laid around without friction, one between two points."""
     hold_radius: Annotated[float, unit("m", ge=0.0)] = 0.0
-    """Radius over which each point holds the material. With 0 a finer mesh yields more."""
+    """Radius over which a point holds the material. With 0 finer meshes yield more."""
     shortening: Annotated[OpenRange, unit("m"), allows_zero("the shortening at rest")] = NO_LIMITS
     """Limits of the shortening from rest."""
     rate: Annotated[OpenNumber | None, unit("m/s", gt=0.0)] = None
-    """Greatest change of length per second."""
+    """Greatest speed."""
     tension: Annotated[OpenPull, unit("N"), not_below_zero(_CANNOT_PUSH)] = POSITIVE
-    """Limits of the tension; the lower one is not negative."""
+    """Its limits; the lower is not negative."""
     pulley: Pulley | None = None
-    """Pulley that winds it: commands and measurements by angle."""
+    """Its pulley: commands and measurements by angle."""
     axial_stiffness: Annotated[OpenNumber | None, unit("N", gt=0.0)] = None
     """EA: tension by strain; by default it does not stretch."""
     friction: Annotated[float, unit("", ge=0.0)] = 0.0
     """µ at its points: the tension falls by exp(-µβ) at a turn by β."""
     offset: Annotated[float, unit("m")] = 0.0
-    """Zero error of its winch: measured less true length."""
+    """Measured less true length."""
     presliding: Annotated[float | None, unit("m", gt=0.0)] = None
-    """Motion until friction acts wholly; by default a thousandth of the length."""
+    """Motion until friction acts; by default a thousandth of the length."""
 
     def check(self) -> None:
         """Refuse presliding without friction, and what is not built around obstacles."""
@@ -218,7 +216,7 @@ class WalledEntry(Entry):
     name: Name
     """Its name."""
     walls: Annotated[tuple[CavityWall, ...], Field(min_length=1)]
-    """Its closed surfaces. They have one pressure, and their volumes sum up."""
+    """Closed surfaces with one pressure; volumes sum up."""
 
     def check_references(self, scene, key: str) -> None:
         """Refuse walls on bodies that the scene does not have.
@@ -242,22 +240,21 @@ class Cavity(WalledEntry, ActuatorEntry):
     control: Literal["pressure", "volume"] = "pressure"
     """A pressure by a regulator, or a volume by a syringe."""
     pressure: Annotated[OpenRange, unit("Pa"), allows_zero("the gauge pressure at rest")] = POSITIVE
-    """Limits of the gauge pressure; a negative one allows a vacuum."""
+    """Gauge; negative allows a vacuum."""
     pressure_offset: Annotated[float, unit("Pa")] = 0.0
-    """Zero error of its regulator: what is measured at gauge pressure 0."""
+    """What is measured at gauge pressure 0."""
     pressure_gain: Annotated[float, unit("", gt=0.0)] = 1.0
     """Gauge pressure by measured pressure less `pressure_offset`."""
     volume: Annotated[OpenRange, unit("m³"), not_below_zero("a volume is not negative")] = POSITIVE
     """Limits of the volume."""
     growth: Annotated[OpenRange, unit("m³"), allows_zero("the growth at rest")] = NO_LIMITS
-    """Limits of the change of volume from rest."""
+    """Limits of the change from rest."""
     rate: Annotated[OpenNumber | None, unit("Pa/s or m³/s", gt=0.0)] = None
     """Greatest change of the command per second."""
     flow: Annotated[OpenNumber | None, unit("m³/s", gt=0.0)] = None
-    """Greatest flow under pressure, as of a valve."""
+    """Greatest flow under pressure."""
     liquid_density: Annotated[float | None, unit("kg/m³", gt=0.0)] = None
-    """Of the liquid that fills it; by default gas. The pressure counts at its highest point at
-    rest."""
+    """Of its liquid; by default gas. The pressure counts at its highest point at rest."""
 
     def check(self) -> None:
         """Refuse a flow where the volume is commanded."""
@@ -289,7 +286,7 @@ class Motor(Entry):
     name: Name
     """Its name."""
     cables: Annotated[tuple[Name, ...], Field(min_length=1)]
-    """Names of its cables."""
+    """Its cables."""
     pulley: Pulley | None = None
     """Pulley that winds them all."""
 
@@ -305,7 +302,7 @@ class Slide(ActuatorEntry):
     axis: Annotated[Direction, not_zero("the axis of a slide must not be zero")]
     """Direction of positive positions, in the world."""
     travel: Annotated[ClosedRange, unit("m"), allows_zero("the position at rest", "its travel")]
-    """Limits of its position, which is 0 at rest."""
+    """Limits of its position, 0 at rest."""
     rate: Annotated[float | None, unit("m/s", gt=0.0)] = None
     """Greatest speed."""
 
@@ -326,9 +323,9 @@ class HingeMotor(ActuatorEntry):
     at: Literal["start", "end"] | Annotated[int, Field(ge=0)]
     """The point of the beam with the hinge."""
     angle: Annotated[ClosedRange, unit("rad"), allows_zero("the angle at rest")]
-    """Limits of its angle, 0 at rest, right-handed about the hinge's axis."""
+    """Limits of its angle, 0 at rest, about the hinge's axis."""
     offset: Annotated[float, unit("rad")] = 0.0
-    """Zero error of the motor: measured less true angle."""
+    """Measured less true angle."""
     rate: Annotated[float | None, unit("rad/s", gt=0.0)] = None
     """Greatest speed."""
     torque: Annotated[OpenRange, unit("N m"), allows_zero("no torque")] = NO_LIMITS
@@ -367,12 +364,11 @@ class Force(ActuatorEntry):
     sphere: SphereRegion | None = None
     """The same in a sphere."""
     direction: Annotated[Direction | None, not_zero("the direction must not be zero")] = None
-    """Its direction, in the world at rest. By default free: three forces `name_x`, `name_y`,
-    `name_z`."""
+    """In the world at rest. By default free: `name_x`, `name_y`, `name_z`."""
     turns_with_body: bool = False
-    """Whether its direction turns with its points, or stays in the world."""
+    """Whether its direction turns with its points."""
     control: Literal["force", "displacement"] = "force"
-    """What is commanded: the force, or how far its points move along its direction."""
+    """What is commanded: force, or displacement along its direction."""
     force: Annotated[OpenRange, unit("N"), allows_zero("no force")] = NO_LIMITS
     """Limits of the force."""
     displacement: Annotated[OpenRange, unit("m"), allows_zero("the place at rest")] = NO_LIMITS
@@ -404,7 +400,7 @@ class ForceLength(Entry):
     optimum: Annotated[float, unit("", gt=0.0)] = 1.0
     """Length of its greatest force, by its length at rest."""
     width: Annotated[float, unit("", gt=0.0)] = 0.67
-    """Change of this share of length at which 1/e of the force is left."""
+    """Change of length at which 1/e of the force is left."""
 
 
 class Muscle(ActuatorEntry):
@@ -420,7 +416,7 @@ class Muscle(ActuatorEntry):
     also_on: tuple[str, ...] = ()
     """Other bodies of a thread, or patterns such as ``rib_*``; the nearest carries each point."""
     points: Annotated[tuple[Vector, ...] | None, Field(min_length=2)] = None
-    """Path of a thread, which is bonded to the body at its points."""
+    """Path of a thread, bonded at its points."""
     box: BoxRegion | None = None
     """Cells whose centre is in it contract along `direction`."""
     region: str | None = None
@@ -434,9 +430,9 @@ class Muscle(ActuatorEntry):
     stress: Annotated[float | None, unit("Pa", gt=0.0)] = None
     """The same of a box or region."""
     free_contraction: Annotated[float | None, unit("", gt=0.0, lt=1.0)] = None
-    """Share of its length by which it shortens without load; by default its force is constant."""
+    """Share by which it shortens without load; by default its force is constant."""
     force_length: ForceLength | None = None
-    """The relation of living muscle, in place of `free_contraction`."""
+    """Of living muscle, in place of `free_contraction`."""
     activation: Annotated[ClosedRange, unit(""), allows_zero("no activation")] = (0.0, 1.0)
     """Limits of its activation."""
     rate: Annotated[float | None, unit("1/s", gt=0.0)] = None
@@ -475,7 +471,7 @@ class RestShape(ActuatorEntry):
     one_of: ClassVar[tuple[str, ...]] = ("bend", "bend_sideways", "twist", "elongation")
 
     beam: Name
-    """The beam; it changes evenly over its length."""
+    """It changes evenly over its length."""
     bend: Annotated[ClosedRange | None, unit("rad"), allows_zero("the shape at rest")] = None
     """Limits of the angle between its ends, towards the `thickness_direction`."""
     bend_sideways: Annotated[ClosedRange | None, unit("rad"), allows_zero("the shape at rest")] = None
@@ -506,13 +502,13 @@ class Stiffener(ActuatorEntry):
     body: Name | None = None
     """Its body."""
     region: str | None = None
-    """Name of a volume in the mesh file, as an entry of `materials` has it; by default the body."""
+    """A volume that an entry of `materials` names; by default the body."""
     box: BoxRegion | None = None
     """The cells whose centre is in it, in place of a region."""
     frame: Literal["world", "mesh"] = "world"
     """Frame of the box; `mesh` is before the placement."""
     young_modulus: Annotated[ClosedRange, unit("Pa")]
-    """Limits of the modulus; the one at rest is that of the material."""
+    """Limits of the modulus, at rest the material's."""
     rate: Annotated[float | None, unit("Pa/s", gt=0.0)] = None
     """Greatest change of the modulus per second."""
 

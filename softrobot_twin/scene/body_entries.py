@@ -56,7 +56,7 @@ class BoxMesh(Entry):
     cell_size: Annotated[float | None, unit("m", gt=0.0)] = None
     """Greatest edge of its cells."""
     cells: tuple[_CellCount, _CellCount, _CellCount] | None = None
-    """Numbers of cells along x, y, z."""
+    """Cells along x, y, z."""
 
     def check(self) -> None:
         """Refuse more cells than `MOST_BOX_CELLS`."""
@@ -68,7 +68,7 @@ class BoxMesh(Entry):
 
     @property
     def cell_counts(self) -> tuple[int, int, int]:
-        """Numbers of cells along x, y, z."""
+        """Cells along x, y, z."""
         if self.cell_size is not None:
             return cells_of_size(self.size, self.cell_size)
         assert self.cells is not None  # it is checked that one is given
@@ -85,19 +85,19 @@ class Mesh(Entry):
     placed: ClassVar[dict[str, str]] = {"rotation": "angles", "translation": "point"}
 
     file: Path | None = None
-    """Mesh file, or CAD file (.stl, .obj, .ply, .off, .step, .stp)."""
+    """A mesh, or CAD file (.stl, .obj, .ply, .off, .step, .stp)."""
     box: BoxMesh | None = None
     """A box from the origin, in place of a file."""
     size: Annotated[float | None, unit("m", gt=0.0)] = None
     """Edge of the tetrahedra of a CAD file."""
     scale: Annotated[float, unit("m per file unit", gt=0.0)] = 1.0
-    """Metres in a unit of the file; not for STEP files."""
+    """Metres in a unit of the file; not for STEP."""
     rotation: Angles = (0.0, 0.0, 0.0)
-    """Angles about the world's axes; after the scale."""
+    """About the world's axes; after the scale."""
     translation: Vector = (0.0, 0.0, 0.0)
-    """Displacement; after the rotation."""
+    """After the rotation."""
     merge_distance: Annotated[float | None, unit("m", ge=0.0)] = None
-    """Nearer nodes are merged; by default coincident ones that would separate the mesh."""
+    """Nearer nodes are merged; by default coincident ones that separate the mesh."""
 
     def check(self) -> None:
         """Refuse what is not exactly one source, and keys that have no effect on it."""
@@ -152,7 +152,7 @@ class Softening(Entry):
     r: Annotated[float, unit("", gt=1.0)]
     """The stress falls by 1/r of itself at most."""
     m: Annotated[float, unit("J/m³", gt=0.0)]
-    """Energy density; a small one softens after small stretches."""
+    """Energy density; a small one softens early."""
     beta: Annotated[float, unit("", ge=0.0)] = 0.0
     """β: greater ones soften less after great stretches."""
 
@@ -237,9 +237,9 @@ class ElasticEntry(Entry):
     constants: Annotated[Any, BeforeValidator(_numbers_by_name)] = None
     """Constants of laws that have their own."""
     preset: str | None = None
-    """Name of a material that is sold, such as ``dragon_skin_30``."""
+    """A material by name, such as ``dragon_skin_30``."""
     strain_range: Annotated[tuple[float, float] | None, unit("")] = None
-    """Least and greatest principal strain that the law is trusted in."""
+    """Principal strains in which the law is trusted."""
 
     @model_validator(mode="before")
     @classmethod
@@ -381,9 +381,9 @@ class Material(ElasticEntry):
     density: Annotated[float | None, unit("kg/m³", gt=0.0)] = None
     """Mass by volume."""
     total_mass: Annotated[float | None, unit("kg", gt=0.0)] = None
-    """Mass of the whole body, in place of a density."""
+    """In place of a density."""
     viscosity: tuple[ViscosityTerm, ...] = ()
-    """Prony series of a hyperelastic law: creep, relaxation, hysteresis."""
+    """Prony series of a hyperelastic law."""
     softening: Softening | None = None
 
     def check(self) -> None:
@@ -429,9 +429,9 @@ class RegionMaterial(ElasticEntry):
     frame: Literal["world", "mesh"] = "world"
     """Frame of the box; `mesh` is before the placement."""
     density: Annotated[float | None, unit("kg/m³", gt=0.0)] = None
-    """Law, Poisson's ratio and density are by default those of `material`."""
+    """By default, as law and Poisson's ratio, from `material`."""
     viscosity: tuple[ViscosityTerm, ...] | None = None
-    """By default, as the softening, from `material`; [] for none."""
+    """By default from `material`; [] for none."""
     softening: Softening | None = None
 
     @property
@@ -459,7 +459,7 @@ class Region(Entry):
     one_of_words: ClassVar[str] = "a region has exactly one of {}"
 
     frame: Literal["world", "mesh"] = "world"
-    """The world, or the mesh before its placement."""
+    """`mesh` is before the placement."""
     box: BoxRegion | None = None
     sphere: SphereRegion | None = None
     nodes: tuple[Annotated[int, Field(ge=0)], ...] | None = None
@@ -498,7 +498,7 @@ class Vertebrae(Entry):
     placed: ClassVar[dict[str, str]] = {"rigid": "regions"}
 
     rigid: Annotated[tuple[Vertebra, ...], Field(min_length=2)]
-    """The vertebrae; one that holds fixed nodes is fixed."""
+    """One that holds fixed nodes is fixed."""
     superelements: Path | None = None
     """Their file; by default beside the mesh."""
     degree: Annotated[int, Field(ge=2, le=6)] = 4
@@ -516,7 +516,7 @@ class Reduced(Entry):
     file: Path
     """File of the reduced model."""
     spare_modes: bool = False
-    """Use the spare modes: more exact, slower, without a live estimate of the error."""
+    """Use the spare modes: more exact, slower, without an estimate of the error."""
 
 
 class Damping(Entry):
@@ -534,11 +534,11 @@ class Visual(Entry):
     file: Path
     """Surface mesh, placed like the body's own mesh."""
     scale: Annotated[float, unit("m per file unit", gt=0.0)] = 1.0
-    """Metres in a unit of the file."""
+    """Metres in a file unit."""
 
 
 class ContactSurface(Visual):
-    """A closed surface for contact in place of the mesh's surface."""
+    """A closed surface for contact, in place of the mesh's."""
 
 
 class Body(Entry):
@@ -551,18 +551,17 @@ class Body(Entry):
     """Its name."""
     mesh: Mesh
     element: Annotated[str, registered("element", element_names)] = "quadratic"
-    """Quadratic has a node on every edge; linear is faster and too stiff in bending; smoothed is
-    linear, about as exact as quadratic."""
+    """Linear is too stiff in bending; smoothed is about as exact as quadratic, and faster."""
     material: Material
     materials: tuple[RegionMaterial, ...] = ()
-    """Materials of parts; other cells have `material`."""
+    """Of parts; other cells have `material`."""
     fixed: tuple[Region, ...] = ()
     """Nodes that do not move."""
     attached: tuple[Attachment, ...] = ()
     """Nodes that move with a rigid body."""
     volume: Literal["per_element", "patches"] | None = None
-    """Where changes of volume are resisted; patches do not lock near ν = 0.5. Default: patches for
-    smoothed elements."""
+    """Where volumes are kept; patches do not lock near ν 0.5. Default: patches for smoothed
+    elements."""
     mass: Literal["lumped", "consistent", "uniform"] | None = None
     """By volume, by shape functions, or equally. Default: consistent for quadratic elements, else
     lumped."""
@@ -656,13 +655,13 @@ class RectangleSection(Entry):
     told: ClassVar[tuple[str, ...]] = ("{thickness:mm} × {width:mm} mm",)
 
     thickness: Annotated[float, unit("m", gt=0.0)]
-    """Its extent along the `thickness_direction` of the beam."""
+    """Along the `thickness_direction`."""
     width: Annotated[float, unit("m", gt=0.0)]
-    """Its extent at right angles to that."""
+    """At right angles to it."""
     torsion: Annotated[float | None, unit("m⁴", gt=0.0)] = None
-    """Measured torsion constant; by default by Saint-Venant."""
+    """Torsion constant; by default by Saint-Venant."""
     shear_factor: Annotated[float | None, unit("", gt=0.0, le=1.0)] = None
-    """Measured shear area by area; by default by Cowper."""
+    """Shear area by area; by default by Cowper."""
 
 
 class CircleSection(Entry):
@@ -708,7 +707,7 @@ class GivenSection(Entry):
     shear_area_z: Annotated[float | None, unit("m²", gt=0.0)] = None
     """By default 5/6 of the area."""
     radius: Annotated[float | None, unit("m", gt=0.0)] = None
-    """For touching and pictures; by default of a circle of the same area."""
+    """For touching and pictures; by default from the area."""
 
 
 class CrossSection(Entry):
@@ -725,7 +724,7 @@ class CrossSection(Entry):
     tube: TubeSection | None = None
     constants: GivenSection | None = None
     end_scale: Annotated[float, unit("", gt=0.0)] = 1.0
-    """Size of the section at the end of the beam by that at its start, linear between."""
+    """Size at the end by size at the start, linear between."""
 
     @property
     def is_round(self) -> bool:
@@ -734,7 +733,7 @@ class CrossSection(Entry):
 
 
 class BeamMaterial(Entry):
-    """The material of a beam, isotropic and linear elastic."""
+    """Isotropic, linear elastic."""
 
     told: ClassVar[tuple[str, ...]] = (
         "E {young_modulus} Pa", "ν {poisson_ratio}", "{density} kg/m³",
@@ -754,17 +753,17 @@ class BeamJoint(Entry):
     placed: ClassVar[dict[str, str]] = {"axis": "direction", "through": "point"}
 
     at: Literal["start", "end"] | Annotated[int, Field(ge=0)]
-    """First or last point, or a point by its index."""
+    """A point, by its index."""
     to: str
-    """A rigid body, another beam or `world`; of a pattern such as ``hub_*`` the nearest."""
+    """A rigid body, beam or ``world``; of a pattern such as ``hub_*`` the nearest."""
     by: Literal["rigid", "hinge", "ball"] = "rigid"
-    """Rigidly, by a hinge about `axis`, or by a ball joint."""
+    """Rigidly, by a hinge about `axis`, or a ball joint."""
     to_at: Literal["start", "end"] | Annotated[int, Field(ge=0)] | None = None
     """Point of the other beam; by default the one in the same place."""
     axis: Direction | None = None
     """Axis of a hinge, in the world at rest."""
     through: Vector | None = None
-    """Place of the hinge or ball joint; by default the joined point."""
+    """Its place; by default the joined point."""
 
     def check(self) -> None:
         """Refuse a hinge without an axis, and an axis or a place without a hinge."""
@@ -799,7 +798,7 @@ class BeamArc(Entry):
     angle: Annotated[float, unit("rad", gt=0.0, lt=2.0 * math.pi)]
     """How far it bends."""
     towards: Annotated[Direction, not_zero("must not be zero: the centre lies there")]
-    """From the end of the beam to the centre of the circle."""
+    """From the beam's end to the centre."""
     elements: Annotated[int, Field(ge=1, le=1000)] = 2
     """Its elements, beside those of the beam."""
 
@@ -813,11 +812,11 @@ class Beam(Entry):
     name: Name
     """Its name."""
     points: Annotated[tuple[Vector, ...], Field(min_length=2)]
-    """Its axis at rest; a node lies at each point."""
+    """Its axis at rest."""
     curve: Literal["straight", "smooth"] = "straight"
-    """Straight lines with rigid corners, or a smooth curve."""
+    """Straight with rigid corners, or a smooth curve."""
     elements: Annotated[int, Field(ge=1, le=100_000)]
-    """Number of elements, at least one between two points."""
+    """At least one between two points."""
     section: CrossSection
     thickness_direction: Annotated[Direction | None, not_zero("must not be zero")] = None
     """Direction y of the cross-section; a round section needs none."""
@@ -902,7 +901,7 @@ class CylinderShape(Entry):
     told: ClassVar[tuple[str, ...]] = ("cylinder of radius {radius:mm} mm", "{ends:|} mm long")
 
     ends: _Ends
-    """Centres of the two flat ends."""
+    """Centres of its ends."""
     radius: Radius
     """Radius."""
 
@@ -928,13 +927,13 @@ class SurfaceShape(Entry):
     file: Path
     """Mesh file."""
     scale: Annotated[float, unit("m per file unit", gt=0.0)] = 1.0
-    """Metres in a unit of the file."""
+    """Metres in a file unit."""
     rotation: Angles = (0.0, 0.0, 0.0)
     """Angles about the axes; after the scale."""
     translation: Vector = (0.0, 0.0, 0.0)
-    """Displacement; after the rotation."""
+    """After the rotation."""
     hull: bool = False
-    """Whether the convex hull of the file is taken."""
+    """Take its convex hull."""
 
 
 SHAPES = ("plane", "sphere", "capsule", "cylinder", "box", "surface")
@@ -984,13 +983,13 @@ class RigidJoint(Entry):
     to: Name
     """The other rigid body, or ``world``."""
     by: Literal["hinge", "ball"]
-    """By a hinge about `axis`, or by a ball joint."""
+    """A hinge about `axis`, or a ball joint."""
     through: Vector
-    """Place of the hinge or ball joint, as drawn."""
+    """Its place, as drawn."""
     axis: Annotated[Direction | None, not_zero("must not be zero")] = None
     """Axis of a hinge, in the world as drawn."""
     stiffness: Annotated[float, unit("N/m", gt=0.0)] = 1.0e6
-    """Stiffness of the bearing."""
+    """Of the bearing."""
 
     def check(self) -> None:
         """Refuse a hinge without an axis, and a ball joint with one."""
@@ -1013,21 +1012,21 @@ class RigidBody(Shaped):
     name: Name
     """Its name."""
     motion: Literal["free", "guided", "fixed"] = "free"
-    """Moves by forces, follows commanded poses, or stays."""
+    """By forces, by commanded poses, or not at all."""
     mass: Annotated[float | None, unit("kg", gt=0.0)] = None
     """Mass of a free body."""
     density: Annotated[float | None, unit("kg/m³", gt=0.0)] = None
     """Of a free body, in place of a mass."""
     velocity: Annotated[tuple[float, float, float], unit("m/s")] = (0.0, 0.0, 0.0)
-    """Initial velocity."""
+    """At the start."""
     angular_velocity: Annotated[tuple[float, float, float], unit("rad/s")] = (0.0, 0.0, 0.0)
-    """Initial angular velocity."""
+    """At the start."""
     damping: Annotated[float, unit("1/s", ge=0.0)] = 0.0
     """α: the drag is α times mass and inertia."""
     speed: Annotated[float | None, unit("m/s", gt=0.0)] = None
-    """Greatest speed of a guided body; by default the robot's size per second."""
+    """Greatest speed; by default the robot's size per second."""
     turn_rate: Annotated[float | None, unit("rad/s", gt=0.0)] = None
-    """Its greatest angular speed; by default 1 rad/s."""
+    """Greatest angular speed; by default 1 rad/s."""
     joined: tuple[RigidJoint, ...] = ()
     """Hinges and ball joints of a free body."""
 
@@ -1111,13 +1110,13 @@ class Helix(Entry):
     pitch: Annotated[float, unit("m", gt=0.0)]
     """Advance in one turn."""
     reach: Annotated[tuple[float, float], unit("m")]
-    """First and last place along the axis, from `point`."""
+    """First and last place along the axis."""
     count: Annotated[int, Field(ge=1, le=1000)] = 1
     """Threads of each handedness."""
     handedness: Literal["right", "left", "both"] = "both"
     """Sense about the direction."""
     phase: Annotated[float, unit("rad")] = 0.0
-    """Angle at which the first thread begins, from x; for an axis near x, from y."""
+    """Where the first thread begins, from x; for an axis near x, from y."""
     segments_per_turn: Annotated[int, Field(ge=3, le=1000)] = 24
     """Straight pieces in a turn."""
 
@@ -1164,7 +1163,7 @@ class Fibre(Entry):
     stiffness: Annotated[float, unit("N", gt=0.0)]
     """EA of one thread: the force that would double its length."""
     tension_only: bool = True
-    """Whether the threads are slack when they are shortened."""
+    """Slack when shortened."""
 
     @property
     def sense(self) -> str:
@@ -1181,7 +1180,7 @@ class MassSpringBody(Entry):
     name: Name
     """Its name."""
     points: Annotated[tuple[Vector, ...], Field(min_length=1)]
-    """Places of the masses at rest."""
+    """At rest."""
     masses: tuple[Annotated[float, unit("kg", gt=0.0)], ...]
     """One for each point, or one for all."""
     springs: tuple[tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]], ...] = ()

@@ -22,9 +22,9 @@ class MountedBody(Entry):
     body: Name
     """The rigid body."""
     translation: Vector = (0.0, 0.0, 0.0)
-    """Displacement of its origin, on a straight line."""
+    """Displacement of its origin."""
     turn: Angles = (0.0, 0.0, 0.0)
-    """Rotation vector in the world, about its origin."""
+    """Rotation vector, about its origin."""
 
 
 class MountedActuator(Entry):
@@ -36,9 +36,9 @@ class MountedActuator(Entry):
     actuator: Name
     """The cable or hinge motor."""
     displacement: Annotated[float | None, unit("m or rad")] = None
-    """Angle [rad] or shortening [m] from the drawn shape."""
+    """Angle or shortening from the drawn shape."""
     tension: Annotated[float | None, unit("N", gt=0.0)] = None
-    """Tension to which a cable is wound, in place of a displacement."""
+    """To which a cable is wound, in place of a displacement."""
 
     def check(self) -> None:
         """Refuse what is not exactly one of both."""
@@ -57,7 +57,7 @@ class MountingStage(Entry):
     actuators: tuple[MountedActuator, ...] = ()
     """What is pulled or turned."""
     steps: Annotated[int, Field(ge=1, le=10_000)] = 5
-    """Equilibria on the way, the last one included."""
+    """Equilibria on the way, with the last."""
 
     def check(self) -> None:
         """Refuse a stage that moves nothing."""

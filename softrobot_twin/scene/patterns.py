@@ -59,17 +59,17 @@ class Pattern(Entry):
     steps."""
 
     count: Annotated[int | None, Field(ge=1, le=MOST_COPIES)] = None
-    """Number of copies, with the entry itself; by default the number of `names`."""
+    """Copies, with the entry itself; by default as many as `names`."""
     about: Annotated[Direction | None, BeforeValidator(_axis), not_zero("an axis must not be zero")] = None
-    """Axis of rotation, right-handed: x, y, z, or a vector."""
+    """Axis of rotation: x, y, z, or a vector."""
     point: Vector = (0.0, 0.0, 0.0)
     """A point of the axis."""
     angle: Annotated[float | None, unit("rad")] = None
-    """From one copy to the next; by default a full turn divided by `count`."""
+    """From copy to copy; by default a full turn over `count`."""
     step: Vector = (0.0, 0.0, 0.0)
-    """Translation from one copy to the next."""
+    """From copy to copy."""
     names: tuple[str, ...] | None = None
-    """What ``#`` stands for in each copy; by default its number."""
+    """What ``#`` stands for; by default the number."""
     first: Annotated[int, Field(ge=0, le=1_000_000)] = 0
     """Number of the first copy."""
 

@@ -63,11 +63,11 @@ class Touching(Entry):
     placed: ClassVar[dict[str, str]] = {}
 
     pair: tuple[Name, Name]
-    """Names of the two bodies or obstacles; the same name twice for self-contact."""
+    """Two bodies or obstacles; a name twice for self-contact."""
     friction: Annotated[float | None, unit("", ge=0.0)] = None
     """µ of the pair; by default `contact.friction`."""
     least_force: Annotated[float | None, unit("N", gt=0.0)] = None
-    """Least sum of the pair's normal forces while targets are followed."""
+    """Least sum of normal forces while targets are followed."""
     least_grip_margin: Annotated[float | None, unit("", gt=0.0, lt=1.0)] = None
     """Least share of friction that is left, 1 - Σ |λ_t| / Σ µ λ_n; targets give way."""
 
@@ -80,9 +80,9 @@ class TouchingPoint(Entry):
     on: Name | None = None
     """Its body."""
     point: Vector
-    """The nearest node of the surface is used."""
+    """The nearest node counts."""
     against: Vector
-    """The nearest triangle of the surface is used."""
+    """The nearest triangle counts."""
 
 
 class Contact(Entry):
@@ -102,15 +102,15 @@ class Contact(Entry):
     alarm_distance: Annotated[float, unit("m", gt=0.0)] = 0.003
     """Nearer features become contact candidates."""
     contact_distance: Annotated[float, unit("m", ge=0.0)] = 0.0
-    """Features at this distance are in contact."""
+    """Features this near are in contact."""
     force_limit: Annotated[float | None, unit("N", gt=0.0)] = None
     """Greatest force of one contact in the inverse problem."""
     push_out_speed: Annotated[float, unit("m/s", gt=0.0)] = 0.05
-    """Greatest speed at which overlapping bodies are separated."""
+    """Speed at which overlapping bodies are separated."""
     tolerance: Annotated[float, unit("m", gt=0.0)] = 1.0e-8
     """Greatest residual of gaps and sticking."""
     most_sweeps: Annotated[int, Field(ge=1, le=100_000)] = 1000
-    """Greatest number of sweeps over all contacts."""
+    """Most sweeps over all contacts."""
 
     def check(self) -> None:
         """Refuse a section without pairs, and distances that are not in order."""
@@ -152,7 +152,7 @@ class MarkerFrame(Entry):
     rotation: Angles = (0.0, 0.0, 0.0)
     """Angles about the robot's axes."""
     scale: Annotated[tuple[_Scale, _Scale, _Scale], unit("")] = (1.0, 1.0, 1.0)
-    """What the cameras measure of a unit length along each of their axes."""
+    """What they measure of a unit length along each axis."""
 
     @property
     def is_usual(self) -> bool:
@@ -192,13 +192,13 @@ class EffectorOrientation(Entry):
     """How the body shall be turned from rest."""
 
     pointing: Annotated[Vector | None, not_zero("must not be zero: it is a direction")] = None
-    """Axis of the body whose direction counts; without it the whole rotation counts."""
+    """Axis whose direction counts; by default the whole rotation."""
     points: tuple[Vector, ...] = ()
-    """Three or more points whose best-fit rotation counts. A rigid body needs none."""
+    """Three or more, whose best-fit rotation counts. A rigid body needs none."""
     weight: Annotated[float, unit("", gt=0.0)] = 1.0
     """Weight of the error of the orientation."""
     length_per_radian: Annotated[float | None, unit("m/rad", gt=0.0)] = None
-    """Displacement that counts as one radian; by default the robot's size."""
+    """What counts as one radian; by default the robot's size."""
 
     def describe(self) -> str:
         """What is asked for, and how it is weighed."""
@@ -212,12 +212,11 @@ class EffectorStiffness(Entry):
     """How stiff a touch shall find the effector."""
 
     target: tuple[WantedStiffness, WantedStiffness, WantedStiffness] = (None, None, None)
-    """Stiffness along x, y, z while the actuators hold; null where it is free."""
+    """Along x, y, z while the actuators hold; null where free."""
     weight: Annotated[float, unit("", ge=0.0)] = 1.0
     """Weight of its error."""
     length: Annotated[float | None, unit("m", gt=0.0)] = None
-    """Distance that counts as a stiffness error of 100 %; by default a tenth of the robot's
-    size."""
+    """What counts as an error of 100 %; by default a tenth of the robot's size."""
 
     def describe(self) -> str:
         """What is asked for, and how it is weighed."""
@@ -240,7 +239,7 @@ class PointsOnBody(Entry):
     points: Annotated[tuple[Vector, ...], Field(min_length=1)]
     """Places at rest; the effector or touch is at their mean."""
     directions: tuple[Literal["x", "y", "z"], ...] = ("x", "y", "z")
-    """Axes of the world along which a target counts, or a touch acts."""
+    """Axes along which a target counts, or a touch acts."""
 
     def check(self) -> None:
         """Refuse no directions, and the same one twice."""
@@ -259,19 +258,19 @@ class Effector(PointsOnBody):
     placed: ClassVar[dict[str, str]] = {**PointsOnBody.placed, "measured_by": "numbers"}
 
     weight: Annotated[float, unit("", gt=0.0)] = 1.0
-    """Weight of its error against those of other effectors."""
+    """Weight of its error."""
     orientation: EffectorOrientation | None = None
     """Directions may be empty with it."""
     stiffness: EffectorStiffness | None = None
     measured_by: tuple[int, ...] = ()
-    """Ids of the markers that measure it in closed loop."""
+    """Ids of markers that measure it in closed loop."""
 
 
 class Touch(PointsOnBody):
     """Where a body may be touched, by a measured force or at a measured place."""
 
     while_touched: Literal["hold_actuators", "follow_targets"] = "hold_actuators"
-    """Wait, so that the stiffness is felt, or go on, and counteract the touch."""
+    """Wait, so that the stiffness is felt, or counteract the touch."""
     force_limit: Annotated[OpenNumber, unit("N", gt=0.0)] = math.inf
     """A greater measured force is refused."""
 
@@ -282,7 +281,7 @@ class MovingBase(Entry):
     told: ClassVar[tuple[str, ...]] = ("at most {most_acceleration} m/s²",)
 
     most_acceleration: Annotated[float, unit("m/s²", gt=0.0)] = 50.0
-    """What poses tell of more is noise, and is shortened to it."""
+    """More is noise, and is cut."""
 
 
 class Grip(Entry):
@@ -297,13 +296,13 @@ class Grip(Entry):
     body: Name | None = None
     """Its body."""
     points: Annotated[tuple[Vector, ...], Field(min_length=1)]
-    """Places at rest that are held; three that are on no line hold the rotation too."""
+    """Places at rest; three on no line hold the rotation too."""
     holds: Name
     """The rigid body that it may hold, or `world`."""
     reach: Annotated[OpenNumber, unit("m", ge=0.0)] = math.inf
-    """It takes hold where all points are as near to the rigid body."""
+    """It takes hold where all points are as near."""
     stiffness: Annotated[float | None, unit("N/m", gt=0.0)] = None
-    """Of the whole grip; by default ten times that of a block of the body."""
+    """Of the whole grip; by default ten times a block of the body."""
     force_limit: Annotated[OpenNumber, unit("N", gt=0.0)] = math.inf
     """It lets go where it bears more."""
 
@@ -317,13 +316,12 @@ class Reaction(Entry):
     name: Name
     """Its name."""
     of: Name
-    """A body, beam or mass-spring body, for its fixed nodes, or a guided or fixed rigid body, for all
-    that acts on it but its own weight."""
+    """A body, beam or mass-spring body, for its fixed nodes; or a guided or fixed rigid body, for
+    all on it but its weight."""
     attached_to: Name | None = None
-    """A rigid body, for the nodes that are attached to it in place of fixed ones."""
+    """A rigid body: for the nodes attached to it."""
     about: Vector | None = None
-    """Point in the world that the torque is taken about; by default the mean of what is held,
-    or the origin of a rigid body."""
+    """Point of the torque; by default the mean of what is held, or a rigid body's origin."""
 
 
 class ObservedForce(Entry):
@@ -336,8 +334,7 @@ class ObservedForce(Entry):
     body: Name | None = None
     """Its body."""
     points: tuple[Vector, ...] = ()
-    """The force acts at their mean. Without points its place, or on a rigid body its torque, is
-    found."""
+    """It acts at their mean. Without points its place, or on a rigid body its torque, is found."""
     touch: Name | None = None
     """Touch at whose points it acts, in place of body and points."""
 
@@ -355,13 +352,13 @@ class Observer(Entry):
     forces: tuple[ObservedForce, ...] = ()
     """By default one at each touch, else at each effector, else at a place that is found."""
     walk: Annotated[float, unit("N", gt=0.0)] = 0.3
-    """Standard deviation of a force's change in a second."""
+    """Standard deviation of its change in a second."""
     greatest_force: Annotated[float, unit("N", gt=0.0)] = 5.0
-    """Standard deviation that is expected before anything is seen."""
+    """Standard deviation before anything is seen."""
     marker_noise: Annotated[float | None, unit("m", gt=0.0)] = None
-    """Standard deviation of each coordinate; by default it is estimated."""
+    """Standard deviation of a coordinate; by default estimated."""
     systematic_error: Annotated[float, unit("m", ge=0.0)] = 0.0
-    """Standard deviation of the model's own error at the markers."""
+    """Standard deviation of the model's error at the markers."""
 
     def check(self) -> None:
         """Refuse a name that is given twice."""
@@ -382,20 +379,19 @@ class Control(Entry):
     by_word: ClassVar[str] = "law"
 
     law: Literal["dynamic", "quasi_static"] = "dynamic"
-    """By prediction of its motion, or as if it stood still in each tick."""
+    """By prediction, or as if it stood still in each tick."""
     inputs: Literal["setpoints", "efforts"] = "setpoints"
     """Lengths, pressures and volumes, or tensions and pressures."""
     around: tuple[Annotated[float, unit("m, N, Pa or m³")], ...] = ()
-    """Inputs around which the robot moves. By default zeros; of tensions a tenth of the
-    greatest."""
+    """Where the linear model is made. By default zeros; of tensions a tenth of the greatest."""
     modes: Annotated[int, Field(ge=1, le=50)] = 5
     """Modes of the linear model."""
     horizon: Annotated[float, unit("s", gt=0.0, le=5.0)] = 0.25
     """Time for which motion is predicted."""
     delay: Annotated[float, unit("s", ge=0.0, le=1.0)] = 0.0
-    """Time from a command to its effect on the real robot."""
+    """From a command to its effect on the robot."""
     shaping: Literal["none", "zv", "zvd"] = "none"
-    """Spreads targets over time, with `law: quasi_static`; zvd bears a less exact model."""
+    """Spreads targets over time, with `law: quasi_static`; zvd bears a wrong frequency."""
 
     def check(self) -> None:
         """Refuse a shaping that has no effect."""
@@ -409,19 +405,19 @@ class Solver(Entry):
     factorization: Literal[*FACTORIZATIONS] = "multifrontal"  # type: ignore[valid-type]
     """Multifrontal Cholesky, or SuperLU."""
     threads: Annotated[int | None, Field(ge=1, le=64)] = None
-    """Most threads for a large stiffness; by default the cores, at most four."""
+    """Most threads; by default the cores, at most four."""
     qp_solver: Literal["osqp", "daqp"] = "osqp"
     """Solver of the inverse problem."""
     energy_weight: Annotated[float, unit("", ge=0.0, le=1.0)] = 1.0e-6
-    """ε of eq. (17): makes redundant actuation unique, with a small tracking error."""
+    """ε of eq. (17): makes redundant actuation unique."""
     newton_iterations: Annotated[int, Field(ge=1, le=100)] = 1
-    """Greatest number of linearizations in one step."""
+    """Most linearizations in a step."""
     residual_tolerance: Annotated[float, unit("N", gt=0.0)] = 1.0e-4
-    """Greatest residual force of a node at which Newton's method stops."""
+    """Residual force of a node at which Newton's method stops."""
     reach_tolerance: Annotated[float, unit("m", gt=0.0)] = 1.0e-4
     """Distance within which a target counts as reached."""
     exploration: bool = False
-    """Whether a robot at rest looks for a nearer pose by simulation."""
+    """At rest, look for a nearer pose by simulation."""
 
     def check(self) -> None:
         """Refuse threads for a factorization that has none."""
@@ -435,14 +431,13 @@ class Scene(Entry):
     name: Name
     """Its name."""
     gravity: Acceleration = (0.0, 0.0, -9.81)
-    """Acceleration of gravity; zeros for none."""
+    """Zeros for none."""
     integration: Literal["quasi_static", "first_order", "dynamic"] = "quasi_static"
-    """Equilibrium in every step, viscous motion without inertia, or motion with inertia."""
+    """Equilibria, viscous motion, or motion with inertia."""
     time_scheme: Literal["backward_euler", "generalized_alpha"] = "backward_euler"
-    """First order, which damps much, or second order, which damps by `spectral_radius`."""
+    """First order with much damping, or second order with `spectral_radius`."""
     spectral_radius: Annotated[float | None, unit("", ge=0.0, le=1.0)] = None
-    """ρ∞ of generalized_alpha, by default 0.8: 1 damps nothing, 0 damps fast vibrations at
-    once."""
+    """ρ∞, by default 0.8: 1 damps nothing, 0 fast vibrations at once."""
     body: Body | None = None
     bodies: tuple[Body, ...] = ()
     """A single deformable body is given as `body`, several as `bodies`."""

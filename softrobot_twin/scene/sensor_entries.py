@@ -15,7 +15,7 @@ from softrobot_twin.scene.references import check_carrier, check_known, names_in
 
 
 class Sensor(Entry):
-    """A length, an angle, a volume or a pressure that is told, measured, or wanted."""
+    """A length, an angle, a volume or a pressure that is reported, measured, or wanted."""
 
     told: ClassVar[tuple[str, ...]] = (
         "string of {string:#point}", "path of {cable}", "bend of {bend:#point}",
@@ -30,25 +30,25 @@ class Sensor(Entry):
     on: Name | None = None
     """Body of the points of a string or of a bend sensor."""
     string: Annotated[tuple[Vector, ...], Field(min_length=2)] | None = None
-    """Places at rest of a thin string through the body: its length [m]."""
+    """A thin string through these places: its length [m]."""
     cable: Name | None = None
     """A cable: the length of its path [m]."""
     bend: Annotated[tuple[Vector, ...], Field(min_length=3)] | None = None
-    """Places at rest along a line: the angle [rad] from its first to its last piece about `axis`."""
+    """Places along a line: the angle [rad] from its first to its last piece about `axis`."""
     axis: Annotated[Direction | None, not_zero("the axis of an angle must not be zero")] = None
     """Axis in the world that a bend sensor turns about."""
     hinge: Name | None = None
-    """A beam that is joined by a hinge: the angle of the hinge [rad], 0 at rest."""
+    """A beam with a hinge: its angle [rad], 0 at rest."""
     at: Literal["start", "end"] | Annotated[int, Field(ge=0)] | None = None
-    """The point of that beam with the hinge."""
+    """The point with the hinge."""
     volume: Name | None = None
     """A cavity, inflated or sealed: its volume [m³]."""
     walls: Annotated[tuple[CavityWall, ...], Field(min_length=1)] | None = None
-    """Closed surfaces of a chamber that is neither: the volume inside [m³]."""
+    """Closed surfaces of another chamber: the volume inside [m³]."""
     pressure: Name | None = None
     """A sealed cavity: its gauge pressure [Pa]."""
     weight: Annotated[float | None, unit("", gt=0.0)] = None
-    """Weight of its error as a target; by default it is only told."""
+    """Weight as a target; by default none."""
 
     def check(self) -> None:
         """Refuse an axis or a point where none is needed, and none where one is."""

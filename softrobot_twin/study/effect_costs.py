@@ -1,6 +1,6 @@
 """``python -m softrobot_twin explain --effects``: what each effect of a scene costs and changes.
 
-`python tools/print_effect_costs.py SCENE ...` prints the table of docs/measurements.md.
+`python tools/print_effect_costs.py SCENE ...` prints a table for several scenes.
 
 One effect after another is left out of the scene. Both scenes are driven the same way, step by step
 in turn, so that what else the machine does falls on both.
