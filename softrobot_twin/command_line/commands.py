@@ -29,7 +29,6 @@ from softrobot_twin.reduction.training_options import (
     SPARE_MODES,
     TEST_STATES,
     TOLERANCE,
-    VIBRATIONS,
     TargetBox,
     TrainingOptions,
 )

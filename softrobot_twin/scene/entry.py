@@ -219,8 +219,8 @@ FRAMED = "rigid_bodies", "beams"
 """Sections of the bodies that have frames."""
 
 
-class OnBody(Entry):
-    """Base of the entries that are on a body; without a name the only deformable one is meant."""
+class OnBody(NamedEntry):
+    """Base of the entries that are on a body: the only deformable one where they do not say which."""
 
     carriers: ClassVar[tuple[str, ...]] = FRAMED
     """Sections, beside that of deformable bodies, of the bodies that it may be on."""

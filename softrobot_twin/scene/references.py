@@ -75,7 +75,7 @@ _NAMES: tuple[tuple[str, str, tuple[str, ...], tuple[str, ...]], ...] = (
 that they may be of. No entry names itself."""
 _PATTERNS = (("cables.also_on", "cable {} is also on"), ("muscles.also_on", "muscle {} is also on"))
 """Names of bodies, or patterns of them."""
-_CARRIERS = (
+_CARRIERS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("tubes.on", FRAMED), ("fibres.on", ()), ("markers.body", FRAMED), ("cavities.walls.body", ()),
     ("sealed_cavities.walls.body", ()), ("sensors.walls.body", ()),
 )
@@ -120,28 +120,28 @@ def check_references(scene) -> None:
             check_known(f"{key}.of", f"reaction {entry.name} is at an attachment, and is of", entry.of, deformable)
     for key, beam in scene.keyed("beams"):
         for index, joint in enumerate(beam.joined):
-            others = [name for name in framed if name != beam.name]
-            others += ["world"] if joint.by != "rigid" and not is_pattern(joint.to) else []
+            joined = [name for name in framed if name != beam.name]
+            joined += ["world"] if joint.by != "rigid" and not is_pattern(joint.to) else []
             what = f"beam {beam.name} is joined to"
-            check_pattern(f"{key}.joined[{index}].to", what, joint.to, others)
+            check_pattern(f"{key}.joined[{index}].to", what, joint.to, joined)
     _check_pulleys(scene)
     if scene.contact is not None:
-        for place, touching in enumerate(scene.contact.between):
+        for number, touching in enumerate(scene.contact.between):
             for index, name in enumerate(touching.pair):
-                check_known(f"contact.between[{place}].pair[{index}]", "contact is between",
+                check_known(f"contact.between[{number}].pair[{index}]", "contact is between",
                             name, deformable + framed + names_in(scene, "obstacles"))  # fmt: skip
         for index, point in enumerate(scene.contact.points):
             check_carrier(f"contact.points[{index}].on", "contact.points", point.on, deformable, [])
     _check_observation(scene)
 
 
-def _values_at(scene, place: str) -> Iterator[tuple[str, Any, str | None]]:
+def _values_at(scene, place: str) -> Iterator[tuple[str, Any, Any]]:
     """The values at a place such as ``springs.ends.on``: their keys, entries of the section, and values."""
     section, *words = place.split(".")
     for key, entry in scene.keyed(section):
         found = [(key, entry)]
         for word in words:
-            inner = [(f"{above}.{word}", getattr(one, word)) for above, one in found]
+            inner = [(f"{above}.{word}", getattr(one, word)) for above, one in found if one is not None]
             found = [item for below, value in inner for item in (
                 [(f"{below}[{index}]", one) for index, one in enumerate(value)]
                 if isinstance(value, tuple) else [(below, value)])]  # fmt: skip

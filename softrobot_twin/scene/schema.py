@@ -230,7 +230,7 @@ class EffectorStiffness(Entry):
                          f"{whole} for 100 %")  # fmt: skip
 
 
-class PointsOnBody(OnBody, NamedEntry):
+class PointsOnBody(OnBody):
     """The mean of some points of a body."""
 
     placed: ClassVar[dict[str, str]] = {"points": "point", "directions": "letters"}
@@ -285,7 +285,7 @@ class MovingBase(Entry):
     """What poses tell of more is noise, and is shortened to it."""
 
 
-class Grip(OnBody, NamedEntry):
+class Grip(OnBody):
     """What may take hold of a rigid body, or of the world, and let go: a cup, a magnet, glue."""
 
     told: ClassVar[tuple[str, ...]] = ("{points:#point} on {holds:=}", "within {reach:mm} mm",
@@ -320,7 +320,7 @@ class Reaction(NamedEntry):
     or the origin of a rigid body."""
 
 
-class ObservedForce(OnBody, NamedEntry):
+class ObservedForce(OnBody):
     """A force that is found from markers."""
 
     placed: ClassVar[dict[str, str]] = {"points": "point"}
