@@ -27,7 +27,7 @@ from pydantic.fields import FieldInfo
 from softrobot_twin.command_line.commands import program
 from softrobot_twin.ros.parameters import DEVICE, TARGET, TWIN, Entry as Parameter
 from softrobot_twin.ros.topics import NODES, TWIN_SERVICES, Direction, Topic
-from softrobot_twin.scene.entry import check_name, is_entry, item_of_list
+from softrobot_twin.scene.entry import NamedEntry, OnBody, check_name, is_entry, item_of_list
 from softrobot_twin.scene.patterns import Pattern
 from softrobot_twin.scene.schema import Scene
 from softrobot_twin.study.bench_measurement import WHOLE_STEP
@@ -164,7 +164,8 @@ def _rows(
         if measured is None and _has_numbers(field.annotation):
             raise UndescribedError(f"{key} has no unit: declare it by unit(..)")
         owner = next(part for part in model.__mro__ if name in part.__dict__.get("__annotations__", {}))
-        if owners.setdefault((owner, name), (place, field.default))[0] != place and (
+        if owner not in (NamedEntry, OnBody) and (
+                owners.setdefault((owner, name), (place, field.default))[0] != place) and (
                 field.default in (owners[owner, name][1], None)):
             shared.setdefault(owners[owner, name][0], []).append(name)
             continue

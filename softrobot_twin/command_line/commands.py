@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 import math
 import signal
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -29,7 +29,6 @@ from softrobot_twin.reduction.training_options import (
     SPARE_MODES,
     TEST_STATES,
     TOLERANCE,
-    VIBRATIONS,
     TargetBox,
     TrainingOptions,
 )
@@ -61,53 +60,36 @@ def refuse(reason: str, **given: object) -> None:
 # --- how values are read --------------------------------------------------------------------------
 
 
-def count(text: str) -> int:
-    """Parses an integer of at least 0.
+def number(
+    kind: Callable[[str], float], is_good: Callable[[float], bool], reason: str, scale: float = 1.0
+) -> Callable[[str], float]:  # fmt: skip
+    """A function that reads a word of the command line as a number.
 
     Args:
-        text: The word of the command line.
+        kind: `int` or `float`.
+        is_good: Whether a number is taken.
+        reason: What is told of one that is not.
+        scale: What one is multiplied by.
     """
-    return _accepted(int(text), int(text) >= 0, f"{text} must not be negative")
+    def read(text: str) -> float:
+        try:
+            value = kind(text)
+        except ValueError:
+            what = "whole number" if kind is int else "number"
+            raise argparse.ArgumentTypeError(f"{text} is no {what}") from None
+        return _accepted(value if scale == 1.0 else scale * value, is_good(value), f"{text} {reason}")
+
+    return read
 
 
-def positive_count(text: str) -> int:
-    """Parses an integer of at least 1.
-
-    Args:
-        text: The word of the command line.
-    """
-    return _accepted(count(text), int(text) > 0, f"{text} must be above zero")
-
-
-def rate(text: str) -> float:
-    """Parses a rate between 0.1 and 10000 Hz.
-
-    Args:
-        text: The word of the command line [Hz].
-    """
-    number = float(text)
-    return _accepted(number, 0.1 <= number <= 10_000.0, f"{text} must lie in 0.1..10000 Hz")
-
-
-def seconds(text: str) -> float:
-    """Parses the length of a run [s].
-
-    Args:
-        text: The word of the command line [s].
-    """
-    number = float(text)
-    return _accepted(number, 1.0 <= number <= 3600.0, f"{text} must lie in 1..3600 s")
-
-
-def duration(text: str) -> float:
-    """Parses the duration of a run without commands [s].
-
-    Args:
-        text: The word of the command line [s].
-    """
-    number = float(text)
-    return _accepted(
-        number, 0.0 < number <= 86_400.0, f"{text} must lie above 0 and up to 86400 s")
+count = number(int, lambda value: value >= 0, "must not be negative")
+positive_count = number(int, lambda value: value > 0, "must be above zero")
+rate = number(float, lambda value: 0.1 <= value <= 10_000.0, "must lie in 0.1..10000 Hz")
+seconds = number(float, lambda value: 1.0 <= value <= 3600.0, "must lie in 1..3600 s")
+duration = number(float, lambda value: 0.0 < value <= 86_400.0, "must lie above 0 and up to 86400 s")
+positive = number(float, lambda value: 0.0 < value < math.inf, "must be above zero")
+tilt = number(float, lambda value: 0.0 < value <= 180.0,
+              "must lie above 0 and up to 180 degrees", math.radians(1.0))
 
 
 def length(text: str) -> float:
@@ -140,16 +122,6 @@ def _with_unit(text: str, units: dict[str, float], expected: str) -> float:
     return _accepted(number, 0.0 < number < math.inf, f"{text} must be above zero and finite")
 
 
-def positive(text: str) -> float:
-    """Parses a finite number above zero.
-
-    Args:
-        text: The word of the command line.
-    """
-    number = float(text)
-    return _accepted(number, 0.0 < number < math.inf, f"{text} must be above zero")
-
-
 def share(text: str) -> float:
     """Parses a percentage, such as 1%, as a share.
 
@@ -158,17 +130,6 @@ def share(text: str) -> float:
     """
     number = positive(text.removesuffix("%")) / 100.0
     return _accepted(number, number <= 1.0, f"{text} must be at most 100 %")
-
-
-def tilt(text: str) -> float:
-    """Parses an angle in degrees; gives it in radians.
-
-    Args:
-        text: The word of the command line [degrees].
-    """
-    number = float(text)
-    return _accepted(math.radians(number), 0.0 < number <= 180.0,
-                     f"{text} must lie above 0 and up to 180 degrees")
 
 
 def point(text: str) -> tuple[float, float, float]:

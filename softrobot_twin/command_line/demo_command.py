@@ -41,12 +41,11 @@ from softrobot_twin.study.tracking import (
     TimedValues,
     TrackingRecord,
     draw_tracking,
-    save_records,
     tracking_report,
     write_report,
 )
 
-RESULTS = ("report.json", "tracking.png", "presses.png", "samples.npz", "run.rrd",
+RESULTS = ("report.json", "tracking.png", "presses.png", "run.rrd",
            *(f"{run}.csv" for run in (*RUNS, *CONTROLLED_RUNS)), "commands.csv", "calibration.png")
 """Files that a demo writes into its folder, besides one log for each process."""
 
@@ -172,7 +171,6 @@ def _report(plan: DemoPlan, outcome: DemoOutcome) -> tuple[int, dict[str, Tracki
         report["touch"] = _touches(plan, outcome)
         _print_table(plan, report)
         write_report(plan.folder / "report.json", report)
-        save_records(plan.folder / "samples.npz", records)
         for run, record in records.items():
             kinds = simulation.actuators.kind_of
             write_demo_table(plan.folder / f"{run}.csv", record, plan.effector, kinds)

@@ -34,19 +34,24 @@ class WhenLost(Enum):
     """Keep every actuator where it is."""
 
 
-def number(unit: str, default: Any = MISSING, above_zero: bool = False) -> Any:
-    """A field for `check_numbers`: finite and not negative, or above zero.
+def setting(meaning: str, default: Any = MISSING, unit: str = "", least: float | None = None,
+            most: float | None = None) -> Any:
+    """A field of settings, of which a node makes a parameter.
 
     Args:
-        unit: Its unit.
+        meaning: What it is, in one sentence.
         default: Its default; none by default.
-        above_zero: Whether it must not be zero.
+        unit: Its unit.
+        least: Least value of the parameter. Settings themselves may have any finite value that is not
+            negative, or above zero where this is; None for what is no number.
+        most: Greatest value of the parameter.
     """
-    return field(default=default, metadata={"unit": unit, "above_zero": above_zero})
+    return field(default=default, metadata={
+        "meaning": meaning, "unit": unit, "least": least, "most": most})
 
 
 def check_numbers(settings: Any, prefix: str = "") -> None:
-    """Checks the fields of settings that `number` made.
+    """Checks the numbers among the fields that `setting` made.
 
     Args:
         settings: A dataclass.
@@ -56,8 +61,8 @@ def check_numbers(settings: Any, prefix: str = "") -> None:
         ParameterError: One of them is out of its range.
     """
     for one in fields(settings):
-        if one.metadata:
-            value, above_zero = getattr(settings, one.name), one.metadata["above_zero"]
+        if one.metadata.get("least") is not None:
+            value, above_zero = getattr(settings, one.name), one.metadata["least"] > 0.0
             if not math.isfinite(value) or value < 0.0 or (above_zero and value == 0.0):
                 reason = f"must be finite and {'above zero' if above_zero else 'not negative'}"
                 raise ParameterError(prefix + one.name, value, one.metadata["unit"], reason)
@@ -104,27 +109,40 @@ class LoopSettings:
             or the workspace is empty.
     """
 
-    rate: float = number("Hz", 1.0 / DEFAULT_TIME_STEP, above_zero=True)
-    deadline: float = number("s", 0.0)
-    message_timeout: float = number("s", 0.5)
-    future_tolerance: float = number("s", 0.1)
-    target_timeout: float = number("s", 0.0)
-    velocity_timeout: float = number("s", 0.6, above_zero=True)
-    speed_limit: float = number("m/s", 0.02, above_zero=True)
-    approach_speed: float = number("m/s", 0.0)
-    workspace_min: tuple[float, float, float] = (-1.0, -1.0, -1.0)
-    workspace_max: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    closed_loop: bool = False
-    prediction: bool = True
-    misfit_rate: float = number("1/s", 20.0)
-    correction_gain: float = number("1/s", 2.0)
-    correction_limit: float = number("m", 0.01)
-    lead_limit: float = number("s", 0.15)
-    marker_timeout: float = number("s", 0.5, above_zero=True)
-    on_lost_markers: WhenLost = WhenLost.OPEN_LOOP
-    device_timeout: float = number("s", 0.5, above_zero=True)
-    on_lost_device: WhenLost = WhenLost.HOLD
-    touch_timeout: float = number("s", 0.2, above_zero=True)
+    rate: float = setting("Ticks per second.", 1.0 / DEFAULT_TIME_STEP, "Hz", 0.1, 2000.0)
+    deadline: float = setting("Time of a step for further linearizations, at most 1/rate; 0 for the scene's number.",
+                              0.0, "s", 0.0, 10.0)
+    message_timeout: float = setting(
+        "Messages with an older stamp are refused; 0 accepts any age.", 0.5, "s", 0.0, 60.0)
+    future_tolerance: float = setting(
+        "Messages with a stamp further in the future are refused.", 0.1, "s", 0.0, 60.0)
+    target_timeout: float = setting(
+        "Time without a target or command until the twin holds; 0 for never.", 0.0, "s", 0.0, 3600.0)
+    velocity_timeout: float = setting("A received velocity is used for this time.", 0.6, "s", 0.01, 10.0)
+    speed_limit: float = setting("Greatest speed of a target moved by a velocity.", 0.02, "m/s", 1e-6, 10.0)
+    approach_speed: float = setting("Speed on a straight line to a far target; 0 for as fast as possible.",
+                                    0.0, "m/s", 0.0, 10.0)
+    workspace_min: tuple[float, float, float] = setting(
+        "Lower corner of the box of targets and poses.", (-1.0, -1.0, -1.0), "m")
+    workspace_max: tuple[float, float, float] = setting("Upper corner of that box.", (1.0, 1.0, 1.0), "m")
+    closed_loop: bool = setting("Correct the targets by the measured markers.", False)
+    prediction: bool = setting("With control law dynamic: command by prediction.", True)
+    misfit_rate: float = setting(
+        "Rate at which the correction follows the misfit.", 20.0, "1/s", 0.0, 1000.0)
+    correction_gain: float = setting("Gain of the integrator, where setpoints are not measured.",
+                                     2.0, "1/s", 0.0, 1000.0)
+    correction_limit: float = setting("Greatest length of the correction.", 0.01, "m", 0.0, 1.0)
+    lead_limit: float = setting(
+        "Greatest time by which a moving target is led in closed loop.", 0.15, "s", 0.0, 1.0)
+    marker_timeout: float = setting(
+        "Time without a message until markers are lost.", 0.5, "s", 0.001, 60.0)
+    on_lost_markers: WhenLost = setting(
+        "In closed loop: keep the last correction, or hold.", WhenLost.OPEN_LOOP)
+    device_timeout: float = setting(
+        "Time without measured setpoints until the device is lost.", 0.5, "s", 0.001, 60.0)
+    on_lost_device: WhenLost = setting(
+        "Continue with the model alone, or hold.", WhenLost.HOLD)
+    touch_timeout: float = setting("Time without a message until a touch ends.", 0.2, "s", 0.001, 60.0)
 
     def __post_init__(self) -> None:
         check_numbers(self)

@@ -10,7 +10,7 @@ import numpy as np
 from softrobot_twin.control.cavity_pressures import STANDARD_ATMOSPHERE
 from softrobot_twin.control.device import DeviceReading
 from softrobot_twin.control.inputs import refusal_of_pose
-from softrobot_twin.control.loop_settings import check_numbers, number
+from softrobot_twin.control.loop_settings import check_numbers, setting
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.simulation import (
     CommandEfforts,
@@ -54,17 +54,20 @@ class DeviceFlaws:
         ParameterError: A value is negative or not finite, or a rate or the flow limit is zero.
     """
 
-    delay: float = number("s", 0.0)
-    servo_rate: float = number("m/s", 0.1, above_zero=True)
-    marker_noise: float = number("m", 0.0)
-    seed: int = 0
-    valve_lag: float = number("s", 0.0)
-    flow_limit: float = number("m³/s", 2.0e-4, above_zero=True)
-    leak: float = number("m³/(s Pa)", 0.0)
-    pressure_noise: float = number("Pa", 0.0)
-    angle_rate: float = number("rad/s", 6.0, above_zero=True)
-    angle_noise: float = number("rad", 0.0)
-    backlash: float = number("rad", 0.0)
+    delay: float = setting("Time from a command's arrival to its effect.", 0.0, "s", 0.0, 10.0)
+    servo_rate: float = setting("Greatest speed of the servos of cables and slides.", 0.1, "m/s", 1e-6, 10.0)
+    marker_noise: float = setting("Standard deviation of each measured coordinate.", 0.0, "m", 0.0, 1.0)
+    seed: int = setting("Seed of the noise.", 0, "", 0, 2**31 - 1)
+    valve_lag: float = setting("Time constant of pressure regulators; 0 for none.", 0.0, "s", 0.0, 60.0)
+    flow_limit: float = setting("Greatest flow at ambient pressure, or speed of a syringe.",
+                                2.0e-4, "m³/s", 1e-12, 10.0)
+    leak: float = setting("Flow out at ambient pressure, by gauge pressure.",
+                          0.0, "m³/(s Pa)", 0.0, 1.0)
+    pressure_noise: float = setting("Standard deviation of each measured pressure.", 0.0, "Pa", 0.0, 1e6)
+    angle_rate: float = setting("Greatest speed of the motors of hinges.", 6.0, "rad/s", 1e-6, 1000.0)
+    angle_noise: float = setting("Standard deviation of each of their measured angles.", 0.0, "rad", 0.0, 1.0)
+    backlash: float = setting(
+        "Angle that a motor turns back before the beam follows.", 0.0, "rad", 0.0, 1.0)
 
     def __post_init__(self) -> None:
         check_numbers(self, "device_")
@@ -235,9 +238,9 @@ class Presses:
     """
 
     touch: str
-    depth: float = number("m", above_zero=True)
-    period: float = number("s", above_zero=True)
-    direction: tuple[float, float, float] = (0.0, 0.0, -1.0)
+    depth: float = setting("Depth of a press.", 0.001, "m", 1e-9, 1.0)
+    period: float = setting("Time from press to press; a press takes half.", 2.0, "s", 0.01, 3600.0)
+    direction: tuple[float, float, float] = setting("Direction of a press.", (0.0, 0.0, -1.0))
 
     def __post_init__(self) -> None:
         check_numbers(self, "device_touch_")

@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from softrobot_twin.control.loop_settings import check_numbers, number
+from softrobot_twin.control.loop_settings import check_numbers, setting
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.simulation.runs.input_tables import TableFileError, Waypoints, read_path
 
@@ -44,8 +44,8 @@ class ClosedCurve:
     """
 
     centre: tuple[float, float, float]
-    radius: float = number("m", above_zero=True)
-    period: float = number("s", above_zero=True)
+    radius: float = setting("Radius of the circle, half the width of the lemniscate.", 0.01, "m", 1e-6, 10.0)
+    period: float = setting("Time for the whole circle or lemniscate.", 10.0, "s", 0.001, 86400.0)
     plane: str = "xy"
 
     def __post_init__(self) -> None:

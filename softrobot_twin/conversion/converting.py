@@ -23,7 +23,7 @@ from softrobot_twin.conversion import (  # noqa: F401 (they register rules)
     frame_rules,
 )
 from softrobot_twin.conversion.computed_values import points_of
-from softrobot_twin.conversion.rules import UNREADABLE, Conversion, made_name
+from softrobot_twin.conversion.rules import UNREADABLE, Conversion
 from softrobot_twin.conversion.scene_text import scene_yaml
 from softrobot_twin.conversion.scene_tree import (
     KINDS,
@@ -38,11 +38,11 @@ from softrobot_twin.conversion.scene_tree import (
 from softrobot_twin.conversion.scene_xml import read_xml
 from softrobot_twin.conversion.units import units_of
 from softrobot_twin.errors import SoftRobotTwinError, one_line
-from softrobot_twin.harness.output_file import OutputError, output_file
+from softrobot_twin.harness.output_file import output_file
 from softrobot_twin.harness.terminal import console, print_apart, table, terminal_status
 from softrobot_twin.scene.loading import read_yaml, scene_from_mapping
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.study.first_scene import SceneExistsError
+from softrobot_twin.study.first_scene import SceneExistsError, check_new_scene, made_name
 
 CONVERTED, INCOMPLETE = 0, 3
 """Exit codes: all is converted; a scene, but something is not."""
@@ -66,10 +66,7 @@ def convert(file: Path, output: Path, units: str | None, seconds: float, replace
     Raises:
         SoftRobotTwinError: No scene can be made.
     """
-    if output.suffix.lower() not in (".yaml", ".yml"):
-        raise OutputError(output, "a scene is a .yaml file")
-    if output.exists() and not replace:
-        raise SceneExistsError(output, "exists already; name another file by --output, or replace it by --force")
+    check_new_scene(output, replace)
     with terminal_status(f"reading {file.name}"):
         root, stopped = read_scene(file, seconds)
     try:
@@ -158,7 +155,7 @@ def converted(root: SceneNode, output: Path, units: str | None) -> Conversion:
     gravity = None if given is None else numbers(given)[:3]
     conversion = Conversion(root, units_of(gravity, _extent(root), units), output)
     vector = [0.0, -9.81, 0.0] if gravity is None else gravity
-    conversion.scene = {"name": made_name(output.stem), "gravity": conversion.length(vector)}
+    conversion.scene = {"name": made_name(output.stem, "part"), "gravity": conversion.length(vector)}
     conversion.run()
     conversion.scene["solver"] = {"newton_iterations": body_rules.NEWTON_ITERATIONS}
     return conversion

@@ -34,6 +34,7 @@ from softrobot_twin.conversion.scene_tree import (
 )
 from softrobot_twin.conversion.units import Units
 from softrobot_twin.errors import one_line
+from softrobot_twin.study.first_scene import made_name
 
 _NOT_PHYSICAL, _NOT_PHYSICAL_FIELDS = (
     re.compile(TABLE[key].replace(" ", "")) for key in ("not_physical", "not_physical_fields"))  # fmt: skip
@@ -73,16 +74,6 @@ def rule(stage: int, *kinds: str):
         return convert
 
     return register
-
-
-def made_name(text: str) -> str:
-    """A name of letters, digits and underscores.
-
-    Args:
-        text: What it is made of.
-    """
-    word = re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_")
-    return word if re.match("[A-Za-z]", word) else f"part_{word}".rstrip("_")
 
 
 @dataclass(eq=False)
@@ -159,7 +150,7 @@ class Conversion:
         """
         if otherwise and wanted in self._names:
             return self.name(otherwise)
-        word = made_name(wanted)
+        word = made_name(wanted, "part")
         made, number = word, 2
         while made in self._names or made == "world":
             made, number = f"{word}_{number}", number + 1

@@ -6,11 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from softrobot_twin.study.first_scene import LARGEST_IN_METRES
+
 SYSTEMS = {"mm-kg-s": (1e-3, 1.0), "mm-g-s": (1e-3, 1e-3), "cm-kg-s": (1e-2, 1.0), "m-kg-s": (1.0, 1.0)}
 """Metres and kilograms in the units of each system."""
 _OF_GRAVITY = {9810.0: "mm-kg-s", 981.0: "cm-kg-s", 9.81: "m-kg-s"}
-LARGEST_IN_METRES = 2.0
-"""A larger body is in millimetres, where gravity tells nothing."""
 # As near as this, as a ratio, gravity is that of the earth; some files have 9180 for 9810.
 _NEAR = 1.1
 

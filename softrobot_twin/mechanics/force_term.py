@@ -166,7 +166,17 @@ class ForceTerm(Protocol):
             projected: True for a stiffness that is positive semidefinite at every state, False
                 for the exact derivative of the forces.
         """
-        ...
+        self.add_forces(positions, forces)
+        self.add_stiffness(positions, storage, projected)
+
+    def add_stiffness(self, positions: np.ndarray, storage: np.ndarray, projected: bool) -> None:
+        """Add the stiffness alone, after `add_forces` at the same state; none by default.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            storage: The factorization's storage [N/m]; added to.
+            projected: See `add`.
+        """
 
     def clear_dense_rows(self) -> None:
         """Where dense rows do not follow from the state evaluated last: have none until stiffness is

@@ -29,10 +29,6 @@ class ConstantForces(ForceTerm):
         add_vectors(self.forces, forces)
         return 0
 
-    def add(self, positions, forces, storage, projected) -> None:
-        """Add them; they have no stiffness."""
-        add_vectors(self.forces, forces)
-
     def add_force_curvature(self, positions, direction, reach, curvature) -> None:
         """Adds nothing: they are constant."""
 

@@ -151,11 +151,10 @@ class Grips(ForceTerm):
         apart = self._apart(positions)
         return float(0.5 * self._active @ (apart * apart).sum(axis=1))
 
-    def add(self, positions, forces, storage, projected: bool) -> None:
-        """Add forces, and their stiffness, which is positive; see `ForceTerm.add`."""
+    def add_stiffness(self, positions, storage, projected: bool) -> None:
+        """Add the stiffness, which is positive; see `ForceTerm.add_stiffness`."""
         if not self.held.holds.any():
             return
-        self.add_forces(positions, forces)
         add_weighted_matrices(
             self._active[:, None, None] * np.eye(3), self._bound.sorted(self._coefficients),
             self._bound.offsets, self._bound.strides, storage,

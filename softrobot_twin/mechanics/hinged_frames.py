@@ -676,7 +676,7 @@ class HingeBlocks(OwnBlocks):
         """Adds none; see `ForceTerm.add_forces`."""
         return 0
 
-    def add(self, positions, forces, storage, projected: bool) -> None:
-        """Add the diagonal; see `ForceTerm.add`."""
+    def add_stiffness(self, positions, storage, projected: bool) -> None:
+        """Add the diagonal; see `ForceTerm.add_stiffness`."""
         share = PROJECTED_STIFFNESS if projected else LEAST_STIFFNESS
         _add_unused(self._offsets, self._strides, self._is_ball, self._stiffness, share, storage)

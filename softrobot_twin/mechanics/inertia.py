@@ -258,16 +258,14 @@ class NodalMasses(RememberedNodes, OwnBlocks):
         )  # fmt: skip
         return 0
 
-    def add(self, positions, forces, storage, projected: bool) -> None:
-        """Add the forces, and c m / h to the system matrix.
+    def add_stiffness(self, positions, storage, projected: bool) -> None:
+        """Add c m / h to the system matrix.
 
         Args:
             positions: Node positions q [m], shape (node_count, 3).
-            forces: Forces on the free nodes [N], shape (free_node_count, 3); added to.
             storage: The factorization's storage [N/m]; added to.
             projected: Of no effect: masses are never negative.
         """
-        self.add_forces(positions, forces)
         factor = self.rate * self._per_second
         _add_multiples(self.masses, factor, self._offsets, self._strides, storage)
 
@@ -439,16 +437,14 @@ class ConsistentInertia(RememberedNodes, InertiaTerm):
         )  # fmt: skip
         return 0
 
-    def add(self, positions, forces, storage, projected: bool) -> None:
-        """Add the forces, and M/h² to the system matrix.
+    def add_stiffness(self, positions, storage, projected: bool) -> None:
+        """Add M/h² to the system matrix.
 
         Args:
             positions: Node positions q [m], shape (node_count, 3).
-            forces: Forces on the free nodes [N], shape (free_node_count, 3); added to.
             storage: The factorization's storage [N/m]; added to.
             projected: Of no effect: M is positive definite.
         """
-        self.add_forces(positions, forces)
         factor = self._per_second**2 * self.weight
         _add_multiples(self._lower_values, factor, self._offsets, self._strides, storage)
 

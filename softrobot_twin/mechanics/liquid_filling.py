@@ -148,11 +148,8 @@ class LiquidFilling(CavityLoad):
         self.walls.carry_forces(self._forces, forces)
         return 0
 
-    def add(
-        self, positions: np.ndarray, forces: np.ndarray, storage: np.ndarray, projected: bool
-    ) -> None:
-        """See `ForceTerm.add`. Projected, it adds no stiffness; see `Cavities.add_stiffness`."""
-        self.add_forces(positions, forces)
+    def add_stiffness(self, positions: np.ndarray, storage: np.ndarray, projected: bool) -> None:
+        """See `ForceTerm.add_stiffness`. Projected, it adds no stiffness; see `Cavities.add_stiffness`."""
         if not projected:
             walls = self.walls
             _add_liquid_stiffness(

@@ -30,6 +30,7 @@ from typing import NamedTuple
 
 from numba.extending import overload
 
+from softrobot_twin.kernels.compilation import GENERIC, njit
 from softrobot_twin.mechanics.material import lame_parameters
 
 # Without it the kernels would be called, not inlined, at twice the time.
@@ -92,6 +93,8 @@ class PointLaw(NamedTuple):
             parameters hold arrays of what points remember: it is of a type that is registered too.
             Batches k are those of `element_batches.py`.
         is_law_of_scenes: False for a law that only others are wrapped in.
+        second_stress: The kernel that gives S, second Piola-Kirchhoff, of Green's strain [Pa], where S is
+            linear in it: such laws share the kernels of `laws/saint_venant_kirchhoff.py`.
     """
 
     name: str
@@ -108,6 +111,7 @@ class PointLaw(NamedTuple):
     own: OwnConstants | None = None
     at_point: Callable | None = None
     is_law_of_scenes: bool = True
+    second_stress: Callable | None = None
 
 
 LAWS: dict[type, PointLaw] = {}
@@ -192,86 +196,50 @@ def _law_of_type(parameters: type) -> PointLaw:
     return LAWS[parameters]
 
 
-def law_at(law, k, q, e):
-    """The law at point q of element e of batch k, inside kernels: see `register_law`."""
-    raise NotImplementedError("only inside compiled kernels")
-
-
-def energy_density(law, F):
-    """Ψ of the law at F, inside kernels.
+def _kernel(name: str, otherwise: Callable | None = None) -> Callable:
+    """Make the function that calls a kernel of a law inside kernels.
 
     Args:
-        law: Parameters of the law.
-        F: The deformation gradient, three rows of three numbers.
+        name: Field of `PointLaw`.
+        otherwise: The kernel of laws without it.
     """
-    raise NotImplementedError("only inside compiled kernels")
+
+    def of_law(law, *arguments):
+        raise NotImplementedError("only inside compiled kernels")
+
+    @overload(of_law, jit_options=_INLINED)
+    def chosen(law, *arguments):
+        kernel = getattr(_law_of_type(law.instance_class), name) or otherwise
+        return lambda law, *arguments: kernel(law, *arguments)
+
+    return of_law
 
 
-def stress(law, F):
-    """P of the law at F, inside kernels.
-
-    Args:
-        law: Parameters of the law.
-        F: The deformation gradient, three rows of three numbers.
-    """
-    raise NotImplementedError("only inside compiled kernels")
+@njit(**GENERIC)
+def _unchanged(law, k, q, e):
+    """A law that is the same at all points."""
+    return law
 
 
-def linearize(law, F, upright, projected):
-    """The rows that `differential` gets for F, inside kernels.
-
-    Args:
-        law: Parameters of the law.
-        F: The deformation gradient, three rows of three numbers.
-        upright: Whether the point is not inside out.
-        projected: Whether the differential must be positive semidefinite.
-    """
-    raise NotImplementedError("only inside compiled kernels")
+@njit(**GENERIC)
+def _not_linearized(law, F, upright, projected):
+    """F itself is what the differential takes."""
+    return F
 
 
-def differential(law, linearized, dF):
-    """dP of the law, inside kernels.
-
-    Args:
-        law: Parameters of the law.
-        linearized: What `linearize` returned, rows of three numbers.
-        dF: Change of the deformation gradient, three rows of three numbers.
-    """
-    raise NotImplementedError("only inside compiled kernels")
-
-
-@overload(law_at, jit_options=_INLINED)
-def _law_at(law, k, q, e):
-    kernel = _law_of_type(law.instance_class).at_point
-    if kernel is None:
-        return lambda law, k, q, e: law
-    return lambda law, k, q, e: kernel(law, k, q, e)
-
-
-@overload(energy_density, jit_options=_INLINED)
-def _energy_density(law, F):
-    kernel = _law_of_type(law.instance_class).energy_density
-    return lambda law, F: kernel(law, F)
-
-
-@overload(stress, jit_options=_INLINED)
-def _stress(law, F):
-    kernel = _law_of_type(law.instance_class).stress
-    return lambda law, F: kernel(law, F)
-
-
-@overload(linearize, jit_options=_INLINED)
-def _linearize(law, F, upright, projected):
-    kernel = _law_of_type(law.instance_class).linearize
-    if kernel is None:
-        return lambda law, F, upright, projected: F
-    return lambda law, F, upright, projected: kernel(law, F, upright, projected)
-
-
-@overload(differential, jit_options=_INLINED)
-def _differential(law, linearized, dF):
-    kernel = _law_of_type(law.instance_class).differential
-    return lambda law, linearized, dF: kernel(law, linearized, dF)
+law_at = _kernel("at_point", _unchanged)
+"""``law_at(law, k, q, e)``: the law at point q of element e of batch k."""
+energy_density = _kernel("energy_density")
+"""``energy_density(law, F)``: Ψ [J/m³]."""
+stress = _kernel("stress")
+"""``stress(law, F)``: P [Pa]."""
+linearize = _kernel("linearize", _not_linearized)
+"""``linearize(law, F, upright, projected)``: the rows that `differential` takes. `upright` tells whether
+the point is not inside out, `projected` whether the differential must be positive semidefinite."""
+differential = _kernel("differential")
+"""``differential(law, linearized, dF)``: dP [Pa]."""
+second_stress = _kernel("second_stress")
+"""``second_stress(law, E)``: S of Green's strain E [Pa]."""
 
 
 def _property(name: str) -> Callable:

@@ -102,9 +102,8 @@ class ReducedMasses(RememberedNodes):
         )  # fmt: skip
         return 0
 
-    def add(self, positions, forces, storage, projected: bool) -> None:
-        """Add the forces, and c M / h to the system matrix; see `ForceTerm.add`."""
-        self.add_forces(positions, forces)
+    def add_stiffness(self, positions, storage, projected: bool) -> None:
+        """Add c M / h; see `ForceTerm.add_stiffness`."""
         _add_multiple(*self._bound, self.matrix, self.rate * self._per_second, storage)
 
 

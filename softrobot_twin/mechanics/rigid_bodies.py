@@ -561,17 +561,15 @@ class RigidMotion(OwnBlocks):
         )  # fmt: skip
         return 0
 
-    def add(self, positions, forces, storage, projected: bool) -> None:
-        """Add forces, and stiffness to the system matrix.
+    def add_stiffness(self, positions, storage, projected: bool) -> None:
+        """Add the stiffness.
 
         Args:
             positions: Node positions [m], shape (node_count, 3).
-            forces: Of the unknowns [N] and [N m], shape (free_node_count, 3); added to.
             storage: The factorization's storage; added to.
             projected: True for a stiffness that is positive for any rotation. Else it may be
                 indefinite where a body rotates by more than about a radian in a step.
         """
-        self.add_forces(positions, forces)
         add_motion_stiffness(
             positions, self._origins, self.masses, self.inertias, self._rotations,
             self._scale, self._in_middle, projected, self._offsets, self._strides, storage,

@@ -57,11 +57,8 @@ class SealedGas(CavityLoad):
         np.add.at(forces, self.walls.entry_nodes, loads)
         return 0
 
-    def add(
-        self, positions: np.ndarray, forces: np.ndarray, storage: np.ndarray, projected: bool
-    ) -> None:
-        """See `ForceTerm.add`. Projected, it adds no blocks; see `Cavities.add_stiffness`."""
-        self.add_forces(positions, forces)
+    def add_stiffness(self, positions: np.ndarray, storage: np.ndarray, projected: bool) -> None:
+        """See `ForceTerm.add_stiffness`. Projected, it adds no blocks; see `Cavities.add_stiffness`."""
         if not projected:
             pressures = self._work / self._volumes - self._ambient
             self.walls.add_stiffness(positions, pressures, storage)

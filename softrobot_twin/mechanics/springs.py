@@ -360,17 +360,15 @@ class Springs(ForceTerm):
         )  # fmt: skip
         return 0
 
-    def add(self, positions, forces, storage, projected: bool) -> None:
-        """Add forces, and stiffness to the system matrix.
+    def add_stiffness(self, positions, storage, projected: bool) -> None:
+        """Add the stiffness.
 
         Args:
             positions: Node positions [m], shape (node_count, 3).
-            forces: On the unknowns [N], shape (free_node_count, 3); added to.
             storage: The factorization's storage; added to.
             projected: True for a positive stiffness, without the negative part of compressed
                 springs; a slack one has a small stiffness across.
         """
-        self.add_forces(positions, forces)
         add_spring_stiffness(
             positions, self._nodes, self._coefficients, self._constants, self._least, self._laws,
             self._lengths_before, projected, self._bound.offsets, self._bound.strides, storage,

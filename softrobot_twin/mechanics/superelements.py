@@ -626,13 +626,12 @@ class Superelements(ForceTerm):
         )  # fmt: skip
         return 0
 
-    def add(self, positions, forces, storage, projected: bool) -> None:
-        """Add forces and stiffness; see `ForceTerm.add`.
+    def add_stiffness(self, positions, storage, projected: bool) -> None:
+        """Add the stiffness; see `ForceTerm.add_stiffness`.
 
         Projected, it adds the stiffness without that of ∂²e/∂q² and of weight, and takes the
         magnitudes of the principal stiffnesses of ∂²Π/∂e².
         """
-        self.add_forces(positions, forces)
         curvature = self._curvature
         if projected:
             curvature = self._curvature[:, :DEFORMATIONS, :DEFORMATIONS]

@@ -151,11 +151,10 @@ class TouchLoads(ForceTerm):
     def add_force_curvature(self, positions, direction, reach, curvature) -> None:
         """Adds nothing: the forces are linear in the positions."""
 
-    def add(self, positions, forces, storage, projected: bool) -> None:
-        """Add forces, and the stiffness of held points, which is positive, to the system matrix."""
+    def add_stiffness(self, positions, storage, projected: bool) -> None:
+        """Add the stiffness of held points, which is positive."""
         if not self.is_active:
             return
-        self.add_forces(positions, forces)
         matrices = self._held_stiffness()[:, :, None] * np.eye(3)
         add_weighted_matrices(
             matrices, self._weights, self._bound.offsets, self._bound.strides, storage

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Point, PoseStamped, TransformStamped
-from sensor_msgs.msg import PointField
-from std_msgs.msg import ColorRGBA, MultiArrayDimension
-from visualization_msgs.msg import Marker, UVCoordinate
+from importlib import import_module
 
 from softrobot_twin.ros import topics
 
@@ -28,16 +24,6 @@ def type_name(kind: type) -> str:
     return f"{package}/{folder}/{kind.__name__}"
 
 
-# A class of messages tells the name of a sequence's items, and does not hold their class.
-_ITEMS = {
-    topics.type_name(kind): kind
-    for kind in (
-        ColorRGBA, DiagnosticStatus, KeyValue, Marker, MultiArrayDimension, Point, PointField,
-        PoseStamped, TransformStamped, UVCoordinate,
-    )
-}  # fmt: skip
-
-
 def definition(kind: type) -> str:
     """Definition of a type of messages (``ros2msg``), with those of all types inside it.
 
@@ -45,7 +31,7 @@ def definition(kind: type) -> str:
         kind: The class that Python has for it.
 
     Raises:
-        KeyError: It contains a type, or a sequence of messages of one, that no topic of this package has.
+        KeyError: It contains a field that is an array of fixed size, a bounded sequence or a wide string.
     """
     texts: dict[str, str] = {}
     _collect(kind, texts)
@@ -59,14 +45,14 @@ def _collect(kind: type, texts: dict[str, str]) -> None:
     if key in texts:
         return
     texts[key] = ""
-    inner, lines, example = [], [], kind()
+    inner, lines = [], []
     for field, idl in kind.get_fields_and_field_types().items():
         name = idl.removeprefix("sequence<").removesuffix(">")
         item = name if "/" in name else _PLAIN[name]
         lines.append(f"{item if name == idl else item + '[]'} {field}\n")
         if "/" in item:
-            value = getattr(example, field)
-            inner.append(_ITEMS[item] if isinstance(value, list) else type(value))
+            package, word = item.split("/")
+            inner.append(getattr(import_module(f"{package}.msg"), word))
     texts[key] = "".join(lines)
     for item in inner:
         _collect(item, texts)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import fields
 from difflib import get_close_matches
 from enum import Enum
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
@@ -15,6 +16,8 @@ from rclpy.parameter import Parameter
 
 from softrobot_twin.control.cavity_pressures import STANDARD_ATMOSPHERE
 from softrobot_twin.control.loop_settings import SETTING_NAMES, LoopSettings, Mode, settings_of
+from softrobot_twin.control.simulated_device import DeviceFlaws, Presses
+from softrobot_twin.control.target_path import ClosedCurve
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.thread_priority import Priority
 
@@ -165,14 +168,24 @@ def similar(name: str, known: Iterable[str]) -> str:
     return f"; did you mean {near[0]}?" if near else ""
 
 
-def _setting(name: str, *given: Any) -> Entry:
-    """A setting of the loop, with its default; it can be set while the node runs."""
-    default = getattr(LoopSettings(), name)
-    choices = tuple(choice.value for choice in type(default)) if isinstance(default, Enum) else ()
-    if choices:
-        default = default.value
-    return Entry(name, list(default) if isinstance(default, tuple) else default, *given)._replace(
-        choices=choices)
+def _settings(kind: type, prefix: str = "", **defaults: object) -> dict[str, Entry]:
+    """Parameters of settings by the names of the fields, which may be set while the node runs.
+
+    Args:
+        kind: The settings, a dataclass with fields of `setting`.
+        prefix: Begin of the names of the parameters.
+        **defaults: Defaults in place of those of the fields.
+    """
+    found = {}
+    for one in fields(kind):
+        if one.metadata:
+            default, choices = defaults.get(one.name, one.default), ()
+            if isinstance(default, Enum):
+                default, choices = default.value, tuple(choice.value for choice in type(default))
+            default = list(default) if isinstance(default, tuple) else default
+            meaning, unit, least, most = one.metadata.values()
+            found[one.name] = Entry(prefix + one.name, default, meaning, unit, least, most, choices)
+    return found
 
 
 def _fixed(*entries: Entry) -> tuple[Entry, ...]:
@@ -180,49 +193,15 @@ def _fixed(*entries: Entry) -> tuple[Entry, ...]:
     return tuple(entry._replace(read_only=True) for entry in entries)
 
 
+_LOOP = _settings(LoopSettings)
 COMMON = (
     *_fixed(Entry("frame_id", "base_link", "Frame of all positions.")),
-    _setting("message_timeout", "Messages with an older stamp are refused; 0 accepts any age.", "s",
-             0.0, 60.0),
-    _setting("future_tolerance", "Messages with a stamp further in the future are refused.", "s", 0.0,
-             60.0),
+    _LOOP.pop("message_timeout"), _LOOP.pop("future_tolerance"),
     *_fixed(Entry(
         "ambient_pressure", STANDARD_ATMOSPHERE, "Absolute pressure around the robot.", "Pa", 1.0, 2e8)),
 )
 
-RUNTIME = (
-    _setting("rate", "Ticks per second.", "Hz", 0.1, 2000.0),
-    _setting("deadline", "Time of a step for further linearizations, at most 1/rate; 0 for the "
-                         "scene's number.", "s",
-             0.0, 10.0),
-    _setting("target_timeout",
-             "Time without a target or command until the twin holds; 0 for never.", "s",
-             0.0, 3600.0),
-    _setting("velocity_timeout", "A received velocity is used for this time.", "s", 0.01, 10.0),
-    _setting("speed_limit", "Greatest speed of a target moved by a velocity.", "m/s", 1e-6, 10.0),
-    _setting("approach_speed", "Speed on a straight line to a far target; 0 for as fast as "
-                               "possible.", "m/s", 0.0, 10.0),
-    _setting("workspace_min", "Lower corner of the box of targets and poses.", "m"),
-    _setting("workspace_max", "Upper corner of that box.", "m"),
-    _setting("closed_loop", "Correct the targets by the measured markers."),
-    _setting("prediction", "With control law dynamic: command by prediction."),
-    _setting("misfit_rate", "Rate at which the correction follows the misfit.", "1/s",
-             0.0, 1000.0),
-    _setting("correction_gain", "Gain of the integrator, where setpoints are not measured.", "1/s", 0.0, 1000.0),
-    _setting("correction_limit", "Greatest length of the correction.", "m", 0.0, 1.0),
-    _setting("lead_limit", "Greatest time by which a moving target is led in closed loop.",
-             "s", 0.0, 1.0),
-    _setting("marker_timeout", "Time without a message until markers are lost.", "s", 0.001,
-             60.0),
-    _setting("on_lost_markers",
-             "In closed loop: keep the last correction, or hold."),
-    _setting("device_timeout",
-             "Time without measured setpoints until the device is lost.",
-             "s", 0.001, 60.0),
-    _setting("on_lost_device", "Continue with the model alone, or hold."),
-    _setting("touch_timeout", "Time without a message until a touch ends.",
-             "s", 0.001, 60.0),
-)
+RUNTIME = tuple(_LOOP.values())
 
 _SCENE = (
     Entry("scene_file", "scenes/diamond.yaml", "Path of the scene, perhaps relative to the working"
@@ -278,38 +257,16 @@ DEVICE = COMMON + _fixed(
           "Path of the simulated robot's scene."),
     Entry("device_scene_changes", [""], "Other values of its entries, as scene_changes."),
     Entry("device_rate", 50.0, "Measurements per second.", "Hz", 0.1, 2000.0),
-    Entry("device_follows", "setpoints", "Setpoints, such as lengths, or efforts, such as "
-                                         "tensions.", choices=("setpoints", "efforts")),
-    Entry("device_delay", 0.02, "Time from a command's arrival to its effect.", "s", 0.0, 10.0),
-    Entry("device_servo_rate", 0.1, "Greatest speed of the servos of cables and slides.", "m/s", 1e-6,
-          10.0),
-    Entry("device_angle_rate", 6.0, "Greatest speed of the motors of hinges.", "rad/s", 1e-6, 1000.0),
-    Entry("device_angle_noise", 0.0, "Standard deviation of each of their measured angles.", "rad", 0.0,
-          1.0),
-    Entry("device_backlash", 0.0, "Angle that a motor turns back before the beam follows.",
-          "rad", 0.0, 1.0),
-    Entry("device_valve_lag", 0.05,
-          "Time constant of pressure regulators; 0 for none.", "s",
-          0.0, 60.0),
-    Entry("device_flow_limit", 2e-4, "Greatest flow at ambient pressure, or speed of a syringe.", "m³/s",
-          1e-12, 10.0),
-    Entry("device_leak", 0.0, "Flow out at ambient pressure, by gauge pressure.", "m³/(s Pa)", 0.0, 1.0),
-    Entry("device_pressure_noise", 20.0, "Standard deviation of each measured pressure.", "Pa", 0.0,
-          1e6),
-    Entry("device_marker_noise", 0.0002, "Standard deviation of each measured coordinate.", "m", 0.0,
-          1.0),
-    Entry("device_touch", "",
-          "Touch where a simulated fingertip presses."),
-    Entry("device_touch_depth", 0.001, "Depth of a press.", "m", 1e-9, 1.0),
-    Entry("device_touch_period", 2.0, "Time from press to press; a press takes half.", "s",
-          0.01, 3600.0),
-    Entry("device_touch_direction", [0.0, 0.0, -1.0], "Direction of a press."),
+    Entry("device_follows", "setpoints", "Setpoints, such as lengths, or efforts, such as tensions.",
+          choices=("setpoints", "efforts")),
+    *_settings(DeviceFlaws, "device_", delay=0.02, valve_lag=0.05, pressure_noise=20.0, marker_noise=0.0002,
+               seed=1).values(),
+    Entry("device_touch", "", "Touch where a simulated fingertip presses."),
+    *_settings(Presses, "device_touch_").values(),
     Entry("device_touch_sends", "position",
           "The place of the touched point, or the force.",
           choices=("position", "force")),
-    Entry("device_seed", 1, "Seed of the noise.", "", 0, 2**31 - 1),
-    Entry("device_calibration_poses", 0, "Poses by which a demo calibrates the twin for a last "
-                                         "run.", "", 0, 200),
+    Entry("device_calibration_poses", 0, "Poses by which a demo calibrates the twin for a last run.", "", 0, 200),
 )
 
 TARGET = _fixed(
@@ -321,9 +278,7 @@ TARGET = _fixed(
           "Paths in place of target_path, one after the other."),
     Entry("target_sequence_time", 15.0, "Time for each of these paths.", "s", 0.001, 86400.0),
     Entry("target_center", [0.0, 0.0, 0.0], "Centre of circle and lemniscate.", "m"),
-    Entry("target_radius", 0.01, "Radius of the circle, half the width of the lemniscate.", "m", 1e-6,
-          10.0),
-    Entry("target_period", 10.0, "Time for the whole circle or lemniscate.", "s", 0.001, 86400.0),
+    *_settings(ClosedCurve, "target_").values(),
     Entry("target_plane", "xy", "Plane of circle and lemniscate.", choices=("xy", "xz", "yz")),
     Entry("target_ramp_time", 2.0, "Time of the way onto a path.", "s", 0.0, 3600.0),
     Entry("target_ahead", 0.0, "Time for which the path is sent ahead (`control`); 0 sends a "

@@ -586,15 +586,18 @@ class TwinNode(TickingNode):
             clashes, rival = self.look_for_clashes(), self.claim.why_not()
             refusals = [rival] * bool(rival) + [clash.sentence for clash in clashes]
         if refusals:
-            response.success, response.message = False, "; ".join(refusals)
-        elif request.data:
-            if not self.loop.is_enabled:
-                self._continue_from_last_command()
-            response.success, response.message = self.loop.enable(self.monotonic())
-        else:
+            return self._answered("enable True", response, False, "; ".join(refusals))
+        if not request.data:
             self.loop.disable()
-            response.success, response.message = True, "disabled"
-        self.get_logger().info(f"enable {request.data}: {response.message}")
+            return self._answered("enable False", response, True, "disabled")
+        if not self.loop.is_enabled:
+            self._continue_from_last_command()
+        return self._answered("enable True", response, *self.loop.enable(self.monotonic()))
+
+    def _answered(self, request: str, response: Any, success: bool, message: str) -> Any:
+        """Fills the answer to a request, and logs it."""
+        response.success, response.message = success, message
+        self.get_logger().info(f"{request}: {message}")
         return response
 
     def reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -604,9 +607,7 @@ class TwinNode(TickingNode):
             request: Has no content.
             response: The answer; is filled.
         """
-        response.success, response.message = True, self.loop.reset()
-        self.get_logger().info(f"reset: {response.message}")
-        return response
+        return self._answered("reset", response, True, self.loop.reset())
 
     def grip(
         self, name: str, request: SetBool.Request, response: SetBool.Response
@@ -618,9 +619,7 @@ class TwinNode(TickingNode):
             request: Whether it shall hold.
             response: The answer; is filled.
         """
-        response.success, response.message = self.loop.grip(name, request.data)
-        self.get_logger().info(f"grip {name}: {response.message}")
-        return response
+        return self._answered(f"grip {name}", response, *self.loop.grip(name, request.data))
 
     def calibrate(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Answers ``~/calibrate``: begins a fit in another process, and changes nothing here.
@@ -629,11 +628,10 @@ class TwinNode(TickingNode):
             request: Has no content.
             response: The answer; is filled.
         """
-        response.success, response.message = (
-            (False, "the scene has no markers: nothing that is measured tells where the robot is")
-            if self.calibration is None else self.calibration.ask(self.monotonic()))  # fmt: skip
-        self.get_logger().info(f"calibrate: {response.message}")
-        return response
+        found = False, "the scene has no markers: nothing that is measured tells where the robot is"
+        if self.calibration is not None:
+            found = self.calibration.ask(self.monotonic())
+        return self._answered("calibrate", response, *found)
 
     def work(self, now: float) -> None:
         """Steps the loop and publishes the results, all with the same stamp.

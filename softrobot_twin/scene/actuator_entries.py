@@ -15,10 +15,13 @@ from pydantic import Field
 
 from softrobot_twin.scene.body_entries import BoxRegion, SphereRegion
 from softrobot_twin.scene.entry import (
+    FRAMED,
     ClosedRange,
     Direction,
     Entry,
     Name,
+    NamedEntry,
+    OnBody,
     OpenNumber,
     OpenPull,
     OpenRange,
@@ -29,17 +32,15 @@ from softrobot_twin.scene.entry import (
     refusal,
     unit,
 )
-from softrobot_twin.scene.references import check_carrier, check_known, check_pattern, names_in
+from softrobot_twin.scene.references import names_in
 
-FRAMED = "rigid_bodies", "beams"
-"""Sections of the bodies that have frames."""
 # Greatest range of the angle of a hinge [rad]: less than a whole turn.
 MOST_TURN = 6.0
 NO_LIMITS, POSITIVE = (-math.inf, math.inf), (0.0, math.inf)
 _CANNOT_PUSH = "a cable cannot push: the least tension must not be negative"
 
 
-class ActuatorEntry(Entry):
+class ActuatorEntry(NamedEntry):
     """Base of the entries of all kinds of actuators.
 
     Attributes:
@@ -47,9 +48,6 @@ class ActuatorEntry(Entry):
     """
 
     noun: ClassVar[str]
-
-    name: Name
-    """Its name."""
 
     def check_references(self, scene, key: str) -> None:
         """Refuses names of objects that the scene does not have.
@@ -61,28 +59,6 @@ class ActuatorEntry(Entry):
         Raises:
             PydanticCustomError: A named object does not exist.
         """
-
-    def check_body(self, scene, key: str) -> None:
-        """Refuses an unknown `body`; without a name the only deformable body is meant.
-
-        Args:
-            scene: The scene.
-            key: Key of this entry in it, for the error.
-        """
-        body = self.body  # type: ignore[attr-defined]  # entries that call this have one
-        check_carrier(f"{key}.body", self.name, body, names_in(scene, "deformables"),
-                      names_in(scene, *FRAMED))  # fmt: skip
-
-    def check_also_on(self, scene, key: str) -> None:
-        """Refuses names and patterns in `also_on` that no body of the scene has.
-
-        Args:
-            scene: The scene.
-            key: Key of this entry in it, for the error.
-        """
-        bodies = names_in(scene, "deformables", *FRAMED)
-        for index, pattern in enumerate(self.also_on):  # type: ignore[attr-defined]  # as above
-            check_pattern(f"{key}.also_on[{index}]", f"{self.noun} {self.name} is also on", pattern, bodies)
 
 
 class Pulley(Entry):
@@ -105,14 +81,12 @@ class Pulley(Entry):
         return self.radius if self.winds == "positive" else -self.radius
 
 
-class Cable(ActuatorEntry):
+class Cable(OnBody, ActuatorEntry):
     """A cable through the body, pulled at its pull point."""
 
     noun: ClassVar[str] = "cable"
     placed: ClassVar[dict[str, str]] = {"pull_point": "point", "points": "point"}
 
-    body: Name | None = None
-    """Its body."""
     also_on: tuple[str, ...] = ()
     """Further bodies, or patterns such as ``rib_*``; the nearest carries each point."""
     frame: Literal["world", "mesh"] = "world"
@@ -153,16 +127,6 @@ class Cable(ActuatorEntry):
             raise refusal("presliding", self.presliding,
                           "is how friction builds up, but the cable has none: give friction")
 
-    def check_references(self, scene, key: str) -> None:
-        """See `ActuatorEntry`."""
-        self.check_body(scene, key)
-        self.check_also_on(scene, key)
-        obstacles = names_in(scene, "obstacles")
-        for index, name in enumerate(self.wraps):
-            check_known(f"{key}.wraps[{index}]", f"cable {self.name} wraps", name, obstacles)
-        check_known(f"{key}.pull_point_on", f"cable {self.name} is pulled from", self.pull_point_on,
-                    ["world", "body", *names_in(scene, *FRAMED)])  # fmt: skip
-
 
 class CavityWall(Entry):
     """A closed surface that encloses gas or liquid: a file, or a part of a mesh."""
@@ -189,46 +153,13 @@ class CavityWall(Entry):
                           "a part of one body's mesh lies on that body; give a file")
 
 
-def check_walls(walls: tuple[CavityWall, ...], name: str, scene, key: str) -> None:
-    """Refuse walls on bodies that the scene does not have.
-
-    Args:
-        walls: The walls.
-        name: Name of their entry.
-        scene: The scene.
-        key: Key of the entry.
-
-    Raises:
-        PydanticCustomError: A body does not exist, or has to be named.
-    """
-    bodies = names_in(scene, "deformables")
-    for index, wall in enumerate(walls):
-        check_carrier(f"{key}.walls[{index}].body", name, wall.body, bodies, [])
-        for place, other in enumerate(wall.also_on):
-            check_known(f"{key}.walls[{index}].also_on[{place}]", f"{name} is on", other, bodies)
-
-
-class WalledEntry(Entry):
+class WalledEntry(NamedEntry):
     """A cavity: what its walls enclose."""
 
     placed: ClassVar[dict[str, str]] = {}
 
-    name: Name
-    """Its name."""
     walls: Annotated[tuple[CavityWall, ...], Field(min_length=1)]
     """Closed surfaces with one pressure; volumes sum up."""
-
-    def check_references(self, scene, key: str) -> None:
-        """Refuse walls on bodies that the scene does not have.
-
-        Args:
-            scene: The scene.
-            key: Key of the entry.
-
-        Raises:
-            PydanticCustomError: A body does not exist, or has to be named.
-        """
-        check_walls(self.walls, self.name, scene, key)
 
 
 class Cavity(WalledEntry, ActuatorEntry):
@@ -277,14 +208,12 @@ class SealedCavity(WalledEntry):
             raise refusal("pressure", self.pressure, "the absolute pressure of a gas is above zero")
 
 
-class Motor(Entry):
+class Motor(NamedEntry):
     """Cables that are driven by one motor, all by the same length."""
 
     told: ClassVar[tuple[str, ...]] = ("shortens {cables}", "{pulley}")
     placed: ClassVar[dict[str, str]] = {}
 
-    name: Name
-    """Its name."""
     cables: Annotated[tuple[Name, ...], Field(min_length=1)]
     """Its cables."""
     pulley: Pulley | None = None
@@ -305,11 +234,6 @@ class Slide(ActuatorEntry):
     """Limits of its position, 0 at rest."""
     rate: Annotated[float | None, unit("m/s", gt=0.0)] = None
     """Greatest speed."""
-
-    def check_references(self, scene, key: str) -> None:
-        """See `ActuatorEntry`."""
-        guided = [body.name for body in scene.rigid_bodies if body.motion == "guided"]
-        check_known(f"{key}.body", f"slide {self.name} moves", self.body, guided)
 
 
 class HingeMotor(ActuatorEntry):
@@ -340,12 +264,8 @@ class HingeMotor(ActuatorEntry):
                           f"the limits must be at most {MOST_TURN:g} rad apart: an angle is known "
                           "up to whole turns")
 
-    def check_references(self, scene, key: str) -> None:
-        """See `ActuatorEntry`."""
-        check_known(f"{key}.beam", f"hinge motor {self.name} turns", self.beam, names_in(scene, "beams"))
 
-
-class Force(ActuatorEntry):
+class Force(OnBody, ActuatorEntry):
     """A force on a body: of a magnet, a thruster, a tendon outside the model, a person."""
 
     noun: ClassVar[str] = "force"
@@ -355,8 +275,6 @@ class Force(ActuatorEntry):
     one_of: ClassVar[tuple[str, ...]] = ("points", "box", "sphere")
     one_of_words: ClassVar[str] = "a force acts at exactly one of {}"
 
-    body: Name | None = None
-    """Its body."""
     points: Annotated[tuple[Vector, ...] | None, Field(min_length=1)] = None
     """Places at rest, which share it alike."""
     box: BoxRegion | None = None
@@ -386,7 +304,6 @@ class Force(ActuatorEntry):
 
     def check_references(self, scene, key: str) -> None:
         """See `ActuatorEntry`."""
-        self.check_body(scene, key)
         if self.points is None and self.body not in (None, *names_in(scene, "deformables")):
             raise refusal(f"{key}.body", self.body,
                           "a box or sphere takes the surface of a deformable body: give points")
@@ -403,7 +320,7 @@ class ForceLength(Entry):
     """Change of length at which 1/e of the force is left."""
 
 
-class Muscle(ActuatorEntry):
+class Muscle(OnBody, ActuatorEntry):
     """Fibres that contract by their activation: a thread through a body, or a part of the body."""
 
     noun: ClassVar[str] = "muscle"
@@ -411,8 +328,6 @@ class Muscle(ActuatorEntry):
     one_of: ClassVar[tuple[str, ...]] = ("points", "box", "region")
     one_of_words: ClassVar[str] = "a muscle is exactly one of {}"
 
-    body: Name | None = None
-    """Its body."""
     also_on: tuple[str, ...] = ()
     """Other bodies of a thread, or patterns such as ``rib_*``; the nearest carries each point."""
     points: Annotated[tuple[Vector, ...] | None, Field(min_length=2)] = None
@@ -457,8 +372,6 @@ class Muscle(ActuatorEntry):
 
     def check_references(self, scene, key: str) -> None:
         """See `ActuatorEntry`."""
-        self.check_body(scene, key)
-        self.check_also_on(scene, key)
         if self.points is None and self.body in names_in(scene, *FRAMED):
             raise refusal(f"{key}.body", self.body, "a region is of a deformable body: give points")
 
@@ -488,19 +401,14 @@ class RestShape(ActuatorEntry):
         """Which of `one_of` it changes."""
         return self.given(self.one_of)[0]
 
-    def check_references(self, scene, key: str) -> None:
-        """See `ActuatorEntry`."""
-        check_known(f"{key}.beam", f"rest shape {self.name} changes", self.beam, names_in(scene, "beams"))
 
-
-class Stiffener(ActuatorEntry):
+class Stiffener(OnBody, ActuatorEntry):
     """Changes Young's modulus of a part of a body: jamming, a phase change."""
 
     noun: ClassVar[str] = "stiffener"
     placed: ClassVar[dict[str, str]] = {"box": "box"}
+    carriers: ClassVar[tuple[str, ...]] = ()
 
-    body: Name | None = None
-    """Its body."""
     region: str | None = None
     """A volume that an entry of `materials` names; by default the body."""
     box: BoxRegion | None = None
@@ -518,7 +426,3 @@ class Stiffener(ActuatorEntry):
             raise refusal("box", str(self.box), "the cells are those of region: give one of both")
         if self.young_modulus[0] <= 0.0:
             raise refusal("young_modulus", self.young_modulus, "the limits must be above zero")
-
-    def check_references(self, scene, key: str) -> None:
-        """See `ActuatorEntry`."""
-        check_carrier(f"{key}.body", self.name, self.body, names_in(scene, "deformables"), [])

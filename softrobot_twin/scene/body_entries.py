@@ -23,6 +23,7 @@ from softrobot_twin.scene.entry import (
     Direction,
     Entry,
     Name,
+    NamedEntry,
     Vector,
     not_zero,
     refusal,
@@ -473,14 +474,12 @@ class Attachment(Region):
     """The rigid body."""
 
 
-class Vertebra(Entry):
+class Vertebra(NamedEntry):
     """A rigid part of a body: the nodes of a region of its mesh, or in a box."""
 
     placed: ClassVar[dict[str, str]] = {"box": "box"}
     one_of: ClassVar[tuple[str, ...]] = ("region", "box")
 
-    name: Name
-    """Its name."""
     region: str | None = None
     """Name of a volume in the mesh file."""
     box: BoxRegion | None = None
@@ -803,14 +802,12 @@ class BeamArc(Entry):
     """Its elements, beside those of the beam."""
 
 
-class Beam(Entry):
+class Beam(NamedEntry):
     """A slender body that bends, twists, stretches and shears."""
 
     placed: ClassVar[dict[str, str]] = {"points": "point", "thickness_direction": "direction",
                                         "joined": "regions", "arcs": "regions"}  # fmt: skip
 
-    name: Name
-    """Its name."""
     points: Annotated[tuple[Vector, ...], Field(min_length=2)]
     """Its axis at rest."""
     curve: Literal["straight", "smooth"] = "straight"
@@ -967,11 +964,9 @@ class Shaped(Entry):
 # --- rigid bodies, springs and point masses ------------------------------------------------------
 
 
-class Obstacle(Shaped):
+class Obstacle(NamedEntry, Shaped):
     """A shape that does not move."""
 
-    name: Name
-    """Its name."""
 
 
 class RigidJoint(Entry):
@@ -997,7 +992,7 @@ class RigidJoint(Entry):
             raise ValueError("a hinge has an axis, and a ball joint has none")
 
 
-class RigidBody(Shaped):
+class RigidBody(NamedEntry, Shaped):
     """A rigid body: free, guided by commanded poses, or fixed."""
 
     told: ClassVar[tuple[str, ...]] = (
@@ -1009,8 +1004,6 @@ class RigidBody(Shaped):
         "joined": "inside",
     }  # fmt: skip
 
-    name: Name
-    """Its name."""
     motion: Literal["free", "guided", "fixed"] = "free"
     """By forces, by commanded poses, or not at all."""
     mass: Annotated[float | None, unit("kg", gt=0.0)] = None
@@ -1061,14 +1054,12 @@ class SpringEnd(Entry):
     """Where it is at rest."""
 
 
-class Spring(Entry):
+class Spring(NamedEntry):
     """A spring between two points."""
 
     told: ClassVar[tuple[str, ...]] = ("{ends: to }", "{stiffness} N/m", "{damping} N s/m")
     placed: ClassVar[dict[str, str]] = {"ends": "inside"}
 
-    name: Name
-    """Its name."""
     ends: tuple[SpringEnd, SpringEnd]
     stiffness: Annotated[float, unit("N/m", gt=0.0)]
     """Force by change of length."""
@@ -1078,14 +1069,12 @@ class Spring(Entry):
     """Force by rate of change of length."""
 
 
-class Tube(Entry):
+class Tube(NamedEntry):
     """Springs along a path through a body, such as a tube around a cable."""
 
     told: ClassVar[tuple[str, ...]] = ("{points:#point}", "EA {axial_stiffness} N")
     placed: ClassVar[dict[str, str]] = {"points": "point"}
 
-    name: Name
-    """Its name."""
     on: Name | None = None
     """Its body."""
     points: Annotated[tuple[Vector, ...], Field(min_length=2)]
@@ -1139,7 +1128,7 @@ class Helix(Entry):
                          "radius {radius:mm} mm")  # fmt: skip
 
 
-class Fibre(Entry):
+class Fibre(NamedEntry):
     """Threads that are stiff in tension: a helix, a path of points, or edges of the mesh.
 
     Exactly one of `helix`, `points` and `edges` is given.
@@ -1151,8 +1140,6 @@ class Fibre(Entry):
     placed: ClassVar[dict[str, str]] = {"points": "point", "helix": "helix"}
     one_of: ClassVar[tuple[str, ...]] = ("helix", "points", "edges")
 
-    name: Name
-    """Its name."""
     on: Name | None = None
     """Its body."""
     helix: Helix | None = None
@@ -1171,14 +1158,12 @@ class Fibre(Entry):
         return "in tension only" if self.tension_only else "in tension and compression"
 
 
-class MassSpringBody(Entry):
+class MassSpringBody(NamedEntry):
     """Point masses connected by springs."""
 
     told: ClassVar[tuple[str, ...]] = ("{points:#point}", "{springs:#spring} of {stiffness:=} N/m")
     placed: ClassVar[dict[str, str]] = {"points": "point"}
 
-    name: Name
-    """Its name."""
     points: Annotated[tuple[Vector, ...], Field(min_length=1)]
     """At rest."""
     masses: tuple[Annotated[float, unit("kg", gt=0.0)], ...]

@@ -208,6 +208,27 @@ def check_name(name: str) -> str:
 Name = Annotated[str, AfterValidator(check_name)]
 
 
+class NamedEntry(Entry):
+    """Base of the entries that have a name."""
+
+    name: Name
+    """Its name."""
+
+
+FRAMED = "rigid_bodies", "beams"
+"""Sections of the bodies that have frames."""
+
+
+class OnBody(NamedEntry):
+    """Base of the entries that are on a body: the only deformable one where they do not say which."""
+
+    carriers: ClassVar[tuple[str, ...]] = FRAMED
+    """Sections, beside that of deformable bodies, of the bodies that it may be on."""
+
+    body: Name | None = None
+    """Its body."""
+
+
 def registered(kind: str, names: Callable[[], tuple[str, ...]]) -> AfterValidator:
     """A check that a name is registered.
 

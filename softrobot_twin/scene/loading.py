@@ -6,7 +6,7 @@ In a scene file ``on`` is a key, not the truth value, and a key occurs once per 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -205,12 +205,14 @@ def written_out(mapping: Any, path: Path | None = None) -> Any:
     Raises:
         SceneError: A pattern is not valid.
     """
-    def plain(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {key: plain(one) for key, one in value.items()}
-        return [plain(one) for one in value] if isinstance(value, list | tuple) else value
+    return _plain(expand_patterns(mapping, Scene, path))
 
-    return plain(expand_patterns(mapping, Scene, path))
+
+def _plain(value: Any, of_leaf: Callable[[Any], Any] = lambda leaf: leaf) -> Any:
+    """Sections and lists as new dictionaries and lists, with what becomes of each value in them."""
+    if isinstance(value, dict):
+        return {key: _plain(one, of_leaf) for key, one in value.items()}
+    return [_plain(one, of_leaf) for one in value] if isinstance(value, list | tuple) else of_leaf(value)
 
 
 def text_of(scene: Scene) -> str:
@@ -219,14 +221,8 @@ def text_of(scene: Scene) -> str:
     Args:
         scene: The scene.
     """
-    def plain(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {key: plain(one) for key, one in value.items()}
-        if isinstance(value, list | tuple):
-            return [plain(one) for one in value]
-        return str(scene.file_path(value)) if isinstance(value, Path) else value
-
-    content = plain(scene.model_dump(exclude_unset=True))
+    content = _plain(scene.model_dump(exclude_unset=True), lambda value: (
+        str(scene.file_path(value)) if isinstance(value, Path) else value))
     return yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None, width=100)
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from fnmatch import fnmatchcase
+from typing import Any
 
-from softrobot_twin.scene.entry import refusal
+from softrobot_twin.scene.entry import FRAMED, OnBody, refusal
 from softrobot_twin.scene.refusal_messages import nearest
 
 
@@ -46,6 +48,40 @@ def check_names(scene) -> None:
             seen[name] = key
 
 
+_RIGID, _DEFORMABLE = ("rigid_bodies",), ("deformables",)
+_BODIES = (*_DEFORMABLE, *FRAMED, "mass_springs")
+_NAMES: tuple[tuple[str, str, tuple[str, ...], tuple[str, ...]], ...] = (
+    ("cables.wraps", "cable {} wraps", ("obstacles",), ()),
+    ("cables.pull_point_on", "cable {} is pulled from", FRAMED, ("world", "body")),
+    ("cavities.walls.also_on", "{} is on", _DEFORMABLE, ()),
+    ("sealed_cavities.walls.also_on", "{} is on", _DEFORMABLE, ()),
+    ("slides.body", "slide {} moves", ("guided_bodies",), ()),
+    ("hinge_motors.beam", "hinge motor {} turns", ("beams",), ()),
+    ("rest_shapes.beam", "rest shape {} changes", ("beams",), ()),
+    ("sensors.cable", "{} measures", ("cables",), ()),
+    ("sensors.hinge", "{} measures", ("beams",), ()),
+    ("sensors.pressure", "{} measures", ("sealed_cavities",), ()),
+    ("sensors.volume", "{} measures", ("cavities", "sealed_cavities"), ()),
+    ("sensors.walls.also_on", "{} is on", _DEFORMABLE, ()),
+    ("grips.holds", "grip {} holds", _RIGID, ("world",)),
+    ("reactions.of", "reaction {} is of", _BODIES, ()),
+    ("reactions.attached_to", "reaction {} is at", _RIGID, ()),
+    ("rigid_bodies.joined.to", "rigid body {} is joined to", _RIGID, ("world",)),
+    ("deformables.attached.to", "body {} is attached to", _RIGID, ()),
+    ("springs.ends.on", "spring {} is connected to", _BODIES, ("world",)),
+    ("motors.cables", "motor {} drives", ("cables",), ()),
+)
+"""Names of other objects: where they are, what is said of their entry, and the sections and further names
+that they may be of. No entry names itself."""
+_PATTERNS = (("cables.also_on", "cable {} is also on"), ("muscles.also_on", "muscle {} is also on"))
+"""Names of bodies, or patterns of them."""
+_CARRIERS: tuple[tuple[str, tuple[str, ...]], ...] = (
+    ("tubes.on", FRAMED), ("fibres.on", ()), ("markers.body", FRAMED), ("cavities.walls.body", ()),
+    ("sealed_cavities.walls.body", ()), ("sensors.walls.body", ()),
+)
+"""Bodies of entries that are no `OnBody`, and the sections that they may be of, see there."""
+
+
 def check_references(scene) -> None:
     """Refuses names of objects that the scene does not have.
 
@@ -55,68 +91,76 @@ def check_references(scene) -> None:
     Raises:
         PydanticCustomError: A named object does not exist.
     """
-    sections = "deformables", "rigid_bodies", "beams", "mass_springs", "obstacles", "cables"
-    deformable, rigid, beams, masses, obstacles, cables = (names_in(scene, one) for one in sections)
-    framed = rigid + beams
-    for section in (*scene.actuator_entries, "sealed_cavities", "sensors"):
+    deformable, framed = names_in(scene, *_DEFORMABLE), names_in(scene, *FRAMED)
+    for section in (*scene.actuator_entries, "effectors", "touches", "grips"):
         for key, entry in scene.keyed(section):
-            entry.check_references(scene, key)
-    for section, word, others in (
-        ("effectors", "body", framed), ("tubes", "on", framed), ("touches", "body", []),
-        ("fibres", "on", []), ("markers", "body", framed),
-    ):  # fmt: skip
-        for key, entry in scene.keyed(section):
-            name = f"marker {entry.id}" if section == "markers" else entry.name
-            check_carrier(f"{key}.{word}", name, getattr(entry, word), deformable, others)
-    for key, grip in scene.keyed("grips"):
-        check_carrier(f"{key}.body", grip.name, grip.body, deformable, framed)
-        check_known(f"{key}.holds", f"grip {grip.name} holds", grip.holds, ["world", *rigid])
+            if isinstance(entry, OnBody):
+                check_carrier(f"{key}.body", entry.name, entry.body, deformable, names_in(scene, *entry.carriers))
+            if section in scene.actuator_entries:
+                entry.check_references(scene, key)
+    for place, sections in _CARRIERS:
+        for key, entry, name in _values_at(scene, place):
+            what = f"marker {entry.id}" if place == "markers.body" else entry.name
+            check_carrier(key, what, name, deformable, names_in(scene, *sections))
+    for place, words, sections, others in _NAMES:
+        for key, entry, name in _values_at(scene, place):
+            known = names_in(scene, *sections)
+            if place.split(".")[0] in sections:
+                known.remove(entry.name)
+            if name is not None:
+                check_known(key, words.format(entry.name), name, [*others, *known])
+    for place, words in _PATTERNS:
+        for key, entry, name in _values_at(scene, place):
+            check_pattern(key, words.format(entry.name), name, deformable + framed)
+    for key, sensor in scene.keyed("sensors"):
+        if sensor.string is not None or sensor.bend is not None:
+            check_carrier(f"{key}.on", sensor.name, sensor.on, deformable, framed)
     for key, entry in scene.keyed("reactions"):
-        what = f"reaction {entry.name}"
-        check_known(f"{key}.of", f"{what} is of", entry.of, deformable + framed + masses)
         if entry.attached_to is not None:
-            check_known(f"{key}.of", f"{what} is at an attachment, and is of", entry.of, deformable)
-            check_known(f"{key}.attached_to", f"{what} is at", entry.attached_to, rigid)
-    touches = [touch.name for touch in scene.touches]
+            check_known(f"{key}.of", f"reaction {entry.name} is at an attachment, and is of", entry.of, deformable)
+    for key, beam in scene.keyed("beams"):
+        for index, joint in enumerate(beam.joined):
+            joined = [name for name in framed if name != beam.name]
+            joined += ["world"] if joint.by != "rigid" and not is_pattern(joint.to) else []
+            what = f"beam {beam.name} is joined to"
+            check_pattern(f"{key}.joined[{index}].to", what, joint.to, joined)
+    _check_pulleys(scene)
+    if scene.contact is not None:
+        for number, touching in enumerate(scene.contact.between):
+            for index, name in enumerate(touching.pair):
+                check_known(f"contact.between[{number}].pair[{index}]", "contact is between",
+                            name, deformable + framed + names_in(scene, "obstacles"))  # fmt: skip
+        for index, point in enumerate(scene.contact.points):
+            check_carrier(f"contact.points[{index}].on", "contact.points", point.on, deformable, [])
+    _check_observation(scene)
+
+
+def _values_at(scene, place: str) -> Iterator[tuple[str, Any, Any]]:
+    """The values at a place such as ``springs.ends.on``: their keys, entries of the section, and values."""
+    section, *words = place.split(".")
+    for key, entry in scene.keyed(section):
+        found = [(key, entry)]
+        for word in words:
+            inner = [(f"{above}.{word}", getattr(one, word)) for above, one in found if one is not None]
+            found = [item for below, value in inner for item in (
+                [(f"{below}[{index}]", one) for index, one in enumerate(value)]
+                if isinstance(value, tuple) else [(below, value)])]  # fmt: skip
+        yield from ((below, entry, value) for below, value in found)
+
+
+def _check_observation(scene) -> None:
+    """Refuses forces that an observer cannot find, and effectors that are measured by no marker."""
+    deformable, framed = names_in(scene, *_DEFORMABLE), names_in(scene, *FRAMED)
     for index, force in enumerate(scene.observer.forces if scene.observer else ()):
         key, what = f"observer.forces[{index}]", f"force {force.name}"
         if force.touch is not None:
-            check_known(f"{key}.touch", f"{what} acts at", force.touch, touches)
+            check_known(f"{key}.touch", f"{what} acts at", force.touch, names_in(scene, "touches"))
         else:
-            others = framed if force.points else rigid
+            others = framed if force.points else names_in(scene, *_RIGID)
             check_carrier(f"{key}.body", what, force.body, deformable, others)
     if scene.observer is not None and len(scene.markers) < 3:
         raise refusal("markers", f"{len(scene.markers)} markers",
                       "an observer needs three markers or more, which tell it of forces")
-    for key, beam in scene.keyed("beams"):
-        for index, joint in enumerate(beam.joined):
-            others = [name for name in framed if name != beam.name]
-            others += ["world"] if joint.by != "rigid" and not is_pattern(joint.to) else []
-            what = f"beam {beam.name} is joined to"
-            check_pattern(f"{key}.joined[{index}].to", what, joint.to, others)
-    for key, body in scene.keyed("rigid_bodies"):
-        for index, joint in enumerate(body.joined):
-            check_known(f"{key}.joined[{index}].to", f"rigid body {body.name} is joined to", joint.to,
-                        ["world", *(name for name in rigid if name != body.name)])
-    for key, body in scene.keyed("deformables"):
-        for index, attachment in enumerate(body.attached):
-            what = f"body {body.name} is attached to"
-            check_known(f"{key}.attached[{index}].to", what, attachment.to, rigid)
-    for key, spring in scene.keyed("springs"):
-        for index, end in enumerate(spring.ends):
-            what, known = f"spring {spring.name} is connected to", deformable + framed + masses
-            check_known(f"{key}.ends[{index}].on", what, end.on, ["world", *known])
-    for key, motor in scene.keyed("motors"):
-        for index, cable in enumerate(motor.cables):
-            check_known(f"{key}.cables[{index}]", f"motor {motor.name} drives", cable, cables)
-    _check_pulleys(scene)
-    if scene.contact is not None:
-        for place, touching in enumerate(scene.contact.between):
-            for index, name in enumerate(touching.pair):
-                check_known(f"contact.between[{place}].pair[{index}]", "contact is between",
-                            name, deformable + framed + obstacles)  # fmt: skip
-        for index, point in enumerate(scene.contact.points):
-            check_carrier(f"contact.points[{index}].on", "contact.points", point.on, deformable, [])
     ids = {marker.id for marker in scene.markers}
     for key, effector in scene.keyed("effectors"):
         missing = sorted(set(effector.measured_by) - ids)

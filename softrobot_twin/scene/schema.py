@@ -41,6 +41,8 @@ from softrobot_twin.scene.entry import (
     Angles,
     Entry,
     Name,
+    NamedEntry,
+    OnBody,
     OpenNumber,
     Vector,
     forms_of,
@@ -227,15 +229,11 @@ class EffectorStiffness(Entry):
                          f"{whole} for 100 %")  # fmt: skip
 
 
-class PointsOnBody(Entry):
+class PointsOnBody(OnBody):
     """The mean of some points of a body."""
 
     placed: ClassVar[dict[str, str]] = {"points": "point", "directions": "letters"}
 
-    name: Name
-    """Its name."""
-    body: Name | None = None
-    """Its body."""
     points: Annotated[tuple[Vector, ...], Field(min_length=1)]
     """Places at rest; the effector or touch is at their mean."""
     directions: tuple[Literal["x", "y", "z"], ...] = ("x", "y", "z")
@@ -269,6 +267,8 @@ class Effector(PointsOnBody):
 class Touch(PointsOnBody):
     """Where a body may be touched, by a measured force or at a measured place."""
 
+    carriers: ClassVar[tuple[str, ...]] = ()
+
     while_touched: Literal["hold_actuators", "follow_targets"] = "hold_actuators"
     """Wait, so that the stiffness is felt, or counteract the touch."""
     force_limit: Annotated[OpenNumber, unit("N", gt=0.0)] = math.inf
@@ -284,17 +284,13 @@ class MovingBase(Entry):
     """More is noise, and is cut."""
 
 
-class Grip(Entry):
+class Grip(OnBody):
     """What may take hold of a rigid body, or of the world, and let go: a cup, a magnet, glue."""
 
     told: ClassVar[tuple[str, ...]] = ("{points:#point} on {holds:=}", "within {reach:mm} mm",
                                        "up to {force_limit} N")  # fmt: skip
     placed: ClassVar[dict[str, str]] = {"points": "point"}
 
-    name: Name
-    """Its name."""
-    body: Name | None = None
-    """Its body."""
     points: Annotated[tuple[Vector, ...], Field(min_length=1)]
     """Places at rest; three on no line hold the rotation too."""
     holds: Name
@@ -307,14 +303,12 @@ class Grip(Entry):
     """It lets go where it bears more."""
 
 
-class Reaction(Entry):
+class Reaction(NamedEntry):
     """The force and torque by which something holds a part, as a load cell there shows them."""
 
     told: ClassVar[tuple[str, ...]] = ("of {of:=}", "attached to {attached_to}", "about {about} m")
     placed: ClassVar[dict[str, str]] = {"about": "point"}
 
-    name: Name
-    """Its name."""
     of: Name
     """A body, beam or mass-spring body, for its fixed nodes; or a guided or fixed rigid body, for
     all on it but its weight."""
@@ -324,15 +318,11 @@ class Reaction(Entry):
     """Point of the torque; by default the mean of what is held, or a rigid body's origin."""
 
 
-class ObservedForce(Entry):
+class ObservedForce(OnBody):
     """A force that is found from markers."""
 
     placed: ClassVar[dict[str, str]] = {"points": "point"}
 
-    name: Name
-    """Its name."""
-    body: Name | None = None
-    """Its body."""
     points: tuple[Vector, ...] = ()
     """It acts at their mean. Without points its place, or on a rigid body its torque, is found."""
     touch: Name | None = None
@@ -425,11 +415,9 @@ class Solver(Entry):
             raise refusal("threads", self.threads, "is for factorization multifrontal: SuperLU works on one thread")
 
 
-class Scene(Entry):
+class Scene(NamedEntry):
     """Everything that is simulated."""
 
-    name: Name
-    """Its name."""
     gravity: Acceleration = (0.0, 0.0, -9.81)
     """Zeros for none."""
     integration: Literal["quasi_static", "first_order", "dynamic"] = "quasi_static"
@@ -538,6 +526,11 @@ class Scene(Entry):
     def deformables(self) -> tuple[Body, ...]:
         """All deformable bodies."""
         return self.bodies if self.body is None else (self.body,)
+
+    @property
+    def guided_bodies(self) -> tuple[RigidBody, ...]:
+        """Rigid bodies that follow commanded poses."""
+        return tuple(body for body in self.rigid_bodies if body.motion == "guided")
 
     def keyed(self, section: str) -> Iterator[tuple[str, Any]]:
         """The entries of a section, each after its key, such as ``cables[0]``.

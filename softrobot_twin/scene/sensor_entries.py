@@ -9,12 +9,11 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from softrobot_twin.scene.actuator_entries import FRAMED, CavityWall, check_walls
-from softrobot_twin.scene.entry import Direction, Entry, Name, Vector, not_zero, refusal, unit
-from softrobot_twin.scene.references import check_carrier, check_known, names_in
+from softrobot_twin.scene.actuator_entries import CavityWall
+from softrobot_twin.scene.entry import Direction, Name, NamedEntry, Vector, not_zero, refusal, unit
 
 
-class Sensor(Entry):
+class Sensor(NamedEntry):
     """A length, an angle, a volume or a pressure that is reported, measured, or wanted."""
 
     told: ClassVar[tuple[str, ...]] = (
@@ -25,8 +24,6 @@ class Sensor(Entry):
     placed: ClassVar[dict[str, str]] = {"string": "point", "bend": "point", "axis": "direction"}
     one_of: ClassVar[tuple[str, ...]] = ("string", "cable", "bend", "hinge", "volume", "walls", "pressure")
 
-    name: Name
-    """Its name."""
     on: Name | None = None
     """Body of the points of a string or of a bend sensor."""
     string: Annotated[tuple[Vector, ...], Field(min_length=2)] | None = None
@@ -57,22 +54,3 @@ class Sensor(Entry):
                 raise refusal(key, getattr(self, key), f"goes with {other}: give both or neither")
         if self.on is not None and self.string is None and self.bend is None:
             raise refusal("on", self.on, "is the body of a string or of a bend sensor")
-
-    def check_references(self, scene, key: str) -> None:
-        """Refuse names of objects that the scene does not have.
-
-        Args:
-            scene: The scene.
-            key: Key of this entry.
-
-        Raises:
-            PydanticCustomError: A named object does not exist.
-        """
-        if self.string is not None or self.bend is not None:
-            bodies, framed = names_in(scene, "deformables"), names_in(scene, *FRAMED)
-            check_carrier(f"{key}.on", self.name, self.on, bodies, framed)
-        for own, *sections in (("cable", "cables"), ("hinge", "beams"), ("pressure", "sealed_cavities"),
-                               ("volume", "cavities", "sealed_cavities")):  # fmt: skip
-            if (name := getattr(self, own)) is not None:
-                check_known(f"{key}.{own}", f"{self.name} measures", name, names_in(scene, *sections))
-        check_walls(self.walls or (), self.name, scene, key)

@@ -244,19 +244,16 @@ def _effects(simulation: Simulation, names: list[str]) -> Iterator[Effect]:
         entries = group.entries or scene.actuator_entries[section]
         for index, (name, entry) in enumerate(zip(group.names, entries, strict=True)):
             yield Effect(f"{section}: {name}", describe_actuator(group, index, entry), made)
-    for motor in scene.motors:
-        yield Effect(f"motors: {motor.name}", motor.describe(), "a command for each of its cables")
-    for effector in scene.effectors:
-        yield Effect(f"effectors: {effector.name}", effector.describe(),
-                     _term(names, "effectors"))
-    for sensor in scene.sensors:
-        term = "" if sensor.weight is None else f" and {_term(names, 'sensors')}"
-        yield Effect(f"sensors: {sensor.name}", sensor.describe(), f"a value after the step{term}")
-    for grip in scene.grips:
-        yield Effect(f"grips: {grip.name}", grip.describe(), _term(names, "grips"))
-    for reaction in scene.reactions:
-        yield Effect(f"reactions: {reaction.name}", reaction.describe(),
-                     "the residual of held nodes, evaluated after the step")  # fmt: skip
+    results = {
+        "motors": "a command for each of its cables", "effectors": _term(names, "effectors"),
+        "sensors": "a value after the step", "grips": _term(names, "grips"),
+        "reactions": "the residual of held nodes, evaluated after the step",
+    }  # fmt: skip
+    for section, made in results.items():
+        for entry in getattr(scene, section):
+            is_led = section == "sensors" and entry.weight is not None
+            yield Effect(f"{section}: {entry.name}", entry.describe(),
+                         f"{made} and {_term(names, 'sensors')}" if is_led else made)
     if scene.moving_base is not None:
         yield Effect("moving_base", scene.moving_base.describe(), f"a change of {_term(names, 'gravity')}")
     if scene.markers:

@@ -369,14 +369,33 @@ def source_of(path: Path, size: float | None, scale: float | None) -> tuple[Mesh
     return MeshSource(path, scale, size, reason), read_solid_mesh(kept.path)
 
 
-def robot_name(stem: str) -> str:
-    """A name for a robot from the name of its file.
+def made_name(text: str, noun: str) -> str:
+    """A name of letters, digits and underscores, as scenes have.
 
     Args:
-        stem: Name of the file, without its ending.
+        text: What it is made of.
+        noun: With what it begins where it would not begin with a letter.
     """
-    word = re.sub(r"\W+", "_", stem, flags=re.ASCII).strip("_")
-    return word if re.match(r"[A-Za-z]", word) else f"robot_{word}".rstrip("_")
+    word = re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_")
+    return word if re.match(r"[A-Za-z]", word) else f"{noun}_{word}".rstrip("_")
+
+
+def check_new_scene(output: Path, replace: bool) -> None:
+    """Refuses to write a scene to a file that is none, or that exists.
+
+    Args:
+        output: The file.
+        replace: Whether one that exists is replaced.
+
+    Raises:
+        OutputError: It is no .yaml file.
+        SceneExistsError: It exists.
+    """
+    if output.suffix.lower() not in (".yaml", ".yml"):
+        raise OutputError(output, "a scene is a .yaml file")
+    if output.exists() and not replace:
+        raise SceneExistsError(output, "exists already; name another file by --output, or replace "
+                               "it by --force")
 
 
 def first_scene(
@@ -395,7 +414,7 @@ def first_scene(
     """
     found = guess(reading)
     file = Path(os.path.relpath(source.file.resolve(), folder.resolve())).as_posix()
-    text = scene_text(robot_name(source.file.stem), source, file, found)
+    text = scene_text(made_name(source.file.stem, "robot"), source, file, found)
     return text, scene_from_mapping(read_yaml(text), path), found
 
 
@@ -419,11 +438,7 @@ def init(
         SoftRobotTwinError: The file cannot be used, or the scene exists.
     """
     output = path.with_suffix(".yaml") if output is None else output
-    if output.suffix.lower() not in (".yaml", ".yml"):
-        raise OutputError(output, "a scene is a .yaml file")
-    if output.exists() and not replace:
-        raise SceneExistsError(output, "exists already; name another file by --output, or replace "
-                               "it by --force")
+    check_new_scene(output, replace)
     if size is not None and path.suffix.lower() not in CAD_SUFFIXES:
         raise MeshError(path, f"has tetrahedra already: --size is for {', '.join(CAD_SUFFIXES)}")
     with terminal_status(f"reading {path.name}"):

@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -419,9 +419,12 @@ _PLANE_COLOUR, _PLANE_LINES = (0.955, 0.95, 0.935), (0.87, 0.86, 0.84)
 _SHARP_ALONE, _SHARP_BESIDE = 160, 140
 # Space for the drawing of one state alone, and of one of several [inch].
 _ALONE, _BESIDE = (6.2, 5.2), (4.2, 4.4)
-# Space around it for numbers of the axes; between states [inch].
-_NUMBERS, _GAP = 0.62, 0.3
-_TITLE, _SCALE_BAR, _COLOUR_BAR = 0.38, 0.42, 0.95
+# Space around it for numbers of the axes; between states; for a colour bar [inch].
+_NUMBERS, _GAP, _COLOUR_BAR = 0.62, 0.3, 0.95
+# A legend may be as wide as this where the picture is narrower [inch].
+_LEGEND_WIDTH = 5.0
+# Around all that is drawn; between that and title, legend and colour bars [inch].
+_MARGIN, _APART = 0.1, 0.12
 
 
 def check_picture(path: Path) -> None:
@@ -478,65 +481,52 @@ def figure_of(snapshots: Sequence[Snapshot], title: str, view: tuple[float, floa
     box = _box_around(snapshots)
     scene = [_all_solids(snapshot, maps, camera, most) for snapshot in snapshots]
     window = _window(scene, snapshots, box, camera, alone)
-    figure = pyplot.figure(figsize=(1.0, 1.0))
-    names = snapshots[0].labels if labelled and alone else []
-    kinds = {solid.kind for solids in scene for solid in solids}
-    sheet = _lay_out(figure, snapshots, window, camera, maps, kinds, most, names)
-    for place, (snapshot, solids) in enumerate(zip(snapshots, scene, strict=True)):
-        axes = sheet.panel(place)
+    extent = window[[1, 3]] - window[[0, 2]]
+    scale = float((np.array(_ALONE if alone else _BESIDE) / extent).min())  # inches per mm
+    width, height = size = scale * extent
+    step = width + max(_GAP, 0.9 - width)
+    whole = width + step * (len(snapshots) - 1)
+    figure = pyplot.figure(figsize=(whole, height))
+    panels = [figure.add_axes((place * step / whole, 0.0, width / whole, 1.0))
+              for place in range(len(snapshots))]
+    for axes, snapshot, solids in zip(panels, snapshots, scene, strict=True):
+        axes.set(xlim=window[:2], ylim=window[2:])
+        axes.set_axis_off()
         for point, normal in snapshot.planes:
             _add_plane(axes, point, normal, box, camera)
         _add_solids(axes, solids, camera)
-        axes.set_title(title if alone else snapshot.title, fontsize=12,
-                       y=1.0 + (sheet.above + 0.08) / sheet.height)
-        if alone:
-            _number_axes(axes, box, camera, sheet)
-        _add_labels(axes, sheet)
-    if not alone:
-        _add_scale_bar(figure, sheet, camera)
+    if alone:
+        _number_axes(panels[0], box, camera, scale)
+        _add_labels(panels[0], snapshots[0].labels if labelled else [], window, camera, scale)
+    else:
+        _add_scale_bar(panels[0], window, camera, scale)
     _hide_overlapping_numbers(figure)
+    drawn = figure.get_tightbbox()
+    for axes, snapshot in zip(panels, snapshots, strict=True):
+        axes.set_title(title if alone else snapshot.title, fontsize=12, y=(drawn.y1 + _APART) / height)
+    bars = [kind for kind in maps if any(_values(snapshots, kind))]
+    for place, kind in enumerate(bars):
+        tall = min(0.75 * height, 2.6)
+        beside = drawn.x1 - (whole - width) + _APART + place * _COLOUR_BAR
+        bar = panels[-1].inset_axes((beside / width, 0.5 * (1.0 - tall / height), 0.13 / width, tall / height))
+        figure.colorbar(maps[kind], cax=bar)
+        bar.set_ylabel(_BAR_TITLES[kind], fontsize=9)
+        bar.tick_params(labelsize=8)
+    kinds = {solid.kind for solids in scene for solid in solids}
+    middle = np.array([0.5 * (drawn.x0 + drawn.x1), drawn.y0 - _APART]) / size
+    # Colour bars name what they show.
+    _add_legend(panels[0], kinds - set(bars), most, max(drawn.width, _LEGEND_WIDTH), middle)
+    _fit(figure)
     return figure
 
 
-class _Sheet(NamedTuple):
-    """Where everything stands on the figure [inch].
-
-    Attributes:
-        figure: The figure.
-        window: Left, right, bottom and top of a panel in the picture [mm].
-        width: Width of a panel.
-        height: Height of a panel.
-        left: Space to the left of the first panel.
-        bottom: Space below the panels.
-        above: Space above the panels for numbers of the axes, below the titles.
-        gap: Space between two panels.
-        labels: The names beside the panel, with their heights; see `_placed_labels`.
-    """
-
-    figure: object
-    window: np.ndarray
-    width: float
-    height: float
-    left: float
-    bottom: float
-    above: float
-    gap: float
-    labels: list
-
-    def panel(self, place: int):
-        """Axes of a panel, in mm of the picture."""
-        wide, high = self.figure.get_size_inches()
-        axes = self.figure.add_axes((
-            (self.left + place * (self.width + self.gap)) / wide, self.bottom / high,
-            self.width / wide, self.height / high))
-        axes.set(xlim=self.window[:2], ylim=self.window[2:])
-        axes.set_axis_off()
-        return axes
-
-    @property
-    def scale(self) -> float:
-        """Inches per mm."""
-        return self.width / (self.window[1] - self.window[0])
+def _fit(figure) -> None:
+    """Gives a figure the size of all that is drawn on it; its panels keep theirs."""
+    from matplotlib.transforms import Bbox
+    box, before = figure.get_tightbbox().padded(_MARGIN), figure.get_size_inches()
+    for axes in figure.axes:
+        axes.set_position(Bbox((axes.get_position().get_points() * before - box.min) / box.size))
+    figure.set_size_inches(box.size)
 
 
 def _all_solids(snapshot: Snapshot, maps: dict, camera: Camera, most: float) -> list[Solid]:
@@ -576,44 +566,6 @@ def _window(scene: list[list[Solid]], snapshots: Sequence[Snapshot], box, camera
     thin = np.maximum(0.0, 0.1 * (high - low).max() - (high - low))
     low, high = low - margin - 0.5 * thin, high + margin + 0.5 * thin
     return np.array([low[0], high[0], low[1], high[1]])
-
-
-def _lay_out(figure, snapshots: Sequence[Snapshot], window: np.ndarray, camera: Camera,
-             maps: dict, kinds: set[str], most: float, labels: list[Label]) -> _Sheet:
-    """Finds the size of the figure, adds legend and colour bars, and says where panels stand."""
-    count, alone = len(snapshots), len(snapshots) == 1
-    room = np.array(_ALONE if alone else _BESIDE)
-    extent = np.array([window[1] - window[0], window[3] - window[2]])
-    scale = float((room / extent).min())
-    width, height = extent * scale
-    numbers = _NUMBERS if alone else 0.0
-    names = _placed_labels(figure, labels, window, camera, scale)
-    beside = max((label.width for label in names), default=0.0) + (0.2 if names else 0.0)
-    bars = [kind for kind in maps if any(_values(snapshots, kind))]
-    kinds = kinds - set(bars)  # Colour bars name what they show.
-    left = 0.12 + numbers + beside
-    right = numbers + beside + 0.12 + _COLOUR_BAR * len(bars)
-    gap = _GAP if alone else max(_GAP, 0.9 - width)
-    wide = left + count * width + (count - 1) * gap + right
-    least = 4.2 if alone else 5.0
-    if wide < least:
-        left, right, wide = left + 0.5 * (least - wide), right + 0.5 * (least - wide), least
-    legend = _add_legend(figure, kinds, most, wide)
-    bottom = legend + 0.08 + (0.6 * numbers if alone else _SCALE_BAR)
-    above = 0.2 if alone else 0.0
-    spare = max(0.0, max((abs(label.height) for label in names), default=0.0) - 0.5 * height)
-    bottom, above = bottom + spare, above + spare
-    high = bottom + height + above + _TITLE
-    figure.set_size_inches(wide, high)
-    edge = wide - _COLOUR_BAR * len(bars)
-    for place, kind in enumerate(bars):
-        tall = min(0.75 * height, 2.6)
-        bar = figure.add_axes(((edge + place * _COLOUR_BAR) / wide,
-                               (bottom + 0.5 * (height - tall)) / high, 0.13 / wide, tall / high))
-        figure.colorbar(maps[kind], cax=bar)
-        bar.set_ylabel(_BAR_TITLES[kind], fontsize=9)
-        bar.tick_params(labelsize=8)
-    return _Sheet(figure, window, width, height, left, bottom, above, gap, names)
 
 
 _BAR_TITLES = {"cable": "cable tension [N]", "cavity": "gauge pressure [kPa]"}
@@ -730,10 +682,10 @@ def _axis_lines(box, camera: Camera) -> list[tuple[np.ndarray, int]]:
 _LINE, _NUMBER = "#999999", "#555555"
 
 
-def _number_axes(axes, box, camera: Camera, sheet: _Sheet) -> None:
+def _number_axes(axes, box, camera: Camera, scale: float) -> None:
     """Axes in millimetres along three edges of the box; one that is seen end-on is left out."""
     from matplotlib.ticker import MaxNLocator
-    inch = 1.0 / sheet.scale
+    inch = 1.0 / scale
     middle = camera.project(0.5 * (box[0] + box[1]))[:2]
     for ends, axis in _axis_lines(box, camera):
         start, end = camera.project(ends)[:, :2]
@@ -767,7 +719,6 @@ def _number_axes(axes, box, camera: Camera, sheet: _Sheet) -> None:
 
 def _hide_overlapping_numbers(figure) -> None:
     """Hides numbers of axes that overlap another text."""
-    figure.draw_without_rendering()
     texts = [text for axes in figure.axes for text in axes.texts]
     kept = [text.get_window_extent() for text in texts if text.get_gid() != "number"]
     for text in texts:
@@ -779,42 +730,28 @@ def _hide_overlapping_numbers(figure) -> None:
                 kept.append(extent)
 
 
-class _PlacedLabel(NamedTuple):
-    """A label beside the panel.
-
-    Attributes:
-        text: Its text.
-        width: Width of the text [inch].
-        height: Of the text over the middle of the panel [inch].
-        is_left: Whether it stands to the left of the panel.
-        place: What it names, in the picture [mm], shape (2,).
-    """
-
-    text: str
-    width: float
-    height: float
-    is_left: bool
-    place: np.ndarray
-
-
 # Between two labels, and between the numbers of an axis and the labels [inch].
 _LABEL_STEP, _LABEL_GAP = 0.19, 0.08
 
 
-def _placed_labels(figure, names: list[Label], window: np.ndarray, camera: Camera,
-                   scale: float) -> list[_PlacedLabel]:
-    """Labels in a column at each side, in the order of the heights of what they name."""
-    places = [camera.project(1e3 * label.place)[:2] for label in names]
-    middle = 0.5 * (window[2] + window[3])
-    order = sorted(range(len(names)), key=lambda index: places[index][0])
-    placed = []
-    for is_left, own in ((True, order[: len(order) // 2]), (False, order[len(order) // 2:])):
-        own = sorted(own, key=lambda index: places[index][1])
-        heights = spread([scale * (places[index][1] - middle) for index in own], _LABEL_STEP)
-        placed += [_PlacedLabel(names[index].text, _width(figure, names[index].text), height,
-                                is_left, places[index])
-                   for index, height in zip(own, heights, strict=True)]
-    return placed
+def _add_labels(axes, names: Sequence[Label], window: np.ndarray, camera: Camera, scale: float) -> None:
+    """Adds labels in a column at each side, in the order of the heights of what they name, each with
+    a line to it."""
+    left, right, _, _ = window
+    inch = 1.0 / scale
+    placed = sorted(((label.text, camera.project(1e3 * label.place)[:2]) for label in names),
+                    key=lambda one: one[1][0])
+    half = len(placed) // 2
+    for side, sign, own in ((left, -1.0, placed[:half]), (right, 1.0, placed[half:])):
+        own.sort(key=lambda one: one[1][1])
+        x = side + sign * (_NUMBERS + _LABEL_GAP) * inch
+        heights = spread([place[1] for _, place in own], _LABEL_STEP * inch)
+        for (text, place), y in zip(own, heights, strict=True):
+            axes.text(x, y, text, fontsize=9, color="#222222", va="center",
+                      ha="right" if sign < 0.0 else "left", zorder=4)
+            axes.plot([x - 0.5 * sign * _LABEL_GAP * inch, place[0]], [y, place[1]], color="#333333",
+                      linewidth=0.6, alpha=0.75, clip_on=False, zorder=3)
+            axes.plot(*place, marker="o", markersize=2.2, color="#222222", clip_on=False, zorder=3)
 
 
 def spread(heights: list[float], step: float) -> list[float]:
@@ -837,80 +774,44 @@ def spread(heights: list[float], step: float) -> list[float]:
     return [first + index * step for index, first in enumerate(firsts)]
 
 
-def _width(figure, text: str) -> float:
-    """Width of a label's text [inch]."""
-    shown = figure.text(0.0, 0.0, text, fontsize=9)
-    width = shown.get_window_extent().width / figure.dpi
-    shown.remove()
-    return width
-
-
-def _add_labels(axes, sheet: _Sheet) -> None:
-    """Adds the labels, each with a line to what it names."""
-    inch = 1.0 / sheet.scale
-    left, right, bottom, top = sheet.window
-    away = (_NUMBERS + _LABEL_GAP) * inch
-    for label in sheet.labels:
-        side, sign = (left, -1.0) if label.is_left else (right, 1.0)
-        x, y = side + sign * away, 0.5 * (bottom + top) + label.height * inch
-        axes.text(x, y, label.text, fontsize=9, color="#222222", va="center",
-                  ha="right" if label.is_left else "left", zorder=4)
-        axes.plot([x - 0.5 * sign * _LABEL_GAP * inch, label.place[0]], [y, label.place[1]],
-                  color="#333333", linewidth=0.6, alpha=0.75, clip_on=False, zorder=3)
-        axes.plot(*label.place, marker="o", markersize=2.2, color="#222222", clip_on=False,
-                  zorder=3)
-
-
-def _add_scale_bar(figure, sheet: _Sheet, camera: Camera) -> None:
-    """Adds a scale bar below the first state, with the directions of the axes."""
-    from matplotlib.lines import Line2D
-    whole = figure.get_size_inches()
-
-    def line(ends: np.ndarray, **look: Any) -> None:
-        figure.add_artist(Line2D(*(ends / whole).T, **look))
-
-    longest = 0.45 * (sheet.window[1] - sheet.window[0])
+def _add_scale_bar(axes, window: np.ndarray, camera: Camera, scale: float) -> None:
+    """Adds a scale bar below a state, with the directions of the axes."""
+    left, right, bottom, _ = window
+    inch = 1.0 / scale
+    longest = 0.45 * (right - left)
     length = 10.0 ** np.floor(np.log10(longest))
     length *= next(factor for factor in (5.0, 2.0, 1.0) if factor * length <= longest)
-    y, text = sheet.bottom - 0.16, f"{length:g} mm"
-    # In a narrow panel the bar is moved aside for the directions.
-    half = 0.5 * max(length * sheet.scale, _width(figure, text))
-    middle = max(sheet.left + 0.5 * sheet.width, 0.8 + half)
-    ends = np.array([-0.5, 0.5]) * length * sheet.scale + middle
-    line(np.column_stack([ends, [y, y]]), color="#444444", linewidth=2.0, solid_capstyle="butt")
-    figure.text(*([middle, y - 0.06] / whole), text, ha="center", va="top", fontsize=9,
-                color="#444444")
-    origin = np.array([middle - half - 0.5, sheet.bottom - 0.22])
+    middle, y = 0.5 * (left + right), bottom - 0.16 * inch
+    axes.plot(middle + np.array([-0.5, 0.5]) * length, [y, y], color="#444444", linewidth=2.0,
+              solid_capstyle="butt", clip_on=False)
+    axes.text(middle, y - 0.06 * inch, f"{length:g} mm", ha="center", va="top", fontsize=9,
+              color="#444444")
+    # Left of the bar and its text.
+    origin = np.array([middle - max(0.5 * length, 0.3 * inch) - 0.5 * inch, bottom - 0.22 * inch])
     for name, arm, colour in zip("xyz", np.eye(3), AXIS_COLOURS, strict=True):
         to = camera.project(arm)[:2]
         if np.linalg.norm(to) >= 0.15:
-            tip = origin + 0.2 * to
-            line(np.array([origin, tip]), color=colour, linewidth=1.3)
-            figure.text(*((tip + 0.09 * to / np.linalg.norm(to)) / whole), name, ha="center",
-                        va="center", fontsize=7, color=colour, gid="number")
+            tip = origin + 0.2 * inch * to
+            axes.plot(*np.array([origin, tip]).T, color=colour, linewidth=1.3, clip_on=False)
+            axes.text(*(tip + 0.09 * inch * to / np.linalg.norm(to)), name, ha="center",
+                      va="center", fontsize=7, color=colour, gid="number")
 
 
-def _add_legend(figure, kinds: set[str], most: float, wide: float) -> float:
-    """Adds the legend of what is shown, in as many columns as fit; returns its height [inch]."""
+def _add_legend(axes, kinds: set[str], most: float, wide: float, place: np.ndarray) -> None:
+    """Adds the legend of what is shown below a place, in as many columns as fit into a width [inch]."""
     from matplotlib.legend_handler import HandlerTuple
     handles, texts = [], []
     for kind, (mark, colour, text) in LEGEND.items():
         if kind in kinds:
             handles.append(_handle(mark, colour))
             texts.append(f"force, longest {most:.2g} N" if kind == "force" else text)
-    if not handles:
-        return 0.0
     for columns in range(len(handles), 0, -1):
-        legend = figure.legend(handles, texts, loc="lower center", ncols=columns, frameon=False,
-                               fontsize=9, borderaxespad=0.2, columnspacing=1.4,
-                               handletextpad=0.6, handlelength=1.5,
-                               handler_map={tuple: HandlerTuple(ndivide=None, pad=0.0)})
-        figure.draw_without_rendering()
-        extent = legend.get_window_extent()
-        if columns == 1 or extent.width <= (wide - 0.2) * figure.dpi:
-            return extent.height / figure.dpi + 0.1
-        legend.remove()
-    return 0.0
+        legend = axes.legend(handles, texts, loc="upper center", bbox_to_anchor=place, ncols=columns,
+                             frameon=False, fontsize=9, borderaxespad=0.0, columnspacing=1.4,
+                             handletextpad=0.6, handlelength=1.5,
+                             handler_map={tuple: HandlerTuple(ndivide=None, pad=0.0)})
+        if legend.get_window_extent().width <= wide * axes.figure.dpi:
+            break
 
 
 def _handle(mark: str, colour: np.ndarray):

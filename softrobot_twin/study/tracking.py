@@ -93,26 +93,6 @@ def distances(reference: TimedValues, measured: TimedValues) -> TimedValues:
     return TimedValues(measured.times[known], apart[known, None])
 
 
-def save_records(path: Path, records: dict[str, TrackingRecord]) -> None:
-    """Writes all samples into one compressed numpy file, fields named ``<run>.<quantity>``.
-
-    Args:
-        path: The file.
-        records: Record of each run, by its name.
-    """
-    fields: dict[str, np.ndarray] = {}
-    for run, record in records.items():
-        for words in ("actuator_names", "setpoint_units", "effort_units"):
-            fields[f"{run}.{words}"] = np.array(getattr(record, words))
-        for quantity in ("target", "twin", "device", "setpoints", "efforts"):
-            samples = getattr(record, quantity)
-            if samples is None:
-                continue
-            fields[f"{run}.{quantity}.times"] = samples.times
-            fields[f"{run}.{quantity}.values"] = samples.values
-    np.savez_compressed(path, **fields)
-
-
 PUBLISHED_ERRORS_MM = {"diamond": {"mean": 1.4, "max": 2.9}, "trunk": {"mean": 4.72, "max": None}}
 """Errors of real robots, driven open loop, in the paper (Coevoet 2017, section 7.2) [mm]. Paths,
 silicone and measurement differ from ours, so they are reported but not compared.

@@ -16,7 +16,6 @@ from softrobot_twin.command_line.commands import enable_interrupts
 from softrobot_twin.errors import ParameterError, SceneError
 from softrobot_twin.ros.demo import (
     CONTROLLED_RUNS,
-    RUNS,
     Demo,
     DemoError,
     DemoProcess,
@@ -27,6 +26,8 @@ from softrobot_twin.ros.demo import (
     stop_all,
 )
 from softrobot_twin.scene import load_scene
+from softrobot_twin.simulation.building.table_columns import position_columns, target_name
+from softrobot_twin.study.run_plot import read_series
 
 ROOT = Path(__file__).parents[2]
 NODES = ("twin", "device", "target")
@@ -440,22 +441,20 @@ def test_the_demo_leads_the_robot(led, robot):
     is_busy = done < BUSY or (done < DISTURBED and others > 0.1)
     load = (f"{100 * done:.0f} % of the ticks took place, other programs used "
             f"{100 * others:.0f} % of the processor")
-    with np.load(folder / "samples.npz") as samples:
-        runs = [run for run in (*RUNS, *CONTROLLED_RUNS, "direct") if f"{run}.device.times" in samples]
-        assert runs == list(plan_demo(robot, folder, SECONDS[robot], view=False).runs)
-        for run in runs:
-            twin, device = (samples[f"{run}.{one}.values"] for one in ("twin", "device"))
-            lead = "twin" if run == "direct" else "target"
-            apart = distances_to_recent(
-                samples[f"{run}.{lead}.times"], samples[f"{run}.{lead}.values"],
-                samples[f"{run}.device.times"], device)
-            travel = np.linalg.norm(twin - twin[0], axis=1).max()
-            print(f"{robot}, {run}: mean {1e3 * apart.mean():.2f} mm of {1e3 * travel:.0f} mm; "
-                  f"{steps}; {load}")
-            if is_busy:
-                continue
-            assert LED[robot] is not TRAVEL or travel > LEAST_TRAVEL, load
-            assert apart.mean() < LARGEST_ERROR * (LED[robot] or travel), load
+    plan = plan_demo(robot, folder, SECONDS[robot], view=False)
+    for run in plan.runs:
+        series = read_series(folder / f"{run}.csv")
+        twin, device, target = (
+            np.column_stack([series.numbers.get(name, series.at) for name in position_columns(thing)])
+            for thing in (plan.effector, f"{plan.effector}_device", target_name(plan.effector)))
+        apart = distances_to_recent(series.at, twin if plan.is_direct else target, series.at, device)
+        travel = np.linalg.norm(twin - twin[0], axis=1).max()
+        print(f"{robot}, {run}: mean {1e3 * apart.mean():.2f} mm of {1e3 * travel:.0f} mm; "
+              f"{steps}; {load}")
+        if is_busy:
+            continue
+        assert LED[robot] is not TRAVEL or travel > LEAST_TRAVEL, load
+        assert apart.mean() < LARGEST_ERROR * (LED[robot] or travel), load
     if is_busy:
         pytest.skip(f"the machine was too busy to judge the errors: {load}")
 
@@ -498,10 +497,8 @@ def test_the_hand_of_the_flexo_moves_while_its_tip_is_led(led):
     folder = led("flexo").folder / "demo"
     report = report_of(folder)
     assert report["complete"] is True and report["mesh"]["dof"] == 891
-    with np.load(folder / "samples.npz") as samples:
-        names = samples["open_loop.actuator_names"].tolist()
-        setpoints = samples["open_loop.setpoints.values"]
-        targets = samples["open_loop.target.values"]
-    hand = setpoints[:, [names.index(f"finger_{finger}") for finger in range(3)]]
+    columns = read_series(folder / "open_loop.csv").numbers
+    hand = np.column_stack([columns[f"finger_{finger}_length_m"] for finger in range(3)])
+    targets = np.column_stack([columns[name] for name in position_columns(target_name("tip"))])
     assert np.ptp(hand, axis=0).min() > 5e-3 and np.ptp(hand, axis=1).max() < 1e-6
     assert np.ptp(targets, axis=0).max() > 0.02

@@ -19,7 +19,7 @@ from softrobot_twin.scene import load_scene
 from softrobot_twin.scene.loading import read_yaml, scene_from_mapping
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.command import CommandSetpoints, Hold
-from softrobot_twin.study.first_scene import robot_name
+from softrobot_twin.study.first_scene import made_name
 from test.cad_parts import box, finger, lines_of, need_gmsh, write_stl
 from test.scene_changes import repeat_step
 
@@ -284,4 +284,4 @@ def test_what_cannot_be_done_is_one_error_and_writes_nothing(
     ("finger", "finger"), ("My part-2", "My_part_2"), ("3d", "robot_3d"), ("é", "robot"),
 ])  # fmt: skip
 def test_the_name_of_a_robot_is_that_of_its_file_in_letters_of_topics(stem, name):
-    assert robot_name(stem) == name
+    assert made_name(stem, "robot") == name

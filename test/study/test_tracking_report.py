@@ -12,7 +12,6 @@ from softrobot_twin.study.tracking import (
     TrackingRecord,
     distances,
     draw_tracking,
-    save_records,
     tracking_figures,
     tracking_report,
     write_report,
@@ -67,9 +66,6 @@ def test_without_targets_the_device_is_compared_with_the_twin(tmp_path):
     assert report["direct"]["mean_error_mm"] == pytest.approx(2.1)
     assert report["direct"]["seconds"] == pytest.approx(3.98)
     assert report["open_loop"] is None and report["closed_to_open_ratio"] is None
-    save_records(tmp_path / "samples.npz", runs)
-    with np.load(tmp_path / "samples.npz") as samples:
-        assert "direct.twin.values" in samples and "direct.target.values" not in samples
     draw_tracking("octoleg", runs, tmp_path / "tracking.png")
     assert (tmp_path / "tracking.png").read_bytes().startswith(b"\x89PNG")
 
@@ -99,13 +95,3 @@ def test_an_interrupted_demo_reports_its_finished_run():
     assert report["open_loop"]["mean_error_mm"] == pytest.approx(2.0)
     assert report["closed_loop"] is None
     assert report["closed_to_open_ratio"] is None
-
-
-def test_saved_samples_read_back_bit_by_bit(tmp_path):
-    made = record((0.0, 0.0, -0.002))
-    save_records(tmp_path / "samples.npz", {"open_loop": made})
-    with np.load(tmp_path / "samples.npz") as read:
-        np.testing.assert_array_equal(read["open_loop.device.values"], made.device.values)
-        np.testing.assert_array_equal(read["open_loop.setpoints.times"], made.setpoints.times)
-        assert tuple(read["open_loop.actuator_names"]) == made.actuator_names
-        assert tuple(read["open_loop.setpoint_units"]) == ("m", "Pa")

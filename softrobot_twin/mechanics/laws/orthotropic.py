@@ -18,16 +18,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.geometry.matrix3 import (
-    add_scaled_matrix,
-    inner,
-    product,
-    product_transposed,
-    symmetric,
-    transposed_product,
+from softrobot_twin.geometry.matrix3 import product, product_transposed, transposed_product
+from softrobot_twin.kernels.compilation import INLINED, njit
+from softrobot_twin.mechanics.laws.saint_venant_kirchhoff import (
+    differential,
+    energy_density,
+    linearize,
+    stress,
 )
-from softrobot_twin.kernels.compilation import INLINED, KERNEL, njit
-from softrobot_twin.mechanics.laws.saint_venant_kirchhoff import green_strain
 from softrobot_twin.mechanics.point_law import LawConstant, OwnConstants, register_law
 
 # The two axes may be off a right angle by this cosine; the second one is turned.
@@ -59,7 +57,11 @@ class Orthotropic(NamedTuple):
 
 @njit(**INLINED)
 def hooke_along_axes(law, E):
-    """S of a symmetric strain E."""
+    """S of a symmetric strain E [Pa].
+
+    Args:
+        E: Three rows of three numbers.
+    """
     a, C, G = law.axes, law.stretches, law.shears
     Q = ((a[0], a[1], a[2]), (a[3], a[4], a[5]), (a[6], a[7], a[8]))
     e = product_transposed(product(Q, E), Q)
@@ -68,35 +70,6 @@ def hooke_along_axes(law, E):
     s = ((C[0] * x + C[3] * y + C[4] * z, xy, xz), (xy, C[3] * x + C[1] * y + C[5] * z, yz),
          (xz, yz, C[4] * x + C[5] * y + C[2] * z))  # fmt: skip
     return product(transposed_product(Q, s), Q)
-
-
-@njit(**KERNEL, forceinline=True)
-def energy_density(law, F):
-    """Ψ [J/m³]."""
-    strain = green_strain(F)
-    return 0.5 * inner(hooke_along_axes(law, strain), strain)
-
-
-@njit(**KERNEL, forceinline=True)
-def stress(law, F):
-    """P [Pa]."""
-    return product(F, hooke_along_axes(law, green_strain(F)))
-
-
-@njit(**KERNEL, forceinline=True)
-def linearize(law, F, upright, projected):
-    """F and S."""
-    S = hooke_along_axes(law, green_strain(F))
-    return (F[0], F[1], F[2], S[0], S[1], S[2])
-
-
-@njit(**KERNEL, forceinline=True)
-def differential(law, linearized, dF):
-    """dP [Pa]."""
-    F = (linearized[0], linearized[1], linearized[2])
-    S = (linearized[3], linearized[4], linearized[5])
-    dS = hooke_along_axes(law, symmetric(transposed_product(F, dF)))
-    return add_scaled_matrix(product(dF, S), product(F, dS), 1.0)
 
 
 def compliances(constants: Mapping[str, tuple]) -> np.ndarray:
@@ -154,4 +127,5 @@ register_law(
             ("first_axis", ""), ("second_axis", ""))),
         mean_shear_modulus, of_constants, bulk_modulus,
     ),
+    second_stress=hooke_along_axes,
 )  # fmt: skip

@@ -29,7 +29,7 @@ from softrobot_twin.geometry.matrix3 import (
 )
 from softrobot_twin.kernels.compilation import INLINED, KERNEL, njit
 from softrobot_twin.mechanics.laws.small_displacement import hooke
-from softrobot_twin.mechanics.point_law import register_law
+from softrobot_twin.mechanics.point_law import register_law, second_stress
 
 
 class SaintVenantKirchhoff(NamedTuple):
@@ -54,19 +54,19 @@ def green_strain(F):
 def energy_density(law, F):
     """Ψ [J/m³]."""
     strain = green_strain(F)
-    return 0.5 * inner(hooke(law, strain), strain)
+    return 0.5 * inner(second_stress(law, strain), strain)
 
 
 @njit(**KERNEL, forceinline=True)
 def stress(law, F):
     """P [Pa]."""
-    return product(F, hooke(law, green_strain(F)))
+    return product(F, second_stress(law, green_strain(F)))
 
 
 @njit(**KERNEL, forceinline=True)
 def linearize(law, F, upright, projected):
     """F and S."""
-    S = hooke(law, green_strain(F))
+    S = second_stress(law, green_strain(F))
     return (F[0], F[1], F[2], S[0], S[1], S[2])
 
 
@@ -75,11 +75,11 @@ def differential(law, linearized, dF):
     """dP [Pa]."""
     F = (linearized[0], linearized[1], linearized[2])
     S = (linearized[3], linearized[4], linearized[5])
-    dS = hooke(law, symmetric(transposed_product(F, dF)))
+    dS = second_stress(law, symmetric(transposed_product(F, dF)))
     return add_scaled_matrix(product(dF, S), product(F, dS), 1.0)
 
 
 register_law(
     "saint_venant_kirchhoff", SaintVenantKirchhoff, energy_density, stress, differential, linearize,
-    is_isotropic=True,
+    is_isotropic=True, second_stress=hooke,
 )  # fmt: skip

@@ -15,7 +15,7 @@ from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.stencil import bind_stencils, lower_pairs
 from softrobot_twin.scene.actuator_entries import ActuatorEntry
 from softrobot_twin.scene.body_entries import BoxRegion
-from softrobot_twin.scene.entry import Vector, check_range, unit
+from softrobot_twin.scene.entry import OnBody, Vector, check_range, unit
 from softrobot_twin.simulation import (
     CommandEfforts,
     CommandSetpoints,
@@ -39,21 +39,17 @@ from test.scene_changes import change_scene, changed, repeat_step
 STEP = 0.02
 
 
-class Chamber(ActuatorEntry):
+class Chamber(OnBody, ActuatorEntry):
     """The volume between a patch of a body's surface and a point."""
 
     noun: ClassVar[str] = "chamber"
 
-    body: str | None = None
     patch: BoxRegion
     """Triangles of the surface that lie in it."""
     apex: Vector
     expansion: Annotated[tuple[float, float], AfterValidator(check_range), unit("m³")]
     rate: Annotated[float, unit("m³/s")]
     pressure: Annotated[tuple[float, float], AfterValidator(check_range), unit("Pa")]
-
-    def check_references(self, scene, key: str) -> None:
-        self.check_body(scene, key)
 
 
 class Chambers(ConstraintTerm):
