@@ -63,7 +63,7 @@ class AxialShape(ShapeEntry, RollingShape):
     is_round: ClassVar[bool] = True
 
     ends: Annotated[tuple[Vector, Vector], AfterValidator(_apart)]
-    """Ends of the segment."""
+    """Centres of both ends: of hemispheres, or of flat ones."""
     radius: Length
     """Radius."""
 
