@@ -778,7 +778,6 @@ def _search_box(form, x, triangles, t, normal, margin, key, found, count):
     return count
 
 
-@njit(**KERNEL)
 def _search_canonical(form, x, triangles, t, normal, margin, key, found, count):
     """Find the candidates of a triangle against a form of this package."""
     if form[0] == BOX:
@@ -818,9 +817,7 @@ def search_triangle(form, x, triangles, t, normal, margin, key, found, count):
 @overload(search_triangle, jit_options={"forceinline": True})
 def _search_triangle(form, x, triangles, t, normal, margin, key, found, count):
     if not isinstance(form, types.BaseNamedTuple):
-        return lambda form, x, triangles, t, normal, margin, key, found, count: _search_canonical(
-            form, x, triangles, t, normal, margin, key, found, count
-        )
+        return _search_canonical
     reach = form.instance_class.farthest
     return lambda form, x, triangles, t, normal, margin, key, found, count: _search_farthest(
         reach, form, x, triangles, t, normal, margin, key, found, count
