@@ -8,7 +8,7 @@ import meshio
 import numpy as np
 import pytest
 
-from softrobot_twin.geometry.shapes import Box
+from test.shapes import Box
 
 
 def need_gmsh() -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.constraints.contact_pairs import NO_NODE, ContactPair
+from softrobot_twin.constraints.contact_pairs import NO_NODE, ContactPair, Side
 from softrobot_twin.geometry.round_axes import (
     RoundAxis,
     axis_distances,
@@ -115,9 +115,7 @@ class RoundBeam:
         self._local_tangents = np.ascontiguousarray(local_tangents, float)
         self.radius, self.element_count = float(radius), len(frames)
         self.nodes = (np.unique(frames)[:, None] + np.arange(4)).ravel()
-        self._axis = RoundAxis(
-            np.empty(local_places.shape), np.empty(local_places.shape), self.radius
-        )
+        self._axis = RoundAxis(np.empty(local_places.shape), np.empty(local_places.shape), self.radius)
 
     def axis(self, positions: np.ndarray) -> RoundAxis:
         """Its axis at a state; the next call overwrites it.
@@ -132,11 +130,11 @@ class RoundBeam:
         return self._axis
 
     def outline(self, positions: np.ndarray) -> np.ndarray:
-        """See `DeformableSurface.outline`."""
+        """See `CarriedSurface.outline`."""
         return self.axis(positions).places.reshape(-1, 3).copy()
 
     def carry(self, positions, points, weights, places, *where) -> None:
-        """See `DeformableSurface.carry`; points are elements, weights shares along them."""
+        """See `CarriedSurface.carry`; points are elements, weights shares along them."""
         carry_by_axis(
             positions, self.axis(positions), self._frames, self._local_places,
             self._local_tangents, points, weights, places, *where,
@@ -144,30 +142,25 @@ class RoundBeam:
 
 
 class BeamAndShape(ContactPair):
-    """A round beam and an analytic shape on a rigid body or an obstacle."""
+    """A round beam and a shape on a rigid body or an obstacle."""
 
-    def __init__(
-        self, beam: RoundBeam, second, shape, friction: float, names, rest: np.ndarray,
-        held_nodes=(),
-    ):  # fmt: skip
-        """Store the two sides of the pair.
+    def __init__(self, first: Side, second: Side, friction: float, rest: np.ndarray, held_nodes=()):
+        """Take both sides.
 
         Args:
-            beam: The beam.
-            second: What carries the shape.
-            shape: The shape.
+            first: The side of the beam, whose surface is a `RoundBeam`.
+            second: The side of the shape.
             friction: Coefficient µ.
-            names: Names of both.
             rest: Node positions at rest [m], shape (node_count, 3).
             held_nodes: Nodes of the beam that do not move against the shape. Where they lie inside
                 it at rest, they never touch it, nor do nodes that follow them inside it.
         """
-        super().__init__(beam, second, friction, names)
-        self._shape, self._extents = shape, np.array(shape.extents(), float)
-        origin, axes = shape.frame()
+        super().__init__(first, second, friction)
+        self._form, self._bend = self.shape.form(), float(self.shape.curvature_radius)
+        origin, axes = self.shape.frame()
         self._origin, self._axes = np.array(origin, float), np.array(axes, float)
         self._placed = np.empty((4, 3))
-        self._excluded = np.zeros(2 * beam.element_count + 1, np.bool_)
+        self._excluded = np.zeros(2 * self.first.element_count + 1, np.bool_)
         if len(held_nodes):
             self._exclude(set((self.near(rest, 0.0).keys // 2).tolist()), held_nodes)
 
@@ -184,25 +177,22 @@ class BeamAndShape(ContactPair):
         """See `ContactPair.write`."""
         place_frame(self._origin, self._axes, *self.second.kept_pose(positions), self._placed)
         axis = self.first.axis(positions)
-        pair_axis_with_shape(
-            axis, self._excluded, self._shape.kind, self._extents, self._placed, reach, rows, span
-        )
+        pair_axis_with_shape(axis, self._excluded, self._form, self._bend, self._placed, reach, rows, span)
 
 
 class TwoRoundBeams(ContactPair):
     """Two round beams, or one and itself."""
 
-    def __init__(self, first: RoundBeam, second: RoundBeam, excluded, friction: float, names):
-        """Store the two sides of the pair.
+    def __init__(self, first: Side, second: Side, friction: float, excluded: np.ndarray):
+        """Take both sides.
 
         Args:
-            first: A beam.
+            first: A side whose surface is a `RoundBeam`.
             second: Another, or the same.
-            excluded: Pairs of elements that never touch, see `never_touching`.
             friction: Coefficient µ.
-            names: Names of both.
+            excluded: Pairs of elements that never touch, see `never_touching`.
         """
-        super().__init__(first, second, friction, names)
+        super().__init__(first, second, friction)
         self._excluded = np.ascontiguousarray(excluded, np.bool_)
 
     def write(self, positions, reach, rows, span) -> None:

@@ -124,9 +124,7 @@ def folds(path: np.ndarray) -> list[int]:
 
 
 @njit(**KERNEL)
-def evaluate_kernel(
-    x, nodes, coefficients, constants, least, rounding, cable, entry, blocks, lengths
-):
+def evaluate_kernel(x, nodes, coefficients, constants, least, rounding, cable, entry, blocks, lengths):
     """Lengths of all cables and the entries -c_a d of their rows.
 
     Args:

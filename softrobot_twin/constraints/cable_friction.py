@@ -229,9 +229,7 @@ def bounded_change(shares, misses, slopes, turns, round_off, change):
     change[:] = 0.0
     for s in range(1, n):
         if turns[s] > 0.0:
-            held[s] = (shares[s] >= 1.0 and misses[s] <= 0.0) or (
-                shares[s] <= -1.0 and misses[s] >= 0.0
-            )
+            held[s] = (shares[s] >= 1.0 and misses[s] <= 0.0) or (shares[s] <= -1.0 and misses[s] >= 0.0)
     for _ in range(MOST_SETS * n):
         places = np.flatnonzero(~held)
         J, right = np.empty((len(places), len(places))), np.empty(len(places))
@@ -514,9 +512,7 @@ class FrictionCables(ElasticCables):
             materials: How they stretch and rub.
             points: The carried points of the scene; None without any.
         """
-        super().__init__(
-            paths, free_index, rest_positions, points, axial_stiffness=materials.axial_stiffness
-        )
+        super().__init__(paths, free_index, rest_positions, points, axial_stiffness=materials.axial_stiffness)
         self._carried = None
         if self._points is not None:
             self._carried = CarriedRows(points, len(self.entry_rows))
@@ -537,9 +533,7 @@ class FrictionCables(ElasticCables):
         """Shares z of the friction that acts, -1 to 1; see `recall`."""
         return {"shares": np.zeros(len(self.cable_of_stretch))}
 
-    def recall(
-        self, memory: Mapping[str, np.ndarray], positions: np.ndarray, efforts: np.ndarray
-    ) -> None:
+    def recall(self, memory: Mapping[str, np.ndarray], positions: np.ndarray, efforts: np.ndarray) -> None:
         """Let a step begin.
 
         Args:
@@ -697,9 +691,7 @@ class HeldCableForces(ForceTerm):
         self._cables.add_held_forces(positions, forces)
         return 0
 
-    def add(
-        self, positions: np.ndarray, forces: np.ndarray, storage: np.ndarray, projected: bool
-    ) -> None:
+    def add(self, positions: np.ndarray, forces: np.ndarray, storage: np.ndarray, projected: bool) -> None:
         """See `ForceTerm.add`."""
         self._cables.add_held_forces(positions, forces)
 

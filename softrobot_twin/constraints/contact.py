@@ -133,9 +133,7 @@ def write_gaps(x, nodes, coefficients, directions, anchors, gaps):
 
 
 @njit(**KERNEL)
-def write_values(
-    x, nodes, coefficients, directions, anchors, begins, row_starts, distance, allowed, out
-):  # fmt: skip
+def write_values(x, nodes, coefficients, directions, anchors, begins, row_starts, distance, allowed, out):
     """δ of every row.
 
     Args:
@@ -257,9 +255,7 @@ def lay_out_contacts(
     anchor(x, start, nodes, coefficients, directions, gaps, count, anchors, begins)
     for c in range(count):
         row_starts[c + 1] = row_starts[c] + rows_of_pair[pair[c]]
-    entry_count[0] = write_layout(
-        free_index, nodes, row_starts[: count + 1], entry_rows, entry_nodes
-    )
+    entry_count[0] = write_layout(free_index, nodes, row_starts[: count + 1], entry_rows, entry_nodes)
 
 
 @njit(**KERNEL)

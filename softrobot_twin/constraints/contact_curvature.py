@@ -306,7 +306,7 @@ class RoundPair(NamedTuple):
     triangles: np.ndarray
     carrier: object
     radius: float
-    axis: np.ndarray | None
+    axis: np.ndarray
     has_round_ends: bool
 
     @property
@@ -320,8 +320,6 @@ class RoundPair(NamedTuple):
         Args:
             positions: Node positions [m], shape (node_count, 3).
         """
-        if self.axis is None:
-            return np.zeros(3)
         return self.carrier.pose(positions)[1] @ self.axis
 
 
@@ -468,7 +466,7 @@ class ContactCurvature:
         facets, stiffness = np.empty(count, np.int64), np.empty((count, 9, 9))
         count = write_facets(
             positions, pair.index, which, nodes, coefficients, directions, forces, pair.radius,
-            axis, pair.axis is not None, pair.has_round_ends, self.with_sliding and pair.stands,
+            axis, bool(pair.axis.any()), pair.has_round_ends, self.with_sliding and pair.stands,
             self.is_whole, facets, stiffness,
         )  # fmt: skip
         facets, stiffness = facets[:count], stiffness[:count]

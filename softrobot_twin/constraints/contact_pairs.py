@@ -22,12 +22,16 @@ Arguments of the kernels here:
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
+from softrobot_twin.geometry.box_pairs import BoxPairDetector
 from softrobot_twin.geometry.proximities import Proximities, found_by, put_pairs
-from softrobot_twin.geometry.shapes.distance_kernels import CAPSULE
-from softrobot_twin.geometry.surface_shape import PARALLEL_FACE, RIM_POINTS
-from softrobot_twin.geometry.vector_arrays import gather_vectors
+from softrobot_twin.geometry.shapes.distance_kernels import measure_points
+from softrobot_twin.geometry.solid_shape import SolidShapeDetector
+from softrobot_twin.geometry.surface_pairs import SurfacePairDetector
+from softrobot_twin.geometry.surface_shape import SurfaceShapeDetector
 from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.mechanics.barycentric import BarycentricMapping, write_points
 
@@ -51,23 +55,7 @@ def read_pose(x, frame, origin, rotation):
 
 
 @njit(**KERNEL)
-def carry_by_vertices(point_nodes, points, weights, sign, column, span, nodes, coefficients):
-    """Places inside triangles of a deformable body: three vertices carry each.
-
-    Args:
-        point_nodes: Node of each surface point, shape (point_count,).
-    """
-    for c in range(span[0], min(span[1], len(nodes))):
-        for k in range(3):
-            weight = weights[c, k]
-            nodes[c, column + k] = point_nodes[points[c, k]] if weight != 0.0 else NO_NODE
-            coefficients[c, column + k] = sign * weight
-
-
-@njit(**KERNEL)
-def carry_by_mapping(
-    point_nodes, point_weights, points, weights, sign, column, span, nodes, coefficients
-):
+def carry_by_mapping(point_nodes, point_weights, points, weights, sign, column, span, nodes, coefficients):
     """Places inside triangles of a carried surface: what carries the corners, each node once.
 
     Args:
@@ -114,62 +102,16 @@ def carry_by_frame(x, frame, places, sign, column, span, nodes, coefficients):
         coefficients[c, column] = sign * rest
 
 
-class DeformableSurface:
-    """The surface of a deformable body.
+class CarriedSurface:
+    """A surface that a deformable body carries.
 
     Attributes:
         triangles: Indices of its points, shape (triangle_count, 3).
         point_count: Number of its points.
+        nodes: Nodes that carry it.
         rigid_points: None: it has no shape of its own to keep.
         width: Nodes that carry a place on it, at most.
     """
-
-    rigid_points = None
-    width = 4
-
-    def __init__(self, triangles: np.ndarray):
-        """Number the nodes of the surface.
-
-        Args:
-            triangles: Nodes of its triangles, shape (triangle_count, 3).
-        """
-        self.point_nodes, points = np.unique(triangles, return_inverse=True)
-        self.triangles = points.reshape(-1, 3).astype(np.int64)
-        self.point_count = len(self.point_nodes)
-        self.nodes, self._points = self.point_nodes, np.empty((self.point_count, 3))
-
-    def points(self, positions: np.ndarray) -> np.ndarray:
-        """Where its points are [m], shape (point_count, 3); the next call overwrites them.
-
-        Args:
-            positions: Node positions [m], shape (node_count, 3).
-        """
-        gather_vectors(positions, self.point_nodes, self._points)
-        return self._points
-
-    def outline(self, positions: np.ndarray) -> np.ndarray:
-        """Points that tell how far it moves [m], shape (any, 3).
-
-        Args:
-            positions: Node positions [m], shape (node_count, 3).
-        """
-        return positions[self.point_nodes]
-
-    def carry(self, positions, points, weights, places, *where) -> None:
-        """Write the nodes that carry places on it, and their coefficients; may be traced.
-
-        Args:
-            positions: Node positions [m], shape (node_count, 3).
-            points: Its points around each place, shape (capacity, 3).
-            weights: Their barycentric weights, shape (capacity, 3).
-            places: The places [m], shape (capacity, 3).
-            where: The last arguments of the kernels above, from `sign` on.
-        """
-        carry_by_vertices(self.point_nodes, points, weights, *where)
-
-
-class CarriedSurface:
-    """A surface that a deformable body carries; see `DeformableSurface`."""
 
     rigid_points = None
 
@@ -190,7 +132,7 @@ class CarriedSurface:
         self.width = 1 + int(np.sum(np.diff(own, axis=1) != 0, axis=1).max(initial=0))
 
     def points(self, positions: np.ndarray) -> np.ndarray:
-        """See `DeformableSurface.points`.
+        """Where its points are [m], shape (point_count, 3); the next call overwrites them.
 
         Args:
             positions: Node positions [m], shape (node_count, 3).
@@ -199,12 +141,43 @@ class CarriedSurface:
         return self._points
 
     def outline(self, positions: np.ndarray) -> np.ndarray:
-        """See `DeformableSurface.outline`."""
+        """Points that tell how far it moves [m], shape (any, 3).
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
         return self.points(positions).copy()
 
     def carry(self, positions, points, weights, places, *where) -> None:
-        """See `DeformableSurface.carry`."""
+        """Write the nodes that carry places on it, and their coefficients; may be traced.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            points: Its points around each place, shape (capacity, 3).
+            weights: Their barycentric weights, shape (capacity, 3).
+            places: The places [m], shape (capacity, 3).
+            where: The last arguments of the kernels above, from `sign` on.
+        """
         carry_by_mapping(self._nodes, self._weights, points, weights, *where)
+
+
+class DeformableSurface(CarriedSurface):
+    """The surface of a deformable body, whose points are nodes.
+
+    Attributes:
+        node_triangles: Nodes of its triangles, shape (triangle_count, 3).
+    """
+
+    def __init__(self, triangles: np.ndarray):
+        """Number the nodes of the surface.
+
+        Args:
+            triangles: Nodes of its triangles, shape (triangle_count, 3).
+        """
+        nodes, points = np.unique(triangles, return_inverse=True)
+        mapping = BarycentricMapping(nodes[:, None], np.ones((len(nodes), 1)))
+        super().__init__(mapping, points.reshape(-1, 3))
+        self.node_triangles = nodes[self.triangles]
 
 
 class RigidSurface:
@@ -246,7 +219,7 @@ class RigidSurface:
         return self._pose
 
     def points(self, positions: np.ndarray) -> np.ndarray:
-        """See `DeformableSurface.points`; may not be traced.
+        """See `CarriedSurface.points`; may not be traced.
 
         Args:
             positions: Node positions [m], shape (node_count, 3).
@@ -255,11 +228,11 @@ class RigidSurface:
         return np.add(self._local @ rotation.T, origin, out=self._points)
 
     def outline(self, positions: np.ndarray) -> np.ndarray:
-        """See `DeformableSurface.outline`; of a plane, which has no end, its origin."""
+        """See `CarriedSurface.outline`; of a plane, which has no end, its origin."""
         return np.vstack([self.points(positions), positions[self._frame]])
 
     def carry(self, positions, points, weights, places, *where) -> None:
-        """See `DeformableSurface.carry`."""
+        """See `CarriedSurface.carry`."""
         carry_by_frame(positions, self._frame, places, *where)
 
 
@@ -306,16 +279,37 @@ class StandingSurface:
         """Nothing carries it.
 
         Args:
-            *_: Arguments of `DeformableSurface.carry`; not read.
+            *_: Arguments of `CarriedSurface.carry`; not read.
         """
+
+
+class NoShape:
+    """In place of the shape of a side that deforms."""
+
+
+class Side:
+    """A side of contact pairs.
+
+    Attributes:
+        name: Name of the body, beam or obstacle.
+        surface: Its points and triangles, and what carries them, such as a `DeformableSurface`.
+        shape: Shape of a rigid body or obstacle, in its frame; else a `NoShape`.
+    """
+
+    shape: Any = NoShape()
+
+    def __init__(self, name: str, surface: Any, shape: Any = shape):
+        """Take what is known of it; see the attributes."""
+        self.name, self.surface, self.shape = name, surface, shape
 
 
 class ContactPair:
     """Two things that may touch.
 
     Attributes:
-        first: The first side, such as a `DeformableSurface`.
-        second: The second.
+        first: Surface of the first side.
+        second: Surface of the second.
+        shape: Shape of the second.
         friction: Coefficient µ.
         names: Names of both.
         is_traceable: Whether `write` may be traced; see `traced_stage.py`.
@@ -323,10 +317,16 @@ class ContactPair:
 
     is_traceable = False
 
-    def __init__(self, first, second, friction: float, names: tuple[str, str]):
-        """Take both sides; see the attributes."""
-        self.first, self.second = first, second
-        self.friction, self.names = friction, names
+    def __init__(self, first: Side, second: Side, friction: float):
+        """Take both sides.
+
+        Args:
+            first: The first side.
+            second: The second.
+            friction: Coefficient µ.
+        """
+        self.first, self.second, self.shape = first.surface, second.surface, second.shape
+        self.friction, self.names = friction, (first.name, second.name)
 
     def near(self, positions: np.ndarray, margin: float) -> Proximities:
         """What is nearer than a margin [m].
@@ -350,27 +350,18 @@ class ContactPair:
 
 
 class SurfaceAndShape(ContactPair):
-    """A triangle surface and an analytic shape on a rigid body or an obstacle.
-
-    Attributes:
-        shape: The shape.
-    """
+    """A triangle surface and a shape on a rigid body or an obstacle; see `ContactPair`."""
 
     is_traceable = True
 
-    def __init__(self, first, second, detector, friction: float, names: tuple[str, str]):
-        """Store the two sides of the pair.
+    def __init__(self, first: Side, second: Side, friction: float):
+        """See `ContactPair`."""
+        super().__init__(first, second, friction)
+        self._detector = self._make_detector(isinstance(first.shape, NoShape))
 
-        Args:
-            first: The surface.
-            second: What carries the shape.
-            detector: A `SurfaceShapeDetector`.
-            friction: Coefficient µ.
-            names: Names of both.
-        """
-        super().__init__(first, second, friction, names)
-        self.shape = detector.shape
-        self._detector = detector
+    def _make_detector(self, deforms: bool) -> SurfaceShapeDetector:
+        triangles, count = self.first.triangles, self.first.point_count
+        return SurfaceShapeDetector(triangles, count, self.shape, deforms)
 
     def write(self, positions, reach, rows, span) -> None:
         """See `ContactPair.write`."""
@@ -379,46 +370,54 @@ class SurfaceAndShape(ContactPair):
         )
 
 
-class TwoBoxes(ContactPair):
+class SolidAndRound(SurfaceAndShape):
+    """A rigid triangle surface and a sphere, capsule or cylinder, exact wherever it rolls."""
+
+    def _make_detector(self, deforms: bool) -> SurfaceShapeDetector:
+        return SolidShapeDetector(self.first.triangles, self.first.rigid_points, self.shape)
+
+
+class TwoBoxes(SurfaceAndShape):
     """Two boxes: face by face; where edges or corners meet, as any surface and shape."""
 
-    def __init__(self, faces, general: SurfaceAndShape):
-        """Store the two sides of the pair.
+    is_traceable = False
 
-        Args:
-            faces: A `BoxPairDetector`.
-            general: The same boxes, the first as a surface.
-        """
-        super().__init__(general.first, general.second, general.friction, general.names)
-        self._faces, self._general, self._has_searched = faces, general, False
+    def __init__(self, first: Side, second: Side, friction: float):
+        """See `ContactPair`."""
+        super().__init__(first, second, friction)
+        self._faces, self._has_searched = BoxPairDetector(first.shape, second.shape), False
 
-    def near(self, positions: np.ndarray, margin: float) -> Proximities:
-        """What is nearer than a margin [m].
-
-        Args:
-            positions: Node positions [m], shape (node_count, 3).
-            margin: Distance below which points count as near [m].
-        """
-        found = self._faces.detect(self.first.pose(positions), self.second.pose(positions), margin)
+    def write(self, positions, reach, rows, span) -> None:
+        """See `ContactPair.write`."""
+        poses = self.first.pose(positions), self.second.pose(positions)
+        found = self._faces.detect(*poses, reach[0])
         # The general search runs in the first call too: it is compiled before bodies touch.
         if found is None or not self._has_searched:
             self._has_searched = True
-            near = self._general.near(positions, margin)
-            return near if found is None else found
-        return found
+            super().write(positions, reach, rows, span)
+        if found is not None:
+            put_pairs(found, rows, span)
 
 
 class TwoSurfaces(ContactPair):
     """Two triangle surfaces; or a surface and itself, by search or by triangles known ahead."""
 
-    def __init__(self, first, second, detector, friction: float, names: tuple[str, str]):
-        """Store the two sides; see `SurfaceAndShape`.
+    def __init__(self, first: Side, second: Side, friction: float, detector=None):
+        """See `ContactPair`.
 
-        The detector is a `SurfacePairDetector`; a `SelfDetector` or `FixedPairs` where both sides are
-        the same.
+        Args:
+            first: The first side.
+            second: The second.
+            friction: Coefficient µ.
+            detector: A `SelfDetector` or `FixedPairs` where both sides are the same.
         """
-        super().__init__(first, second, friction, names)
-        self._detector, self.is_traceable = detector, getattr(detector, "is_traceable", False)
+        super().__init__(first, second, friction)
+        one, other = self.first, self.second
+        self._detector = detector or SurfacePairDetector(
+            one.triangles, one.point_count, other.triangles, other.point_count,
+            rigid_points=(one.rigid_points, other.rigid_points),
+        )  # fmt: skip
+        self.is_traceable = getattr(self._detector, "is_traceable", False)
 
     def write(self, positions, reach, rows, span) -> None:
         """See `ContactPair.write`."""
@@ -429,22 +428,14 @@ class TwoSurfaces(ContactPair):
 
 
 class BallAndShape(ContactPair):
-    """A rigid ball and a shape: its one nearest point, exact wherever it rolls."""
+    """A rigid ball and a shape: its one nearest point, exact wherever it rolls; see `ContactPair`."""
 
-    def __init__(self, ball, radius: float, centre, second, shape, friction: float, names):
-        """Store the two sides of the pair.
-
-        Args:
-            ball: What carries the ball.
-            radius: Its radius [m].
-            centre: Its centre in its carrier's frame [m], shape (3,).
-            second: What carries the shape.
-            shape: The shape.
-            friction: Coefficient µ.
-            names: Names of both.
-        """
-        super().__init__(ball, second, friction, names)
-        self._radius, self._centre, self._shape = radius, np.asarray(centre, float), shape
+    def __init__(self, first: Side, second: Side, friction: float):
+        """See `ContactPair`."""
+        super().__init__(first, second, friction)
+        self._radius, self._centre = first.shape.radius, np.array(first.shape.centre, float)
+        self._form, self._frame = self.shape.form(), self.shape.frame()
+        self._distance, self._gradient = np.empty(1), np.empty((1, 3))
 
     def near(self, positions: np.ndarray, margin: float) -> Proximities:
         """What is nearer than a margin [m].
@@ -456,40 +447,22 @@ class BallAndShape(ContactPair):
         at, turned = self.first.pose(positions)
         origin, rotation = self.second.pose(positions)
         centre = at + turned @ self._centre
-        distances, normals = self._shape.signed_distances([(centre - origin) @ rotation])
-        gap, normal = distances[0] - self._radius, normals @ rotation.T
-        count = 1 if gap < margin else 0
-        none, whole = np.full((count, 3), -1), np.zeros((count, 3))
-        return Proximities(
-            none, whole, none, whole, (centre - self._radius * normal)[:count],
-            (centre - distances[0] * normal)[:count], normal[:count],
-            np.full(count, gap), np.zeros(count, np.int64),
-        )  # fmt: skip
+        place, axes = self._frame
+        own = ((centre - origin) @ rotation - place) @ axes
+        measure_points(self._form, own[None], self._distance, self._gradient)
+        normal = rotation @ (axes @ self._gradient[0])
+        return near_shape((centre - self._radius * normal)[None], self._distance - self._radius,
+                          normal, np.zeros(1, np.int64), margin)  # fmt: skip
 
 
-class RoundAndPlane(ContactPair):
-    """A rigid capsule or cylinder and a plane: the points of its round that come lowest.
+class RollingAndPlane(ContactPair):
+    """A rigid shape that rolls and a plane: the points of the shape that come lowest."""
 
-    A capsule touches with the balls at its ends, a cylinder with the lowest points of its rims;
-    where a cap is parallel to the plane, with points all round it. So it rolls as it is round.
-    """
-
-    def __init__(self, solid, shape, second, plane, friction: float, names: tuple[str, str]):
-        """Store the two sides of the pair.
-
-        Args:
-            solid: What carries the capsule or cylinder.
-            shape: The capsule or cylinder, in its carrier's frame.
-            second: What carries the plane.
-            plane: The plane, in its carrier's frame.
-            friction: Coefficient µ.
-            names: Names of both.
-        """
-        super().__init__(solid, second, friction, names)
-        self._plane, self._radius = plane, shape.radius
-        self._is_capsule = shape.kind == CAPSULE
-        self._centre, self._axes = shape.frame()
-        self._half_length = shape.extents()[1]
+    def __init__(self, first: Side, second: Side, friction: float):
+        """See `ContactPair`."""
+        super().__init__(first, second, friction)
+        self._rolling, (self._centre, self._axes) = first.shape, first.shape.frame()
+        self._point, self._normal = np.array(self.shape.point), self.shape.unit_normal
 
     def near(self, positions: np.ndarray, margin: float) -> Proximities:
         """What is nearer than a margin [m].
@@ -500,36 +473,28 @@ class RoundAndPlane(ContactPair):
         """
         at, turned = self.first.pose(positions)
         origin, rotation = self.second.pose(positions)
-        normal = rotation @ self._plane.normal
+        normal = rotation @ self._normal
         centre, axes = at + turned @ self._centre, turned @ self._axes
-        points, keys = self._lowest(normal @ axes)
+        points, keys = self._rolling.lowest(normal @ axes)
         points = centre + points @ axes.T
-        if self._is_capsule:
-            points -= self._radius * normal
-        gaps = (points - origin - rotation @ self._plane.point) @ normal
-        touching = gaps < margin
-        points, gaps, keys = points[touching], gaps[touching], keys[touching]
-        count = len(gaps)
-        none, whole = np.full((count, 3), -1), np.zeros((count, 3))
-        return Proximities(
-            none, whole, none, whole, points, points - gaps[:, None] * normal,
-            np.tile(normal, (count, 1)), gaps, keys,
-        )  # fmt: skip
+        gaps = (points - origin - rotation @ self._point) @ normal
+        return near_shape(points, gaps, normal, keys, margin)
 
-    def _lowest(self, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Points that may touch, and their keys; of a capsule the ends of its axis.
 
-        Args:
-            normal: The plane's normal in the shape's own frame, whose third axis is its axis.
-        """
-        ends = np.array([[0.0, 0.0, -self._half_length], [0.0, 0.0, self._half_length]])
-        if self._is_capsule:
-            return ends, np.arange(2)
-        across = np.hypot(normal[0], normal[1])
-        caps = np.flatnonzero(np.array([-normal[2], normal[2]]) <= PARALLEL_FACE)
-        if across > PARALLEL_FACE:
-            lowest = np.array([*(-self._radius / across * normal[:2]), 0.0])
-            return ends[caps] + lowest, 16 * caps
-        angles = 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
-        rim = self._radius * np.column_stack([np.cos(angles), np.sin(angles), 0.0 * angles])
-        return ends[caps[0]] + rim, 16 * caps[0] + 1 + np.arange(RIM_POINTS)
+def near_shape(points, gaps, normal, keys, margin: float) -> Proximities:
+    """Those of some points of a solid that are nearer to a shape than a margin.
+
+    Args:
+        points: The points [m], shape (count, 3).
+        gaps: Their gaps [m], shape (count,).
+        normal: Unit vector from the shape to the solid, shape (3,).
+        keys: Their keys, shape (count,).
+        margin: Distance below which points count as near [m].
+    """
+    touching = gaps < margin
+    points, gaps = points[touching], gaps[touching]
+    none, whole = np.full((len(gaps), 3), -1), np.zeros((len(gaps), 3))
+    return Proximities(
+        none, whole, none, whole, points, points - gaps[:, None] * normal,
+        np.tile(normal, (len(gaps), 1)), gaps, keys[touching],
+    )  # fmt: skip

@@ -94,9 +94,7 @@ class PatchOrientation(NamedTuple):
         return 3 if self.axis is None else 2
 
 
-def patch_arms(
-    points: BarycentricMapping, rest_positions: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def patch_arms(points: BarycentricMapping, rest_positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Nodes and arms of a patch.
 
     Args:
@@ -336,9 +334,7 @@ class PosedEffectors(Effectors):
         table = np.array(entries, np.int64).reshape(-1, 3)
         self._entry_patch, self._entry_row, self._entry_arm = np.ascontiguousarray(table.T)
         self._position_entries = len(self.entry_rows)
-        self.entry_rows = np.concatenate(
-            [self.entry_rows, self.position_row_count + self._entry_row]
-        )
+        self.entry_rows = np.concatenate([self.entry_rows, self.position_row_count + self._entry_row])
         nodes = free_index[self._patch_nodes[self._entry_arm]]
         self.entry_nodes = np.concatenate([self.entry_nodes, nodes])
 
@@ -435,9 +431,7 @@ class PosedEffectors(Effectors):
             if effector not in self._owners:
                 raise CommandError("orientations", f"{name} asks for no orientation")
             if missing.any() or np.abs(quaternion).max() < LEAST_COMPONENT:
-                raise CommandError(
-                    "orientations", f"of {name}: {quaternion.tolist()} is no rotation"
-                )
+                raise CommandError("orientations", f"of {name}: {quaternion.tolist()} is no rotation")
 
     def _begin_at(self, patch: int, rotation: np.ndarray) -> None:
         """Set a target that is no motion of the last one."""
@@ -491,9 +485,7 @@ class PosedEffectors(Effectors):
         for patch, rotation in enumerate(self.rotations(positions)):
             if self._is_aimed[patch]:
                 orientation = self.orientations[patch]
-                found[orientation.effector] = _angle(
-                    orientation.axis, rotation, self._wanted[patch]
-                )
+                found[orientation.effector] = _angle(orientation.axis, rotation, self._wanted[patch])
         return found
 
     def angles_to(self, quaternions: np.ndarray, rotations: np.ndarray) -> np.ndarray:

@@ -81,9 +81,7 @@ class HingeAngles(ConstraintTerm):
         """Find the places of the diagonal blocks."""
         self._offsets, self._strides = slots(self.entry_nodes, self.entry_nodes)
 
-    def add_row_stiffness(
-        self, positions: np.ndarray, stiffness: np.ndarray, storage: np.ndarray
-    ) -> None:
+    def add_row_stiffness(self, positions: np.ndarray, stiffness: np.ndarray, storage: np.ndarray) -> None:
         """Add Hᵀ ρ H; see `ConstraintTerm.add_row_stiffness`."""
         storage[self._offsets] += stiffness
 

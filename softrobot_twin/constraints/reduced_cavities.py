@@ -138,9 +138,7 @@ def _add_coefficients(points, shapes, triangles, linear, quadratic, cubic) -> No
     # The triangles alone are not closed: volumes are those of cones with their tip in the mean.
     tip, tipped = len(points), np.vstack([points, np.zeros(3)])
     gradients = np.zeros_like(tipped)
-    add_volume_gradients(
-        tipped, triangles, np.zeros(len(triangles), np.int64), np.array([tip]), gradients
-    )
+    add_volume_gradients(tipped, triangles, np.zeros(len(triangles), np.int64), np.array([tip]), gradients)
     rows = shapes.reshape(-1, modes)
     linear += gradients[:tip].ravel() @ rows
     write_gradient_changes(points, shapes, triangles, 0, changes)
@@ -358,9 +356,7 @@ class BodyVolumes:
         bound = bind_stencils(self.unknowns[None], elimination_rank, slots)
         self._bound = tuple(field[0] for field in bound)
 
-    def add_stiffness(
-        self, positions: np.ndarray, multipliers: np.ndarray, storage: np.ndarray
-    ) -> None:
+    def add_stiffness(self, positions: np.ndarray, multipliers: np.ndarray, storage: np.ndarray) -> None:
         """Add that of the pressures; see `ConstraintTerm.add_stiffness`."""
         pressures = multipliers[self.rows]
         if pressures.any():

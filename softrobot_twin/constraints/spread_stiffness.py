@@ -142,12 +142,8 @@ class SpreadStiffness:
             storage: The factorization's storage [N/m]; added to.
             is_more: Whether the rows of what was added before stay.
         """
-        add_weighted_matrices(
-            matrices, self._heavy_c, self._bound.offsets, self._bound.strides, storage
-        )
-        write_roots(
-            matrices, self._free, self._c, self._heavy, self._heavy_c, *self._written, is_more
-        )
+        add_weighted_matrices(matrices, self._heavy_c, self._bound.offsets, self._bound.strides, storage)
+        write_roots(matrices, self._free, self._c, self._heavy, self._heavy_c, *self._written, is_more)
 
     def clear_dense_rows(self) -> None:
         """See `ConstraintTerm.clear_dense_rows`."""
@@ -157,6 +153,4 @@ class SpreadStiffness:
     def dense_rows(self) -> DenseRows:
         """Rows of what was added; before, as many without entries as there may be."""
         rows, nodes, blocks, signs, (row_count, entry_count) = self._written
-        return DenseRows(
-            rows[:entry_count], nodes[:entry_count], blocks[:entry_count], signs[:row_count]
-        )
+        return DenseRows(rows[:entry_count], nodes[:entry_count], blocks[:entry_count], signs[:row_count])

@@ -18,8 +18,8 @@ from __future__ import annotations
 import numpy as np
 
 from softrobot_twin.geometry.proximities import Proximities, empty_proximities
-from softrobot_twin.geometry.shapes.box import Box
 from softrobot_twin.geometry.shapes.distance_kernels import place_frame
+from softrobot_twin.geometry.shapes.shape import Shape
 from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, row, scaled, set_row, subtract
 from softrobot_twin.kernels.compilation import INNER, KERNEL, ONCE, njit
 
@@ -166,9 +166,7 @@ def face_contacts(first, first_half, second, second_half, margin, corners, label
     first_axes, second_axes = first[1:], second[1:]
     offset = subtract(row(first, 0), row(second, 0))
     by_second, second_face = _best_face(second_axes, second_half, first_axes, first_half, offset)
-    by_first, first_face = _best_face(
-        first_axes, first_half, second_axes, second_half, scaled(offset, -1.0)
-    )
+    by_first, first_face = _best_face(first_axes, first_half, second_axes, second_half, scaled(offset, -1.0))
     by_edges = _best_edges(first_axes, first_half, second_axes, second_half, offset)
     if max(by_first, by_second, by_edges) >= margin:
         return 0
@@ -233,7 +231,7 @@ def face_contacts(first, first_half, second, second_half, margin, corners, label
 class BoxPairDetector:
     """Detects contacts between the faces of two boxes."""
 
-    def __init__(self, first: Box, second: Box):
+    def __init__(self, first: Shape, second: Shape):
         """Takes the boxes, each in the frame of its carrier."""
         self._boxes = [
             (np.array(box.frame()[0], float), np.array(box.frame()[1], float, order="C"),

@@ -83,14 +83,11 @@ def nearest_distances(tree: BoxTree, corners: np.ndarray, points: np.ndarray) ->
         points: The points [m], shape (point_count, 3).
     """
     least = np.empty(len(points))
-    _write_nearest(np.ascontiguousarray(points), tree.boxes, tree.order,
-                   corners.reshape(-1, 3), least)  # fmt: skip
+    _write_nearest(np.ascontiguousarray(points), tree.boxes, tree.order, corners.reshape(-1, 3), least)
     return np.sqrt(least)
 
 
-def near_items(
-    tree: BoxTree, points: np.ndarray, reaches: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def near_items(tree: BoxTree, points: np.ndarray, reaches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Pairs of a point and an item whose box is within the point's reach.
 
     Args:

@@ -242,8 +242,7 @@ def _mesh_shells(path: Path, shells: Shells, size: float, turn: int | None) -> C
         refuse_size(1e3 * size, 1e3 * extents, 1e9 * shells.volume, MOST_TETS)
     except Refused as error:
         raise MeshError(path, str(error)) from None
-    arrays = {"points": 1e3 * shells.points, "triangles": shells.triangles,
-              "shells": shells.shell_of}  # fmt: skip
+    arrays = {"points": 1e3 * shells.points, "triangles": shells.triangles, "shells": shells.shell_of}
     chambers = [(shell, 1e9 * enclosed_volume(shells.points, shells.triangles[shells.shell_of == shell]))
                 for own in shells.solids for shell in own[1:]]  # fmt: skip
     job = {"size": 1e3 * size, "shells": True, "solids": shells.solids, "turn": turn,
@@ -285,9 +284,7 @@ def _made(path: Path, made: dict, notes: list[str]) -> CadMesh:
     return CadMesh(mesh, regions, cavities, tuple(notes), str(made["version"]), lost)
 
 
-def _lost_shares(
-    mesh: TetMesh, cavities: dict[str, np.ndarray], chambers: np.ndarray
-) -> dict[str, float]:
+def _lost_shares(mesh: TetMesh, cavities: dict[str, np.ndarray], chambers: np.ndarray) -> dict[str, float]:
     """Share of volume that each cavity has lost against the chamber of the part at its place."""
     lost = {}
     for name, triangles in cavities.items():

@@ -102,9 +102,7 @@ class CellMesh(Protocol):
         """
         ...
 
-    def carriers(
-        self, cells: np.ndarray, barycentric_weights: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def carriers(self, cells: np.ndarray, barycentric_weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Nodes that carry points inside cells, and their weights.
 
         Args:
@@ -130,9 +128,7 @@ class CornerMesh(CellMesh, Protocol):
         """Empty, shape (0, 2)."""
         return np.empty((0, 2), dtype=np.int64)
 
-    def carriers(
-        self, cells: np.ndarray, barycentric_weights: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def carriers(self, cells: np.ndarray, barycentric_weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """See `CellMesh.carriers`: the corners of the cells; of hexahedra with eight weights."""
         return self.cells[cells], barycentric_weights
 

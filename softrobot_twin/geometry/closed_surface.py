@@ -294,9 +294,7 @@ def flat_regions(surface: ClosedSurface, points: np.ndarray) -> FlatRegions:
     """
     points = np.array(points, dtype=np.float64, order="C")
     corners = points[surface.links[:, :3]]
-    areas = np.linalg.norm(
-        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-    )
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     size = float(np.linalg.norm(np.ptp(points[surface.vertices], axis=0)))
     normals = np.empty((len(surface.links), 4))
     compute_normals(points, surface.links, normals)

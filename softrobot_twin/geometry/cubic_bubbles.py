@@ -41,9 +41,7 @@ class CubicMesh(QuadraticMesh):
     signs: np.ndarray
     bubble_corners: np.ndarray
 
-    def carriers(
-        self, tets: np.ndarray, barycentric_weights: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def carriers(self, tets: np.ndarray, barycentric_weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Nodes and bubbles that carry points inside tetrahedra; see `TetMesh.carriers`."""
         values = cubic_values(barycentric_weights) * self.signs[tets]
         return self.functions[tets], values
@@ -98,9 +96,7 @@ def add_bubbles(mesh: QuadraticMesh, first_bubble: int | None = None) -> CubicMe
     edge_count = len(mesh.mid_edge_ends)
     signs = np.ones((len(corners), FUNCTION_COUNT))
     signs[:, FIRST_EDGE:FIRST_FACE] = np.where(ends[:, :, 0] < ends[:, :, 1], 1.0, -1.0)
-    functions = np.hstack(
-        [mesh.cells, first + edges, first + edge_count + face.reshape(-1, len(FACES))]
-    )
+    functions = np.hstack([mesh.cells, first + edges, first + edge_count + face.reshape(-1, len(FACES))])
     edge_corners = mesh.mid_edge_ends[:, [0, 1, 1]]
     bubble_corners = np.concatenate([edge_corners, face_corners])
     return CubicMesh(

@@ -20,9 +20,7 @@ LIBRARIES = ("libglu1-mesa libgl1 libgomp1 libxrender1 libxcursor1 libxfixes3 li
 """Ubuntu's packages of the libraries that gmsh loads, though it opens no window here."""
 
 
-def run_gmsh(
-    path: Path, job: dict, arrays: dict[str, np.ndarray] | None = None
-) -> dict[str, np.ndarray]:
+def run_gmsh(path: Path, job: dict, arrays: dict[str, np.ndarray] | None = None) -> dict[str, np.ndarray]:
     """Runs `gmsh_mesher` in a process of its own.
 
     Args:

@@ -36,8 +36,7 @@ HEXAHEDRON_FACES = np.array(
     [[0, 3, 2, 1], [4, 5, 6, 7], [0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7]]
 )
 # Six tetrahedra around the diagonal from corner 0 to corner 6.
-INTO_TETS = np.array([[0, 1, 2, 6], [0, 2, 3, 6], [0, 3, 7, 6], [0, 7, 4, 6], [0, 4, 5, 6],
-                       [0, 5, 1, 6]])  # fmt: skip
+INTO_TETS = np.array([[0, 1, 2, 6], [0, 2, 3, 6], [0, 3, 7, 6], [0, 7, 4, 6], [0, 4, 5, 6], [0, 5, 1, 6]])
 # The two triangles of a quadrilateral along each diagonal.
 DIAGONAL_HALVES = np.array([[[0, 1, 2], [0, 2, 3]], [[0, 1, 3], [1, 2, 3]]])
 # Diagonals whose lengths differ by less than this share count as equal.
@@ -128,9 +127,7 @@ class HexahedralMesh(CornerMesh):
         Args:
             positions: Of the nodes [m], shape (node_count, 3).
         """
-        return np.concatenate(
-            [positions[self.tets].mean(axis=1), positions[self.hexahedra].mean(axis=1)]
-        )
+        return np.concatenate([positions[self.tets].mean(axis=1), positions[self.hexahedra].mean(axis=1)])
 
     @cached_property
     def volumes(self) -> np.ndarray:
@@ -277,9 +274,7 @@ def hexahedron_points(mesh: HexahedralMesh) -> IntegrationPoints:
         One point of each; see `MeanHexahedron`.
     """
     corners = mesh.node_positions[mesh.hexahedra]
-    gradients, weights = integration_points(
-        mesh.node_positions, mesh.hexahedra, TRILINEAR_HEXAHEDRON
-    )
+    gradients, weights = integration_points(mesh.node_positions, mesh.hexahedra, TRILINEAR_HEXAHEDRON)
     integrals = np.einsum("kq,kqai->kai", weights, gradients)
     volumes = weights.sum(axis=1)
     shared, diagonals = mesh._free_faces.shared, mesh._free_faces.diagonals

@@ -52,9 +52,7 @@ def surface_mass_properties(points: np.ndarray, triangles: np.ndarray) -> MassPr
     volume = float(volumes.sum())
     # A smaller volume is round-off of a flat surface.
     if volume <= 1e-12 * np.ptp(points[np.unique(triangles)], axis=0).max() ** 3:
-        raise MeshError(
-            None, f"the surface encloses {volume:g} m³; its triangles must run outwards"
-        )
+        raise MeshError(None, f"the surface encloses {volume:g} m³; its triangles must run outwards")
     sums = corners.sum(axis=1)
     offset = volumes @ sums / (4.0 * volume)
     # ∫ x xᵀ over a tetrahedron with one corner at the origin is V/20 (Σ x_i x_iᵀ + s sᵀ).

@@ -111,9 +111,7 @@ class MeshParts(NamedTuple):
             raise MeshError(self.path, f"{name} {self.unusable[name]}")
         known = ", ".join(sorted(parts)) or "none"
         also = f"; {self.unnamed}" if self.unnamed else ""
-        raise MeshError(
-            self.path, f"has no {_KINDS[kind]} named {name}; of this kind it names {known}{also}"
-        )
+        raise MeshError(self.path, f"has no {_KINDS[kind]} named {name}; of this kind it names {known}{also}")
 
 
 NO_PARTS = MeshParts(None, {}, {}, {}, {}, "")

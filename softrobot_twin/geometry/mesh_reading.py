@@ -275,9 +275,7 @@ def read_solid_mesh(
     mesh_node_indices = nodes.new_indices[representatives]
     mids = None
     if file.mid_nodes is not None:
-        mids = _mid_edge_nodes(
-            positions, file, representatives, mesh_node_indices, file_tets, notes
-        )
+        mids = _mid_edge_nodes(positions, file, representatives, mesh_node_indices, file_tets, notes)
     used = mesh_node_indices >= 0
     used[file.mid_nodes[file.mid_nodes >= 0] if mids else []] = True
     cell = "cell" if len(hexahedra) else "tetrahedron"
@@ -341,9 +339,7 @@ def _mid_edge_nodes(
     mesh_node_indices: np.ndarray, file_tets: np.ndarray, notes: list[str],
 ) -> MidEdgeNodes:  # fmt: skip
     """Finds the edges of the mid-edge nodes, and adds a note on curved edges."""
-    found = place_mid_edge_nodes(
-        positions, representatives[file.tets[file_tets]], file.mid_nodes[file_tets]
-    )
+    found = place_mid_edge_nodes(positions, representatives[file.tets[file_tets]], file.mid_nodes[file_tets])
     if len(found.curved):
         notes.append(
             f"Straightened {len(found.curved)} curved edges (the node furthest off, "

@@ -75,9 +75,7 @@ def locate_points(mesh: TetMesh | HexahedralMesh, points: np.ndarray) -> PointLo
     distances = np.zeros(len(points))
     outside = lowest < -_WEIGHT_ROUND_OFF
     if outside.any():
-        cells[outside], weights[outside], distances[outside] = _nearest_on_surface(
-            mesh, points[outside]
-        )
+        cells[outside], weights[outside], distances[outside] = _nearest_on_surface(mesh, points[outside])
     return PointLocation(cells, mesh.cells[cells], weights, distances)
 
 
@@ -231,9 +229,7 @@ def _deepest(
     return best, weights, depths
 
 
-def _deepest_hexahedra(
-    mesh: HexahedralMesh, points: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _deepest_hexahedra(mesh: HexahedralMesh, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The same among hexahedra: the depth is (1 - max |ξ_i|) / 2."""
     items = _items_of(mesh, "hexahedra", mesh.hexahedra)
     corners = items.corners
@@ -279,9 +275,7 @@ def _deepest_tets(items: _Items, points: np.ndarray) -> tuple[np.ndarray, np.nda
         used, of_used = np.unique(tets, return_inverse=True)
         edges = (corners[used, 1:] - corners[used, :1]).transpose(0, 2, 1)
         weights = np.empty((len(tets), 4))
-        weights[:, 1:] = np.einsum(
-            "pij,pj->pi", np.linalg.inv(edges)[of_used], asked - corners[tets, 0]
-        )
+        weights[:, 1:] = np.einsum("pij,pj->pi", np.linalg.inv(edges)[of_used], asked - corners[tets, 0])
         weights[:, 0] = 1.0 - weights[:, 1:].sum(axis=1)
         return weights, weights.min(axis=1)
 

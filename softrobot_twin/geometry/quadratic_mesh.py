@@ -62,9 +62,7 @@ class QuadraticMesh(InnerNodesMesh):
         ab, bc, ca = np.take_along_axis(behind, between[corner, after], axis=1).T
         return np.stack([a, ab, ca, b, bc, ab, c, ca, bc, ab, bc, ca], axis=1).reshape(-1, 3)
 
-    def carriers(
-        self, tets: np.ndarray, barycentric_weights: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def carriers(self, tets: np.ndarray, barycentric_weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Nodes that carry points inside tetrahedra, and their weights.
 
         Args:

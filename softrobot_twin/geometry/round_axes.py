@@ -14,7 +14,8 @@ Arguments of the kernels here:
     axis, first, second: A `RoundAxis`.
     balls, others: Centre and radius of the ball of each element [m], shape (element_count, 4).
     e, f: An element of the first, and of the second axis.
-    kind, extents: Of the convex shape, see `shape_distance`.
+    bend: Radius of curvature of the shape [m], infinite where it is flat.
+    form: Of the convex shape, see `shape_distance`.
     least: A distance [m].
     out: The same in `_write_balls`; in `axis_distances` the distance of each element of the
         first axis from each of the second [m], shape (first_count, second_count).
@@ -31,8 +32,6 @@ import numpy as np
 
 from softrobot_twin.geometry.proximities import write_row
 from softrobot_twin.geometry.shapes.distance_kernels import (
-    CAPSULE,
-    CYLINDER,
     in_frame,
     shape_distance,
 )
@@ -147,19 +146,19 @@ def are_apart(balls, e, others, f, least):
 
 
 @njit(**INLINED)
-def _shape_gap(axis, e, s, kind, extents, placed):
+def _shape_gap(axis, e, s, form, placed):
     """Distance of x(s) from a shape [m]."""
-    distance, _ = shape_distance(kind, extents, in_frame(placed, axis_point(axis, e, s)))
+    distance, _ = shape_distance(form, in_frame(placed, axis_point(axis, e, s)))
     return distance
 
 
 @njit(**ONCE)
-def _least_dip(axis, e, kind, extents):
+def _least_dip(axis, e, bend):
     """By how much a place of element e is nearer to a shape than both ends where it touches [m]."""
     dip = DIP * axis.radius
-    if kind == CAPSULE or kind == CYLINDER:
+    if bend < np.inf:
         length = norm(subtract(at_end(axis.places, e, 1), at_end(axis.places, e, 0)))
-        bend = extents[0] + axis.radius
+        bend += axis.radius
         if length < FOLLOWS * bend:
             # On a straight element it is L²/8R; near a rim or where the element buckles, more.
             dip = axis.radius + length * length / (8.0 * bend)
@@ -167,37 +166,37 @@ def _least_dip(axis, e, kind, extents):
 
 
 @njit(**KERNEL, inline="always")
-def nearest_share(axis, e, kind, extents, placed):
+def nearest_share(axis, e, form, placed):
     """Share of element e that is nearest to a convex shape."""
     evenness = EVENNESS * norm(subtract(at_end(axis.places, e, 1), at_end(axis.places, e, 0)))
     best, least = 0, np.inf
     for k in range(PLACES):
         s = k / (PLACES - 1.0)
-        gap = _shape_gap(axis, e, s, kind, extents, placed) + evenness * (s - 0.5) ** 2
+        gap = _shape_gap(axis, e, s, form, placed) + evenness * (s - 0.5) ** 2
         if gap < least:
             best, least = k, gap
     low = max(best - 1, 0) / (PLACES - 1.0)
     high = min(best + 1, PLACES - 1) / (PLACES - 1.0)
     a, b = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
-    at_a = _shape_gap(axis, e, a, kind, extents, placed) + evenness * (a - 0.5) ** 2
-    at_b = _shape_gap(axis, e, b, kind, extents, placed) + evenness * (b - 0.5) ** 2
+    at_a = _shape_gap(axis, e, a, form, placed) + evenness * (a - 0.5) ** 2
+    at_b = _shape_gap(axis, e, b, form, placed) + evenness * (b - 0.5) ** 2
     for _ in range(HALVINGS):
         if at_a <= at_b:
             high, b, at_b = b, a, at_a
             a = high - GOLDEN * (high - low)
-            at_a = _shape_gap(axis, e, a, kind, extents, placed) + evenness * (a - 0.5) ** 2
+            at_a = _shape_gap(axis, e, a, form, placed) + evenness * (a - 0.5) ** 2
         else:
             low, a, at_a = a, b, at_b
             b = low + GOLDEN * (high - low)
-            at_b = _shape_gap(axis, e, b, kind, extents, placed) + evenness * (b - 0.5) ** 2
+            at_b = _shape_gap(axis, e, b, form, placed) + evenness * (b - 0.5) ** 2
     return 0.5 * (low + high)
 
 
 @njit(**INNER)
-def _write_shape_pair(axis, e, s, kind, extents, placed, margin, key, rows, count):
+def _write_shape_pair(axis, e, s, form, placed, margin, key, rows, count):
     """Write the pair of x(s) and a shape if it is nearer than the margin; the count after."""
     x = axis_point(axis, e, s)
-    distance, g = shape_distance(kind, extents, in_frame(placed, x))
+    distance, g = shape_distance(form, in_frame(placed, x))
     gap = distance - axis.radius
     if gap >= margin:
         return count
@@ -210,14 +209,14 @@ def _write_shape_pair(axis, e, s, kind, extents, placed, margin, key, rows, coun
 
 
 @njit(**KERNEL)
-def pair_axis_with_shape(axis, excluded, kind, extents, placed, reach, rows, span):
+def pair_axis_with_shape(axis, excluded, form, bend, placed, reach, rows, span):
     """Write what is nearer to a shape than the margin: nodes, and places of elements; see `DIP`.
 
     Args:
         axis: A `RoundAxis`.
         excluded: Keys that never count, shape (2 element_count + 1,).
-        kind: See `shape_distance`.
-        extents: See `shape_distance`.
+        form: See above.
+        bend: See above.
         placed: Frame of the shape; see `place_frame`.
         reach: See `proximities.py`.
         rows: See there.
@@ -226,35 +225,26 @@ def pair_axis_with_shape(axis, excluded, kind, extents, placed, reach, rows, spa
     count, last, margin = span[0], len(axis.places) - 1, reach[0]
     for e in range(last + 1):
         centre, radius = _ball_around(axis, e)
-        away, _ = shape_distance(kind, extents, in_frame(placed, centre))
+        away, _ = shape_distance(form, in_frame(placed, centre))
         if away - radius - axis.radius >= margin:
             continue
         if not excluded[2 * e]:
-            count = _write_shape_pair(
-                axis, e, 0.0, kind, extents, placed, margin, 2 * e, rows, count
-            )
+            count = _write_shape_pair(axis, e, 0.0, form, placed, margin, 2 * e, rows, count)
         if not excluded[2 * e + 1]:
-            s = nearest_share(axis, e, kind, extents, placed)
-            dip = _least_dip(axis, e, kind, extents)
-            ends = min(
-                _shape_gap(axis, e, 0.0, kind, extents, placed),
-                _shape_gap(axis, e, 1.0, kind, extents, placed),
-            )
-            if _shape_gap(axis, e, s, kind, extents, placed) < ends - dip:
-                count = _write_shape_pair(
-                    axis, e, s, kind, extents, placed, margin, 2 * e + 1, rows, count
-                )
+            s = nearest_share(axis, e, form, placed)
+            dip = _least_dip(axis, e, bend)
+            ends = min(_shape_gap(axis, e, 0.0, form, placed), _shape_gap(axis, e, 1.0, form, placed))
+            if _shape_gap(axis, e, s, form, placed) < ends - dip:
+                count = _write_shape_pair(axis, e, s, form, placed, margin, 2 * e + 1, rows, count)
         # The end of an element is a node of the next one, which may be too far to be looked at.
         if not excluded[2 * e + 2]:
             next_is_far = True
             if e < last:
                 centre, radius = _ball_around(axis, e + 1)
-                away, _ = shape_distance(kind, extents, in_frame(placed, centre))
+                away, _ = shape_distance(form, in_frame(placed, centre))
                 next_is_far = away - radius - axis.radius >= margin
             if next_is_far:
-                count = _write_shape_pair(
-                    axis, e, 1.0, kind, extents, placed, margin, 2 * e + 2, rows, count
-                )
+                count = _write_shape_pair(axis, e, 1.0, form, placed, margin, 2 * e + 2, rows, count)
     span[1] = count
 
 

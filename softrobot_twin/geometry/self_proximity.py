@@ -99,9 +99,7 @@ def _begins_inside(x, links, fans, normals, grid, reach, foot, away):
 
 
 @njit(**KERNEL)
-def mark_excluded_pairs(
-    x, links, normals, fans, grid, vertices, paths, along, through, marked
-):
+def mark_excluded_pairs(x, links, normals, fans, grid, vertices, paths, along, through, marked):
     """Mark the excluded pairs of some vertices and all triangles.
 
     Args:
@@ -136,9 +134,7 @@ def mark_excluded_pairs(
             foot = add_scaled(add_scaled(scaled(a, w[0]), b, w[1]), c, w[2])
             away = subtract(p, foot)
             distance = norm(away)
-            if distance <= through and _begins_inside(
-                x, links, fans, normals, grid, through, foot, away
-            ):
+            if distance <= through and _begins_inside(x, links, fans, normals, grid, through, foot, away):
                 marked[i, t] = NEIGHBOUR
                 continue
             rise = dot(away, n)
@@ -272,9 +268,7 @@ class SelfDetector(SurfacePairDetector):
         surface = self._sides[0].surface
         if self.depth is None:
             self.depth = _DEPTH_IN_EDGES * mean_edge_length(surface, points)
-        self._rest = find_excluded_pairs(
-            surface, points, alarm_distance, _THROUGH_THE_BODY * self.depth
-        )
+        self._rest = find_excluded_pairs(surface, points, alarm_distance, _THROUGH_THE_BODY * self.depth)
 
 
 @njit(**KERNEL)

@@ -183,9 +183,7 @@ def modes(points: np.ndarray) -> np.ndarray:
     points = np.asarray(points, dtype=float)
     products = points * np.roll(points, -1, axis=1)  # ξη ηζ ζξ
     bending = -2.0 * points[:, :, None] * np.eye(3)
-    return np.concatenate(
-        [bending, products[:, None], np.roll(products, 1, axis=1)[:, None]], axis=1
-    )
+    return np.concatenate([bending, products[:, None], np.roll(products, 1, axis=1)[:, None]], axis=1)
 
 
 def quadratic_values(barycentric: np.ndarray) -> np.ndarray:

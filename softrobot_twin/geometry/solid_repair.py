@@ -44,9 +44,7 @@ def repair_solids(
         MeshError: A surface meets or crosses itself, or a hole has no shape that can be closed; or
             manifold3d is needed and not installed.
     """
-    _, place, counts = np.unique(
-        np.sort(triangles, axis=1), axis=0, return_inverse=True, return_counts=True
-    )
+    _, place, counts = np.unique(np.sort(triangles, axis=1), axis=0, return_inverse=True, return_counts=True)
     walls = (counts == 2)[place.ravel()] & _is_turned_pair(triangles, place.ravel())
     if walls.any() and not walls.all():
         triangles = triangles[~walls]
@@ -100,9 +98,7 @@ def _united(
     solids, cavities = {}, {}
     for shell in range(shell_of.max() + 1):
         used, corners = np.unique(outward[shell_of == shell], return_inverse=True)
-        solid = manifold3d.Manifold(
-            manifold3d.Mesh64(points[used], corners.reshape(-1, 3).astype(np.uint64))
-        )
+        solid = manifold3d.Manifold(manifold3d.Mesh64(points[used], corners.reshape(-1, 3).astype(np.uint64)))
         if solid.status() != manifold3d.Error.NoError:
             raise MeshError(path, f"has a solid that is not closed ({solid.status()}); {_BY_HAND}")
         # Shells that cross are not nested: those whose normals point inwards are cavities.
@@ -110,8 +106,7 @@ def _united(
         (cavities if is_cavity else solids)[shell] = solid
     for shell, cavity in cavities.items():
         place = points[triangles[shell_of == shell][0, 0]]
-        around = [other for other in solids
-                  if is_inside(place, points[outward[shell_of == other]])]  # fmt: skip
+        around = [other for other in solids if is_inside(place, points[outward[shell_of == other]])]
         if around:
             owner = min(around, key=lambda other: solids[other].volume())
             solids[owner] = solids[owner] - cavity

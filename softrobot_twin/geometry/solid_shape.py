@@ -175,18 +175,16 @@ def search_ball(p, radius, end, x, links, edges, fans, normals, margin, first_ke
 
 
 @njit(**ONCE)
-def _search_rim_point(
-    kind, extents, p, point, x, links, edges, fans, normals, t, margin, first_key, found, count
-):
+def _search_rim_point(form, p, point, x, links, edges, fans, normals, t, margin, first_key, found, count):
     """Add a point p of the rim of a cylinder against the plane at triangle t, if it is near."""
-    reach = max(margin, min(extents[0], extents[1]))
+    reach = max(margin, min(form[1][0], form[1][1]))
     if out_of_reach(x, links[t, 0], links[t, 1], links[t, 2], p, reach):
         return count
     touched, feature, w, foot, n, gap = _plane_under(p, x, links, edges, fans, normals, t, reach)
     if touched == NONE or gap >= margin:
         return count
     # A point below the plane has penetrated only if its foot point is not past the shape.
-    if gap < 0.0 and is_past_shape(kind, extents, foot, gap):
+    if gap < 0.0 and is_past_shape(form, foot, gap):
         return count
     key = _face_key(first_key, touched, feature, len(links), len(edges), point)
     corners = (links[t, 0], links[t, 1], links[t, 2])
@@ -194,8 +192,9 @@ def _search_rim_point(
 
 
 @njit(**ONCE)
-def _search_rims(kind, extents, x, links, edges, fans, normals, margin, first_key, found, count):
+def _search_rims(form, x, links, edges, fans, normals, margin, first_key, found, count):
     """Find the rim points nearest to each plane, or points all around a cap parallel to it."""
+    extents = form[1]
     radius, half = extents[0], extents[1]
     reach = max(margin, min(radius, half))
     for t in range(len(links)):
@@ -212,7 +211,7 @@ def _search_rims(kind, extents, x, links, edges, fans, normals, margin, first_ke
                 p = rim_point(extents, n, across, up, i)
                 if abs(dot(p, n) - normals[t, 3]) <= reach:
                     count = _search_rim_point(
-                        kind, extents, p, CAP_STRIDE * cap + i, x, links, edges, fans, normals, t,
+                        form, p, CAP_STRIDE * cap + i, x, links, edges, fans, normals, t,
                         margin, first_key, found, count,
                     )  # fmt: skip
     return count
@@ -220,22 +219,22 @@ def _search_rims(kind, extents, x, links, edges, fans, normals, margin, first_ke
 
 @njit(**KERNEL)
 def _search_solid(
-    kind, extents, frame_origin, frame_axes, origin, rotation, points, vertices, clusters,
-    triangles, links, edges, fans, leaders, crests, ridges, ridge_points, ridge_sides, normals,
+    form, width, frame_origin, frame_axes, origin, rotation, points, vertices, clusters, triangles,
+    links, edges, fans, leaders, crests, ridges, ridge_points, ridge_sides, normals,
     reach, placed, x, distances, gradients, found,
 ):  # fmt: skip
     """Find all candidates of a rigid surface; returns what `missing_room` does."""
     place_frame(frame_origin, frame_axes, origin, rotation, placed)
+    kind, extents = form
     margin, capacity = reach[0], len(found.gaps)
-    if is_far(kind, extents, points, vertices, placed, margin):
+    if is_far(form, points, vertices, placed, margin):
         return missing_room(found, 0)
     count = search_vertices(
-        kind, extents, points, vertices, clusters, placed, x, distances, gradients, margin, found, 0
+        form, points, vertices, clusters, placed, x, distances, gradients, margin, found, 0
     )
     first_key = KEY_STRIDE * len(vertices)
     count, _ = search_edges(
-        kind, extents, x, distances, gradients, ridge_points, ridge_sides, triangles, margin,
-        first_key, found, count,
+        form, width, x, distances, gradients, ridge_points, ridge_sides, triangles, margin, first_key, found, count,
     )  # fmt: skip
     if count > capacity:
         return missing_room(found, count)
@@ -245,9 +244,7 @@ def _search_solid(
     apply_region_planes(leaders, normals)
     first_key += KEY_STRIDE * len(ridges)
     if kind != CAPSULE:
-        count = _search_rims(
-            kind, extents, x, links, edges, fans, normals, margin, first_key, found, count
-        )
+        count = _search_rims(form, x, links, edges, fans, normals, margin, first_key, found, count)
         return missing_room(found, count)
     for end in range(2 if extents[1] > 0.0 else 1):
         p = (0.0, 0.0, extents[1] if end == 0 else -extents[1])
@@ -285,7 +282,7 @@ class SolidShapeDetector(SurfaceShapeDetector):
     def _search(self, points, origin, rotation, reach) -> int:
         surface = self._surface
         return _search_solid(
-            self.shape.kind, self._extents, *self._frame, origin, rotation, points,
+            self._form, self.shape.width, *self._frame, origin, rotation, points,
             self._vertices, self.clusters, self._triangles, surface.links, surface.edges,
             surface.fans, self._regions.leaders, self._crests, self._ridges, self._ridge_points,
             self._ridge_sides, self._normals, reach, self._placed, *self._work, self._found,

@@ -68,9 +68,7 @@ def half_edges(triangles: np.ndarray) -> HalfEdges:
         triangles: Points of each triangle, shape (triangle_count, 3).
     """
     halves = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2)
-    edges, place, counts = np.unique(
-        np.sort(halves, axis=1), axis=0, return_inverse=True, return_counts=True
-    )
+    edges, place, counts = np.unique(np.sort(halves, axis=1), axis=0, return_inverse=True, return_counts=True)
     return HalfEdges(halves, edges, place.ravel(), counts)
 
 
@@ -80,9 +78,7 @@ def single_rows(faces: np.ndarray) -> np.ndarray:
     Args:
         faces: Nodes of each face, shape (face_count, width).
     """
-    _, first, counts = np.unique(
-        np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True
-    )
+    _, first, counts = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
     return np.sort(first[counts == 1])
 
 

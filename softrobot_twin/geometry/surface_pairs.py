@@ -108,9 +108,7 @@ def pair_surfaces(first, second, edge_grid, reach, depth, rest, rows, span):
     count = pair_vertices(first, second, region, margin, depth, rest, False, 0, rows, span[0])
     key = len(x) * feature_count(second)
     if not same:
-        count = pair_vertices(
-            second, first, other_region, margin, depth, rest, True, key, rows, count
-        )  # fmt: skip
+        count = pair_vertices(second, first, other_region, margin, depth, rest, True, key, rows, count)
         key += len(y) * feature_count(first)
     span[1] = pair_edges(first, second, edge_grid, margin, edge_depth, rest, key, rows, count)
     return need_first, need_second, need_edges

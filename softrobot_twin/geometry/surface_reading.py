@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import meshio
 import numpy as np
@@ -48,10 +48,12 @@ class SolidSurface:
     Attributes:
         points: Its points [m], shape (point_count, 3).
         triangles: Point indices, counter-clockwise from outside, shape (triangle_count, 3).
+        curvature_radius: Infinite: its facets are flat.
     """
 
     points: np.ndarray
     triangles: np.ndarray
+    curvature_radius: ClassVar[float] = np.inf
 
     def surface(self, resolution: float = np.inf) -> tuple[np.ndarray, np.ndarray]:
         """Returns points and triangles; the resolution has no effect.
@@ -142,9 +144,7 @@ def repair_surface(points: np.ndarray, triangles: np.ndarray) -> RepairedSurface
         # The two corrections cancel: the file was right.
         return RepairedSurface(outward, notes)
     if count and not was_inward:
-        notes.append(
-            f"reversed {count} triangles whose orientation was opposite to that of their neighbours"
-        )
+        notes.append(f"reversed {count} triangles whose orientation was opposite to that of their neighbours")
     elif was_inward:
         notes.append("reversed all triangles: their normals pointed inwards")
     return RepairedSurface(outward, notes)

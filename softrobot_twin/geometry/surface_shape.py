@@ -37,12 +37,12 @@ Arguments of the kernels here:
     edge: One row of `edges`, shape (2 or more,).
     edges, sides: Points, and triangles on both sides, shape (edge_count, 2). Where cones are tested
         there are no sides, and edges have shape (edge_count, 6).
-    extents: Extents of the shape [m], shape (3,).
+    extents: Of a form of this package [m], shape (3,).
     first_key, key: Key of the first, or of one candidate.
     found: Buffer of candidates, `Candidates`.
     gap, height: Distance from the shape, or from the plane of a triangle [m].
     i: One of `rim_numbers`.
-    kind: Kind of the shape, such as `BOX`.
+    form: Form of the shape, see `distance_kernels.py`.
     margin: Gap below which there is a candidate [m].
     rows, span, reach: See `proximities.py`.
     source, target: Rows of `found`.
@@ -63,6 +63,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numba import types
+from numba.extending import overload
 
 from softrobot_twin.geometry.broad_phase import Clusters, bounding_box, cluster_triangles
 from softrobot_twin.geometry.closed_surface import is_outside_cone, steepest_descent, triangle_fans
@@ -76,12 +78,11 @@ from softrobot_twin.geometry.closest_features import (
 from softrobot_twin.geometry.proximities import Proximities
 from softrobot_twin.geometry.shapes.distance_kernels import (
     BOX,
-    CAPSULE,
     CYLINDER,
-    HALF_SPACE,
     in_frame,
     place_frame,
     shape_distance,
+    shape_size,
 )
 from softrobot_twin.geometry.shapes.shape import Shape
 from softrobot_twin.geometry.surface import checked_triangles, half_edges
@@ -100,7 +101,7 @@ from softrobot_twin.geometry.vector3 import (
     subtract,
     unit,
 )
-from softrobot_twin.kernels.compilation import INLINED, INNER, KERNEL, ONCE, njit
+from softrobot_twin.kernels.compilation import GENERIC, INLINED, INNER, KERNEL, ONCE, njit
 
 # The keys of the candidates of one feature start at KEY_STRIDE times the number of the feature.
 KEY_STRIDE = 32
@@ -221,31 +222,28 @@ def _bounding_ball(x, vertices):
 
 
 @njit(**INNER)
-def is_far(kind, extents, points, vertices, placed, margin):
+def is_far(form, points, vertices, placed, margin):
     """Whether the bounding ball of all vertices is beyond the margin."""
     centre, radius = _bounding_ball(points, vertices)
-    return shape_distance(kind, extents, in_frame(placed, centre))[0] - radius >= margin
+    return shape_distance(form, in_frame(placed, centre))[0] - radius >= margin
 
 
 @njit(**ONCE)
-def _is_cluster_far(kind, extents, x, vertices, margin):
+def _is_cluster_far(form, x, vertices, margin):
     """Whether the bounding ball of a cluster, in the frame of the shape, is beyond the margin."""
     centre, radius = _bounding_ball(x, vertices)
-    return shape_distance(kind, extents, centre)[0] > margin + ROUND_OFF_MARGIN * radius
+    return shape_distance(form, centre)[0] > margin + ROUND_OFF_MARGIN * radius
 
 
 @njit(**INNER)
-def search_vertices(
-    kind, extents, points, vertices, clusters, placed, x, distances, gradients, margin, found, count
-):
+def search_vertices(form, points, vertices, clusters, placed, x, distances, gradients, margin, found, count):
     """Find all vertices within the margin.
 
     The distance of a vertex whose clusters are all beyond the margin is set to infinity: no edge
     or triangle with such a vertex is near.
 
     Args:
-        kind: Kind of the shape.
-        extents: Its extents [m].
+        form: Form of the shape.
         points: Points in the world [m].
         vertices: Points that the surface uses.
         clusters: `Clusters` of the surface.
@@ -267,11 +265,11 @@ def search_vertices(
     for end in clusters.ends:
         own = clusters.vertices[begin:end]
         begin = end
-        if _is_cluster_far(kind, extents, x, own, margin):
+        if _is_cluster_far(form, x, own, margin):
             continue
         for v in own:
             if distances[v] == np.inf:
-                distance, gradient = shape_distance(kind, extents, row(x, v))
+                distance, gradient = shape_distance(form, row(x, v))
                 distances[v] = distance
                 set_row(gradients, v, gradient)
     for v in range(len(vertices)):
@@ -287,21 +285,20 @@ def search_vertices(
 
 
 @njit(**INNER)
-def _at_fraction(kind, extents, x, a, b, t):
+def _at_fraction(form, x, a, b, t):
     """Slope of the distance along an edge, distance [m] and gradient at fraction t from a to b."""
     start = row(x, a)
     along = subtract(row(x, b), start)
-    distance, gradient = shape_distance(kind, extents, add_scaled(start, along, t))
+    distance, gradient = shape_distance(form, add_scaled(start, along, t))
     return dot(gradient, along) / norm(along), distance, gradient
 
 
 @njit(**INNER)
-def slope_crossing(kind, extents, x, a, b, level, low, f_low, high, f_high):
+def slope_crossing(form, x, a, b, level, low, f_low, high, f_high):
     """Bracket the fraction at which the slope passes a level (Illinois method with bisection).
 
     Args:
-        kind: Kind of the shape.
-        extents: Its extents [m].
+        form: Form of the shape.
         x: Vertices [m].
         a: First vertex of the edge.
         b: Second vertex of the edge.
@@ -324,7 +321,7 @@ def slope_crossing(kind, extents, x, a, b, level, low, f_low, high, f_high):
             secant = (low * f_high - high * f_low) / (f_high - f_low)
             if low < secant < high:
                 t = secant
-        f = _at_fraction(kind, extents, x, a, b, t)[0] - level
+        f = _at_fraction(form, x, a, b, t)[0] - level
         if abs(f) <= LEVEL:
             return t, t
         if f < 0.0:
@@ -341,19 +338,19 @@ def slope_crossing(kind, extents, x, a, b, level, low, f_low, high, f_high):
 
 
 @njit(**ONCE)
-def _minimum_in_bracket(kind, extents, x, a, b, low, high):
+def _minimum_in_bracket(form, x, a, b, low, high):
     """Fraction, gap [m] and unit normal at the minimum within a bracket.
 
     The normal is zero where the gradients at both ends of the bracket are opposite.
     """
-    s_low, gap, g_low = _at_fraction(kind, extents, x, a, b, low)
+    s_low, gap, g_low = _at_fraction(form, x, a, b, low)
     if low == high:
         return low, gap, g_low
-    s_high, gap, g_high = _at_fraction(kind, extents, x, a, b, high)
+    s_high, gap, g_high = _at_fraction(form, x, a, b, high)
     part = s_high / (s_high - s_low)
     g = add_scaled(scaled(g_low, part), g_high, 1.0 - part)
     t = part * low + (1.0 - part) * high
-    gap = _at_fraction(kind, extents, x, a, b, t)[1]
+    gap = _at_fraction(form, x, a, b, t)[1]
     size = norm(g)
     if size < OPPOSITE:
         return t, gap, (0.0, 0.0, 0.0)
@@ -361,7 +358,7 @@ def _minimum_in_bracket(kind, extents, x, a, b, low, high):
 
 
 @njit(**ONCE)
-def _against_outward_normals(kind, extents, x, edge, sides, triangles, t):
+def _against_outward_normals(form, x, edge, sides, triangles, t):
     """Normal where the shape determines none: opposite to the normals of the edge's triangles."""
     n = (0.0, 0.0, 0.0)
     for i in range(2):
@@ -371,16 +368,15 @@ def _against_outward_normals(kind, extents, x, edge, sides, triangles, t):
     size = norm(n)
     if size > OPPOSITE:
         return divided(n, size)
-    return _at_fraction(kind, extents, x, edge[0], edge[1], t)[2]
+    return _at_fraction(form, x, edge[0], edge[1], t)[2]
 
 
 @njit(**INNER)
-def flat_end(kind, extents, x, a, b, short, bottom, end, s_end):
+def flat_end(form, x, a, b, short, bottom, end, s_end):
     """Other end of the interval of almost zero slope from the minimum towards one end.
 
     Args:
-        kind: Kind of the shape.
-        extents: Its extents [m].
+        form: Form of the shape.
         x: Vertices [m].
         a: First vertex of the edge.
         b: Second vertex of the edge.
@@ -398,28 +394,28 @@ def flat_end(kind, extents, x, a, b, short, bottom, end, s_end):
     probe = bottom + sign * short
     s_probe = 1.0
     if (end - probe) * sign > 0.0:
-        s_probe = sign * _at_fraction(kind, extents, x, a, b, probe)[0]
+        s_probe = sign * _at_fraction(form, x, a, b, probe)[0]
     if s_probe > PARALLEL_EDGE:
         return no_interval
     if sign * s_end > PARALLEL_EDGE:
         level = sign * PARALLEL_EDGE
         inner, outer = (probe, sign * s_probe - level - sign * LEVEL), (end, s_end - level)
         low, high = (inner, outer) if sign > 0.0 else (outer, inner)
-        ends = slope_crossing(kind, extents, x, a, b, level, low[0], low[1], high[0], high[1])
+        ends = slope_crossing(form, x, a, b, level, low[0], low[1], high[0], high[1])
         end = ends[0] if sign > 0.0 else ends[1]
     span = end - bottom
-    s_near = _at_fraction(kind, extents, x, a, b, bottom + 0.25 * span)[0]
-    s_far, _, gradient = _at_fraction(kind, extents, x, a, b, bottom + 0.75 * span)
+    s_near = _at_fraction(form, x, a, b, bottom + 0.25 * span)[0]
+    s_far, _, gradient = _at_fraction(form, x, a, b, bottom + 0.75 * span)
     if abs(s_far - s_near) > STRAIGHT:
         return no_interval
     return end, gradient
 
 
 @njit(**ONCE)
-def _is_curved(kind, extents, x, a, b, low, high):
+def _is_curved(form, x, a, b, low, high):
     """Whether the distance on an interval of almost zero slope has its minimum at one point."""
-    s_low = _at_fraction(kind, extents, x, a, b, 0.75 * low + 0.25 * high)[0]
-    return _at_fraction(kind, extents, x, a, b, 0.25 * low + 0.75 * high)[0] - s_low > CURVED
+    s_low = _at_fraction(form, x, a, b, 0.75 * low + 0.25 * high)[0]
+    return _at_fraction(form, x, a, b, 0.25 * low + 0.75 * high)[0] - s_low > CURVED
 
 
 @njit(**INNER)
@@ -431,9 +427,7 @@ def _add_edge_point(found, count, key, a, b, t, margin, gap, normal):
 
 
 @njit(**ONCE)
-def _search_edge(
-    kind, extents, x, edge, short, s_a, s_b, sides, triangles, margin, first_key, found, count
-):
+def _search_edge(form, x, edge, short, s_a, s_b, sides, triangles, margin, first_key, found, count):
     """Find the candidates of one edge, from the slopes s_a and s_b at its ends."""
     a, b = edge[0], edge[1]
     # If the slope at an end hardly descends into the edge, that end is the lowest point.
@@ -441,28 +435,28 @@ def _search_edge(
     interior = s_a < -LEVEL and s_b > LEVEL
     gap, normal = 0.0, (0.0, 0.0, 0.0)
     if interior:
-        low, high = slope_crossing(kind, extents, x, a, b, 0.0, 0.0, s_a, 1.0, s_b)
-        bottom, gap, normal = _minimum_in_bracket(kind, extents, x, a, b, low, high)
+        low, high = slope_crossing(form, x, a, b, 0.0, 0.0, s_a, 1.0, s_b)
+        bottom, gap, normal = _minimum_in_bracket(form, x, a, b, low, high)
         if is_zero(normal):
-            normal = _against_outward_normals(kind, extents, x, edge, sides, triangles, bottom)
+            normal = _against_outward_normals(form, x, edge, sides, triangles, bottom)
     high_end, high_normal = bottom, (0.0, 0.0, 0.0)
     low_end, low_normal = bottom, (0.0, 0.0, 0.0)
     if short > 0.0 and bottom < 1.0 - short:
-        high_end, high_normal = flat_end(kind, extents, x, a, b, short, bottom, 1.0, s_b)
+        high_end, high_normal = flat_end(form, x, a, b, short, bottom, 1.0, s_b)
     if short > 0.0 and bottom > short:
-        low_end, low_normal = flat_end(kind, extents, x, a, b, short, bottom, 0.0, s_a)
+        low_end, low_normal = flat_end(form, x, a, b, short, bottom, 0.0, s_a)
     if high_end > bottom:
-        distance = _at_fraction(kind, extents, x, a, b, high_end)[1]
+        distance = _at_fraction(form, x, a, b, high_end)[1]
         count = _add_edge_point(
             found, count, first_key + HIGH_END, a, b, high_end, margin, distance, high_normal
         )
     if low_end < bottom:
-        distance = _at_fraction(kind, extents, x, a, b, low_end)[1]
+        distance = _at_fraction(form, x, a, b, low_end)[1]
         count = _add_edge_point(
             found, count, first_key + LOW_END, a, b, low_end, margin, distance, low_normal
         )
     both = low_end < bottom < high_end
-    if interior and (not both or _is_curved(kind, extents, x, a, b, low_end, high_end)):
+    if interior and (not both or _is_curved(form, x, a, b, low_end, high_end)):
         # Without an interval on one side, the minimum is its end there, and gets its key.
         number = MINIMUM
         if not both:
@@ -491,21 +485,20 @@ def lowest_on_edge(distance_a, distance_b, s_a, s_b):
 
 @njit(**INNER)
 def search_edges(
-    kind, extents, x, distances, gradients, edges, sides, triangles, margin, first_key, found, count
+    form, width, x, distances, gradients, edges, sides, triangles, margin, first_key, found, count
 ):
     """Find the candidates of all edges.
 
     Nearly all edges are ruled out by their ends: first by the distances there, since along a
     segment the distance changes by at most its length, then by the tangents.
 
+    Args:
+        width: Smallest width of what is straight on the shape [m], 0 where nothing is.
+
     Returns:
         Number of candidates, and the length of the longest edge with finite distances [m].
     """
     longest = 0.0
-    # A sphere has zero width along its axis, and no interval on it is straight.
-    width = 2.0 * min(extents[0], extents[1])
-    if kind == BOX:
-        width = min(width, 2.0 * extents[2])
     for e in range(len(edges)):
         a, b = edges[e, 0], edges[e, 1]
         if distances[a] + distances[b] == np.inf:
@@ -523,15 +516,11 @@ def search_edges(
         s_a /= length
         s_b /= length
         falls, rises = s_a <= -PARALLEL_EDGE, s_b >= PARALLEL_EDGE
-        if (
-            s_a >= PARALLEL_EDGE
-            or s_b <= -PARALLEL_EDGE
-            or not (falls or rises or s_a < 0.0 < s_b)
-        ):
+        if (s_a >= PARALLEL_EDGE or s_b <= -PARALLEL_EDGE or not (falls or rises or s_a < 0.0 < s_b)):
             continue
         short = SHORT * min(1.0, width / length)
         count = _search_edge(
-            kind, extents, x, edges[e], short, s_a, s_b, sides[e], triangles, margin,
+            form, x, edges[e], short, s_a, s_b, sides[e], triangles, margin,
             first_key + KEY_STRIDE * e, found, count,
         )  # fmt: skip
     return count, np.sqrt(longest)
@@ -541,17 +530,16 @@ def search_edges(
 
 
 @njit(**KERNEL)
-def is_past_shape(kind, extents, foot, height):
+def is_past_shape(form, foot, height):
     """Whether the projection of a point below a plane lies beyond the other side of the shape.
 
     Args:
-        kind: Kind of the shape.
-        extents: Its extents [m].
+        form: Form of the shape.
         foot: Projection of the point of the shape onto the plane [m].
         height: Height of the point of the shape above the plane [m], negative.
     """
-    round_off = ROUND_OFF * max(extents[0], extents[1], extents[2])
-    above = shape_distance(kind, extents, foot)[0]
+    round_off = ROUND_OFF * shape_size(form)
+    above = shape_distance(form, foot)[0]
     # Without this tolerance, round-off would end the contact of a shape that touches the plane.
     return above > round_off - 2.0 * PARALLEL_FACE * height
 
@@ -566,15 +554,14 @@ def meet(one, other):
 
 
 @njit(**KERNEL, inline="always")
-def is_nearest_way_out(kind, extents, x, triangles, chosen, p, distance):
+def is_nearest_way_out(form, x, triangles, chosen, p, distance):
     """Whether a point p of the shape behind a triangle is behind no nearer one.
 
     At an edge or a vertex of the surface, a triangle that p is behind too is no way out where the
     shape is not above it: its corner has passed this triangle from the side.
 
     Args:
-        kind: Kind of the shape.
-        extents: Its extents [m].
+        form: Form of the shape.
         x: Vertices [m].
         triangles: Their numbers in each triangle.
         chosen: Number of the triangle.
@@ -595,7 +582,7 @@ def is_nearest_way_out(kind, extents, x, triangles, chosen, p, distance):
             return False
         normal = triangle_normal(x, a, b, c)
         height = height_above(x, a, normal, p)
-        past = is_past_shape(kind, extents, add_scaled(p, normal, -height), height)
+        past = is_past_shape(form, add_scaled(p, normal, -height), height)
         if height >= 0.0 or not past:
             return False
     return True
@@ -640,7 +627,7 @@ def misses(x, a, b, c, normal, p, height, margin):
 
 
 @njit(**INNER)
-def _add_shape_corner(kind, extents, x, triangles, t, normal, p, margin, key, found, count):
+def _add_shape_corner(form, x, triangles, t, normal, p, margin, key, found, count):
     """Add a corner or rim point p of the shape that points towards triangle t.
 
     A point behind the triangle has penetrated the body if there is no nearer way out and its
@@ -654,15 +641,15 @@ def _add_shape_corner(kind, extents, x, triangles, t, normal, p, margin, key, fo
     if not _lies_inside(weights):
         return count
     if height < 0.0:
-        if is_past_shape(kind, extents, add_scaled(p, normal, -height), height):
+        if is_past_shape(form, add_scaled(p, normal, -height), height):
             return count
-        if not is_nearest_way_out(kind, extents, x, triangles, t, p, -height):
+        if not is_nearest_way_out(form, x, triangles, t, p, -height):
             return count
     return add_candidate(found, count, key, (a, b, c), weights, height, negated(normal))
 
 
 @njit(**INNER)
-def _add_axis_point(extents, x, triangle, normal, z, margin, key, found, count):
+def _add_axis_point(form, x, triangle, normal, z, margin, key, found, count):
     """Add the point of a triangle opposite the axis point z of a capsule, with its distance."""
     a, b, c = triangle[0], triangle[1], triangle[2]
     weights = plane_weights(x, a, b, c, (0.0, 0.0, z))
@@ -670,10 +657,10 @@ def _add_axis_point(extents, x, triangle, normal, z, margin, key, found, count):
         return count
     height = (z - x[a, 2]) * normal[2] - x[a, 0] * normal[0] - x[a, 1] * normal[1]
     foot = add_scaled((0.0, 0.0, z), normal, -height)
-    distance, gradient = shape_distance(CAPSULE, extents, foot)
+    distance, gradient = shape_distance(form, foot)
     if distance >= margin:
         return count
-    if abs(height) <= ON_AXIS * extents[0]:
+    if abs(height) <= ON_AXIS * form[1][0]:
         gradient = negated(normal)
     return add_candidate(found, count, key, (a, b, c), weights, distance, gradient)
 
@@ -700,26 +687,25 @@ def _add_axis_crossing(extents, half, x, triangle, normal, margin, key, found, c
 
 
 @njit(**ONCE)
-def _search_capsule(extents, x, triangle, normal, margin, key, found, count):
+def _search_capsule(form, x, triangle, normal, margin, key, found, count):
     """Find the candidates of a triangle against a capsule or a sphere.
 
     These are the nearer end of the axis, or both ends if the triangle is parallel to the axis. If
     the axis crosses the plane of the triangle, the crossing is nearest, not an end.
     """
+    extents = form[1]
     half = extents[1]
     if half == 0.0:
-        return _add_axis_point(extents, x, triangle, normal, 0.0, margin, key, found, count)
+        return _add_axis_point(form, x, triangle, normal, 0.0, margin, key, found, count)
     middle = -dot(row(x, triangle[0]), normal)
     low, high = middle - half * normal[2], middle + half * normal[2]
     parallel = abs(normal[2]) <= PARALLEL_FACE
     one_side = low * high >= 0.0
     if parallel or one_side and abs(low) <= abs(high):
-        count = _add_axis_point(extents, x, triangle, normal, -half, margin, key, found, count)
+        count = _add_axis_point(form, x, triangle, normal, -half, margin, key, found, count)
     if parallel or one_side and abs(high) < abs(low):
-        count = _add_axis_point(extents, x, triangle, normal, half, margin, key + 1, found, count)
-    return _add_axis_crossing(
-        extents, half, x, triangle, normal, margin, key + AXIS_CROSSING, found, count
-    )
+        count = _add_axis_point(form, x, triangle, normal, half, margin, key + 1, found, count)
+    return _add_axis_crossing(extents, half, x, triangle, normal, margin, key + AXIS_CROSSING, found, count)
 
 
 @njit(**INLINED)
@@ -743,14 +729,14 @@ def rim_point(extents, normal, across, up, i):
 
 
 @njit(**ONCE)
-def _search_cylinder(extents, x, triangles, t, normal, margin, key, found, count):
+def _search_cylinder(form, x, triangles, t, normal, margin, key, found, count):
     """Find the candidates of a triangle against a cylinder.
 
     These are the points of both rims nearest to the triangle, or points all around the rim of a
     cap that is parallel to it.
     """
     a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-    start = row(x, a)
+    start, extents = row(x, a), form[1]
     across = np.sqrt(normal[0] ** 2 + normal[1] ** 2)
     for cap in range(2):
         up = 2.0 * cap - 1.0
@@ -761,7 +747,7 @@ def _search_cylinder(extents, x, triangles, t, normal, margin, key, found, count
             # `misses` is called here because a call with more arrays costs more than the test.
             if not misses(x, a, b, c, normal, rim, dot(subtract(rim, start), normal), margin):
                 count = _add_shape_corner(
-                    CYLINDER, extents, x, triangles, t, normal, rim, margin,
+                    form, x, triangles, t, normal, rim, margin,
                     key + CAP_STRIDE * cap + i, found, count,
                 )  # fmt: skip
     for i in range(2):
@@ -775,10 +761,10 @@ def _search_cylinder(extents, x, triangles, t, normal, margin, key, found, count
 
 
 @njit(**ONCE)
-def _search_box(extents, x, triangles, t, normal, margin, key, found, count):
+def _search_box(form, x, triangles, t, normal, margin, key, found, count):
     """Find the corners of a box that face a triangle: several if an edge or face is parallel."""
     a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-    offset = dot(normal, row(x, a))
+    offset, extents = dot(normal, row(x, a)), form[1]
     for corner in range(8):
         sign_x = 1.0 if corner & 1 else -1.0
         sign_y = 1.0 if corner & 2 else -1.0
@@ -788,10 +774,54 @@ def _search_box(extents, x, triangles, t, normal, margin, key, found, count):
         p = (sign_x * extents[0], sign_y * extents[1], sign_z * extents[2])
         if misses(x, a, b, c, normal, p, dot(p, normal) - offset, margin):
             continue
-        count = _add_shape_corner(
-            BOX, extents, x, triangles, t, normal, p, margin, key + corner, found, count
-        )
+        count = _add_shape_corner(form, x, triangles, t, normal, p, margin, key + corner, found, count)
     return count
+
+
+def _search_canonical(form, x, triangles, t, normal, margin, key, found, count):
+    """Find the candidates of a triangle against a form of this package."""
+    if form[0] == BOX:
+        return _search_box(form, x, triangles, t, normal, margin, key, found, count)
+    if form[0] == CYLINDER:
+        return _search_cylinder(form, x, triangles, t, normal, margin, key, found, count)
+    return _search_capsule(form, x, triangles[t], normal, margin, key, found, count)
+
+
+@njit(**GENERIC)
+def _search_farthest(reach, form, x, triangles, t, normal, margin, key, found, count):
+    """Find the candidate of a triangle against a form from outside: its point opposite to it."""
+    a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+    p = reach(form, negated(normal))
+    if misses(x, a, b, c, normal, p, height_above(x, a, normal, p), margin):
+        return count
+    return _add_shape_corner(form, x, triangles, t, normal, p, margin, key, found, count)
+
+
+def search_triangle(form, x, triangles, t, normal, margin, key, found, count):
+    """Find the candidates inside a triangle, inside kernels; returns their number.
+
+    Args:
+        form: The form.
+        x: Vertices [m].
+        triangles: Their numbers in each triangle.
+        t: Number of the triangle.
+        normal: Its unit normal.
+        margin: Gap below which there is a candidate [m].
+        key: First key of the triangle.
+        found: Buffer of candidates.
+        count: Number of candidates found before.
+    """
+    raise NotImplementedError("only inside compiled kernels")
+
+
+@overload(search_triangle, jit_options={"forceinline": True})
+def _search_triangle(form, x, triangles, t, normal, margin, key, found, count):
+    if not isinstance(form, types.BaseNamedTuple):
+        return _search_canonical
+    reach = form.instance_class.farthest
+    return lambda form, x, triangles, t, normal, margin, key, found, count: _search_farthest(
+        reach, form, x, triangles, t, normal, margin, key, found, count
+    )
 
 
 @njit(**INNER)
@@ -804,9 +834,7 @@ def _lower_bound(x, distances, gradients, a, b, c):
 
 
 @njit(**ONCE)
-def _search_triangles(
-    kind, extents, x, distances, gradients, triangles, margin, longest, first_key, found, count
-):
+def _search_triangles(form, x, distances, gradients, triangles, margin, longest, first_key, found, count):
     """Find the candidates inside all triangles, none of whose edges is longer than `longest`."""
     # No point of a triangle is farther than `longest` from any of its vertices.
     surely_apart = margin + ROUND_OFF_MARGIN * longest
@@ -824,12 +852,7 @@ def _search_triangles(
         if is_zero(normal):
             continue
         key = first_key + KEY_STRIDE * t
-        if kind == BOX:
-            count = _search_box(extents, x, triangles, t, normal, margin, key, found, count)
-        elif kind == CYLINDER:
-            count = _search_cylinder(extents, x, triangles, t, normal, margin, key, found, count)
-        else:
-            count = _search_capsule(extents, x, triangles[t], normal, margin, key, found, count)
+        count = search_triangle(form, x, triangles, t, normal, margin, key, found, count)
     return count
 
 
@@ -848,25 +871,22 @@ def _area_normal(x, fans, v):
 
 
 @njit(**ONCE)
-def _axes_outside(extents, x, v):
+def _axes_outside(half, x, v):
     """Number of axes along which a vertex lies outside the box."""
     count = 0
     for i in range(3):
-        count += abs(x[v, i]) > extents[i]
+        count += abs(x[v, i]) > half[i]
     return count
 
 
 @njit(**INNER)
 def _crosses_surface(x, fans, v, normal, direction):
     """Whether a direction out of the box is opposed to the normal at v, or in the cone of v."""
-    return (
-        dot(direction, normal) <= -OPPOSED_COSINE
-        or steepest_descent(x, fans, v, direction) <= CONE
-    )
+    return (dot(direction, normal) <= -OPPOSED_COSINE or steepest_descent(x, fans, v, direction) <= CONE)
 
 
 @njit(**ONCE)
-def _redirect_inside(extents, x, fans, v, normal, margin, i, found):
+def _redirect_inside(half, x, fans, v, normal, margin, i, found):
     """Give a vertex inside the box the shortest direction out that crosses the surface.
 
     Near an edge of the box the overall shortest direction out may point along the surface.
@@ -875,7 +895,7 @@ def _redirect_inside(extents, x, fans, v, normal, margin, i, found):
         return
     best, axis = margin, -1
     for k in range(3):
-        depth = extents[k] - abs(x[v, k])
+        depth = half[k] - abs(x[v, k])
         sign = 1.0 if x[v, k] >= 0.0 else -1.0
         direction = (sign if k == 0 else 0.0, sign if k == 1 else 0.0, sign if k == 2 else 0.0)
         if depth < best and _crosses_surface(x, fans, v, normal, direction):
@@ -888,14 +908,14 @@ def _redirect_inside(extents, x, fans, v, normal, margin, i, found):
 
 
 @njit(**ONCE)
-def _vertex_fits(extents, x, fans, v, margin, i, found):
+def _vertex_fits(half, x, fans, v, margin, i, found):
     """Whether the direction at a vertex fits its cone; inside the box it is corrected instead."""
-    outside = _axes_outside(extents, x, v)
+    outside = _axes_outside(half, x, v)
     if outside == 1:
         return True
     normal = _area_normal(x, fans, v)
     if outside == 0:
-        _redirect_inside(extents, x, fans, v, normal, margin, i, found)
+        _redirect_inside(half, x, fans, v, normal, margin, i, found)
         return True
     direction = row(found.normals, i)
     if steepest_descent(x, fans, v, direction) <= CONE:
@@ -919,9 +939,7 @@ def _edge_fits(x, edges, triangles, e, i, found):
     for side in range(2):
         t = edges[e, 2 + side]
         a = row(x, triangles[t, 0])
-        own = unit(
-            cross(subtract(row(x, triangles[t, 1]), a), subtract(row(x, triangles[t, 2]), a))
-        )
+        own = unit(cross(subtract(row(x, triangles[t, 1]), a), subtract(row(x, triangles[t, 2]), a)))
         normal = add_scaled(normal, own, 1.0)
         other = subtract(row(x, edges[e, 5 - side]), start)
         height = dot(other, own)
@@ -930,11 +948,11 @@ def _edge_fits(x, edges, triangles, e, i, found):
 
 
 @njit(**ONCE)
-def keep_within_cones(extents, x, fans, edges, triangles, margin, count, found):
+def keep_within_cones(half, x, fans, edges, triangles, margin, count, found):
     """Keep of the vertices and edges found against a box those whose direction fits their cone.
 
     Args:
-        extents: Half the sides of the box [m].
+        half: Half the sides of the box [m].
         x: Vertices in the frame of the box [m].
         fans: See `ClosedSurface`.
         edges: See `ClosedSurface`; -1 where there is no second triangle.
@@ -950,7 +968,7 @@ def keep_within_cones(extents, x, fans, edges, triangles, margin, count, found):
     for i in range(count):
         feature = found.keys[i] // KEY_STRIDE
         if feature < len(x):
-            fits = _vertex_fits(extents, x, fans, feature, margin, i, found)
+            fits = _vertex_fits(half, x, fans, feature, margin, i, found)
         else:
             fits = _edge_fits(x, edges, triangles, feature - len(x), i, found)
         if not fits:
@@ -965,8 +983,8 @@ def keep_within_cones(extents, x, fans, edges, triangles, margin, count, found):
 
 @njit(**KERNEL)
 def _search_surface(
-    kind, extents, frame_origin, frame_axes, origin, rotation, points, vertices, clusters, edges,
-    sides, triangles, fans, apexes, reach, placed, x, distances, gradients, found,
+    form, width, half, frame_origin, frame_axes, origin, rotation, points, vertices, clusters,
+    edges, sides, triangles, fans, apexes, reach, placed, x, distances, gradients, found,
 ):  # fmt: skip
     """Find all candidates of a surface; returns what `missing_room` does.
 
@@ -974,24 +992,21 @@ def _search_surface(
     """
     clusters, found, margin = Clusters(*clusters), Candidates(*found), reach[0]
     place_frame(frame_origin, frame_axes, origin, rotation, placed)
-    if is_far(kind, extents, points, vertices, placed, margin):
+    if is_far(form, points, vertices, placed, margin):
         return missing_room(found, 0)
     count = search_vertices(
-        kind, extents, points, vertices, clusters, placed, x, distances, gradients, margin, found, 0
+        form, points, vertices, clusters, placed, x, distances, gradients, margin, found, 0
     )
-    if kind == HALF_SPACE:
-        # The distance is linear: its minimum is at vertices, also for parallel features.
-        return missing_room(found, count)
     first_key = KEY_STRIDE * len(vertices)
     count, longest = search_edges(
-        kind, extents, x, distances, gradients, edges, sides, triangles, margin, first_key,
+        form, width, x, distances, gradients, edges, sides, triangles, margin, first_key,
         found, count,
     )  # fmt: skip
-    if len(fans) > 0 and kind == BOX and count <= len(found.gaps):
-        count = keep_within_cones(extents, x, fans, apexes, triangles, margin, count, found)
+    if len(fans) > 0 and count <= len(found.gaps):
+        count = keep_within_cones(half, x, fans, apexes, triangles, margin, count, found)
     first_key += KEY_STRIDE * len(edges)
     count = _search_triangles(
-        kind, extents, x, distances, gradients, triangles, margin, longest, first_key, found, count
+        form, x, distances, gradients, triangles, margin, longest, first_key, found, count
     )
     return missing_room(found, count)
 
@@ -1026,9 +1041,7 @@ class SurfaceShapeDetector:
     A detector owns its work arrays; only one thread at a time may use it.
     """
 
-    def __init__(
-        self, triangles: np.ndarray, point_count: int, shape: Shape, deforms: bool = False
-    ):
+    def __init__(self, triangles: np.ndarray, point_count: int, shape: Shape, deforms: bool = False):
         """Finds the vertices and edges of the surface.
 
         Args:
@@ -1046,12 +1059,17 @@ class SurfaceShapeDetector:
         self._triangles = own.reshape(-1, 3).astype(np.int64)
         self._edges, self._sides = edges_and_sides(self._triangles)
         self._fans, self._apexes = np.empty((0, 1), np.int64), np.empty((0, 6), np.int64)
-        if deforms and shape.kind == BOX:
+        self._form, self._half = shape.form(), np.zeros(3)
+        if deforms and shape.has_edges:
+            self._half = np.array(shape.extents(), float)
             self._fans = triangle_fans(self._triangles, len(self._vertices))
             self._apexes = edges_with_apexes(self._edges, self._sides, self._triangles)
         # Writable copies: for read-only arrays numba would compile the kernels a second time.
         self._frame = tuple(np.array(array, float, order="C") for array in shape.frame())
-        self._extents = np.array(shape.extents(), float)
+        self._searched = self._edges, self._sides, self._triangles
+        if shape.is_half_space:
+            # The distance is linear: its minimum is at vertices, also for parallel features.
+            self._searched = tuple(part[:0].copy() for part in self._searched)
         count = len(self._vertices)
         self._placed = np.empty((4, 3))
         self._work = (np.empty((count, 3)), np.empty(count), np.empty((count, 3)))
@@ -1082,9 +1100,9 @@ class SurfaceShapeDetector:
 
     def _search(self, points, origin, rotation, reach) -> int:
         return _search_surface(
-            self.shape.kind, self._extents, *self._frame, origin, rotation, points,
-            self._vertices, tuple(self.clusters), self._edges, self._sides, self._triangles,
-            self._fans, self._apexes, reach, self._placed, *self._work, tuple(self._found),
+            self._form, self.shape.width, self._half, *self._frame, origin, rotation, points,
+            self._vertices, tuple(self.clusters), *self._searched, self._fans, self._apexes, reach,
+            self._placed, *self._work, tuple(self._found),
         )  # fmt: skip
 
 

@@ -337,8 +337,7 @@ def pair_vertices(a, b, region, margin, depth, rest, swap, first_key, rows, coun
                     _stamps_of_fully_excluded(v), x, links, normals, boxes,
                     items, first, last, reach, front, depth, found,
                 )  # fmt: skip
-                count = _pair_inside(
-                    a, b, v, near, first, last, depth, rest, swap, key, rows, count)
+                count = _pair_inside(a, b, v, near, first, last, depth, rest, swap, key, rows, count)
     return count
 
 
@@ -366,9 +365,7 @@ def find_ridges(x, edges, normals, ridges):
     for e in range(len(edges)):
         n, m = row(normals, edges[e, 2]), row(normals, edges[e, 3])
         start = row(x, edges[e, 0])
-        ridges[e] = (
-            dot(n, m) < _FLAT_COSINE and dot(subtract(row(x, edges[e, 5]), start), n) < 0.0
-        )  # fmt: skip
+        ridges[e] = (dot(n, m) < _FLAT_COSINE and dot(subtract(row(x, edges[e, 5]), start), n) < 0.0)
     return half_longest_ridge(x, edges, ridges)
 
 

@@ -75,9 +75,7 @@ def thinnest_part(mesh: CellMesh) -> ThinnestPart:
     return ThinnestPart(float(lengths[ray]), place, float(np.median(lengths[thin] / extents)))
 
 
-def _depths(
-    starts: np.ndarray, outward: np.ndarray, corners: np.ndarray, normals: np.ndarray
-) -> np.ndarray:
+def _depths(starts: np.ndarray, outward: np.ndarray, corners: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """Length of each ray into the body until it leaves through a face that looks away; infinite
     where it leaves through a face beside it."""
     # About the middle of the body: the products below are differences.

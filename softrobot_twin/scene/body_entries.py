@@ -32,13 +32,13 @@ from softrobot_twin.scene.entry import (
 )
 from softrobot_twin.scene.material_presets import MATERIAL_PRESETS, POISSON_RATIO, UNFITTED
 from softrobot_twin.scene.refusal_messages import nearest
+from softrobot_twin.scene.shapes import Box, Capsule, Cylinder, Length, Plane, ShapeEntry, Sphere, SurfaceFile
 
 # --- deformable bodies ---------------------------------------------------------------------------
 
 
 MOST_BOX_CELLS = 1_000_000
 """A box of more cells than this is refused."""
-_Edge = Annotated[float, unit("m", gt=0.0)]
 _CellCount = Annotated[int, Field(ge=1)]
 UP = (0.0, 0.0, 1.0)
 
@@ -52,7 +52,7 @@ class BoxMesh(Entry):
     told: ClassVar[tuple[str, ...]] = ("a box of {size:mm} mm", "{cell_counts:×} cells")
     one_of: ClassVar[tuple[str, ...]] = ("cell_size", "cells")
 
-    size: Annotated[tuple[_Edge, _Edge, _Edge], unit("m")]
+    size: Annotated[tuple[Length, Length, Length], unit("m")]
     """Its edges."""
     cell_size: Annotated[float | None, unit("m", gt=0.0)] = None
     """Greatest edge of its cells."""
@@ -845,95 +845,7 @@ class Beam(NamedEntry):
             raise ValueError("has two arcs at one end")
 
 
-# --- rigid shapes, in the coordinates of their body or obstacle ----------------------------------
-
-Radius = Annotated[float, unit("m", gt=0.0)]
-
-
-def _apart(ends: tuple) -> tuple:
-    if ends[0] == ends[1]:
-        raise ValueError("the two ends are the same point")
-    return ends
-
-
-_Ends = Annotated[tuple[Vector, Vector], AfterValidator(_apart)]
-
-
-class PlaneShape(Entry):
-    """A half space; its normal points to the free side."""
-
-    told: ClassVar[tuple[str, ...]] = ("plane", "normal {normal:=}")
-
-    point: Vector = (0.0, 0.0, 0.0)
-    """A point of the plane."""
-    normal: Annotated[Direction, not_zero("the normal of a plane must not be zero")] = UP
-    """Direction to the free side."""
-
-
-class SphereShape(Entry):
-    """A ball."""
-
-    told: ClassVar[tuple[str, ...]] = ("sphere of radius {radius:mm} mm",)
-
-    centre: Vector = (0.0, 0.0, 0.0)
-    """Centre."""
-    radius: Radius
-    """Radius."""
-
-
-class CapsuleShape(Entry):
-    """A cylinder with hemispheres at its ends."""
-
-    told: ClassVar[tuple[str, ...]] = ("capsule of radius {radius:mm} mm", "{ends:|} mm long")
-
-    ends: _Ends
-    """Centres of the hemispheres."""
-    radius: Radius
-    """Radius."""
-
-
-class CylinderShape(Entry):
-    """A cylinder with flat ends."""
-
-    told: ClassVar[tuple[str, ...]] = ("cylinder of radius {radius:mm} mm", "{ends:|} mm long")
-
-    ends: _Ends
-    """Centres of its ends."""
-    radius: Radius
-    """Radius."""
-
-
-class BoxShape(Entry):
-    """A box."""
-
-    told: ClassVar[tuple[str, ...]] = ("box of {size:mm} mm",)
-
-    centre: Vector = (0.0, 0.0, 0.0)
-    """Centre."""
-    size: Annotated[tuple[_Edge, _Edge, _Edge], unit("m")]
-    """Lengths of its edges."""
-    rotation: Angles = (0.0, 0.0, 0.0)
-    """Angles about the axes."""
-
-
-class SurfaceShape(Entry):
-    """A closed surface of triangles."""
-
-    told: ClassVar[tuple[str, ...]] = ("surface {file}",)
-
-    file: Path
-    """Mesh file."""
-    scale: Annotated[float, unit("m per file unit", gt=0.0)] = 1.0
-    """Metres in a file unit."""
-    rotation: Angles = (0.0, 0.0, 0.0)
-    """Angles about the axes; after the scale."""
-    translation: Vector = (0.0, 0.0, 0.0)
-    """After the rotation."""
-    hull: bool = False
-    """Take its convex hull."""
-
-
-SHAPES = ("plane", "sphere", "capsule", "cylinder", "box", "surface")
+# --- rigid shapes -------------------------------------------------------------------------------
 
 
 class Shaped(Entry):
@@ -941,24 +853,24 @@ class Shaped(Entry):
 
     told: ClassVar[tuple[str, ...]] = ("{shape}",)
     placed: ClassVar[dict[str, str]] = {"position": "point", "rotation": "angles"}
-    one_of: ClassVar[tuple[str, ...]] = SHAPES
+    one_of: ClassVar[tuple[str, ...]] = ("plane", "sphere", "capsule", "cylinder", "box", "surface")
     one_of_words: ClassVar[str] = "must have exactly one of the shapes {}"
 
     position: Vector = (0.0, 0.0, 0.0)
     """Where the origin of the shape is."""
     rotation: Angles = (0.0, 0.0, 0.0)
     """Angles about the world's axes."""
-    plane: PlaneShape | None = None
-    sphere: SphereShape | None = None
-    capsule: CapsuleShape | None = None
-    cylinder: CylinderShape | None = None
-    box: BoxShape | None = None
-    surface: SurfaceShape | None = None
+    plane: Plane | None = None
+    sphere: Sphere | None = None
+    capsule: Capsule | None = None
+    cylinder: Cylinder | None = None
+    box: Box | None = None
+    surface: SurfaceFile | None = None
 
     @property
-    def shape(self) -> Entry:
+    def shape(self) -> ShapeEntry:
         """The one shape."""
-        return getattr(self, self.given(SHAPES)[0])
+        return getattr(self, self.given(self.one_of)[0])
 
 
 # --- rigid bodies, springs and point masses ------------------------------------------------------

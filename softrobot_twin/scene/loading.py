@@ -145,8 +145,7 @@ def scene_from_mapping(mapping: Any, path: Path | None = None) -> Scene:
     try:
         scene = Scene.model_validate({**entries, "path": path})
     except ValidationError as error:
-        raise scene_error(error, Scene, path,
-                          as_written=lambda place: as_written(entries, place)) from None
+        raise scene_error(error, Scene, path, as_written=lambda place: as_written(entries, place)) from None
     scene._source = Source(entries, mapping)
     return scene
 
@@ -350,9 +349,7 @@ def _check(node: yaml.Node, key: str, counts: dict[int, int], above: set[int]) -
     return count
 
 
-def _check_section(
-    node: yaml.MappingNode, key: str, counts: dict[int, int], above: set[int]
-) -> int:
+def _check_section(node: yaml.MappingNode, key: str, counts: dict[int, int], above: set[int]) -> int:
     count, lines = 0, dict[str, int]()
     for name, value in node.value:
         below = f"{key}.{name.value}" if key else str(name.value)

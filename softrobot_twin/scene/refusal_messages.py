@@ -16,10 +16,7 @@ from pydantic import BaseModel, ValidationError
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene.entry import is_entry, item_of_list, plain
 
-NOT_BUILT = {
-    "shells": "shells",
-    "reduction": "reduced models",
-}
+NOT_BUILT = {"shells": "shells", "reduction": "reduced models"}
 SYNONYMS = {
     "e": "young_modulus", "nu": "poisson_ratio", "rho": "density", "mu": "friction",
     "file": "mesh", "center": "centre", "length": "shortening", "force": "tension",

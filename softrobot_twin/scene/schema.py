@@ -33,6 +33,7 @@ from softrobot_twin.scene.body_entries import (
     MassSpringBody,
     Obstacle,
     RigidBody,
+    Shaped,
     Spring,
     Tube,
 )
@@ -55,6 +56,7 @@ from softrobot_twin.scene.mounting_entries import MountingStage, check_mounting
 from softrobot_twin.scene.patterns import Source
 from softrobot_twin.scene.references import check_names, check_references
 from softrobot_twin.scene.sensor_entries import Sensor
+from softrobot_twin.scene.shapes import ShapeEntry
 from softrobot_twin.scene.words import number
 from softrobot_twin.solvers import FACTORIZATIONS
 
@@ -657,3 +659,43 @@ def remove_actuator_section(section: str) -> None:
     del ACTUATOR_SECTIONS[section]
     del Scene.__annotations__[section], Scene.model_fields[section]
     Scene.model_rebuild(force=True)
+
+
+_SHAPED = Shaped, Obstacle, RigidBody
+
+
+def register_shape(key: str, shape: type[ShapeEntry]) -> None:
+    """Registers a shape for obstacles and rigid bodies.
+
+    Args:
+        key: Its key in an entry, such as ``sphere``.
+        shape: The shape; also a `Shape`, unless its `solid` makes one.
+
+    Raises:
+        ValueError: Obstacles or rigid bodies have this key already.
+    """
+    if any(key in entry.model_fields for entry in _SHAPED):
+        raise ValueError(f"obstacles or rigid bodies have a key {key} already")
+    for entry in _SHAPED:
+        entry.__annotations__[key] = shape | None
+        entry.model_fields[key] = FieldInfo(annotation=shape | None, default=None)  # type: ignore[arg-type]
+    _take_shapes((*Shaped.one_of, key))
+
+
+def unregister_shape(key: str) -> None:
+    """Removes a shape that `register_shape` added; scenes that name it are refused again.
+
+    Args:
+        key: Its key.
+    """
+    for entry in _SHAPED:
+        del entry.__annotations__[key], entry.model_fields[key]
+    _take_shapes(tuple(one for one in Shaped.one_of if one != key))
+
+
+def _take_shapes(keys: tuple[str, ...]) -> None:
+    """Let entries with a shape have one of these keys."""
+    Shaped.one_of = keys
+    forms_of.cache_clear()
+    for entry in (*_SHAPED, Scene):
+        entry.model_rebuild(force=True)

@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from softrobot_twin.geometry.shapes import Plane
 from softrobot_twin.geometry.surface_reading import read_surface
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.reduced_points import ReducedPoints
@@ -21,7 +20,7 @@ from softrobot_twin.simulation.building.deformable_body import Body
 from softrobot_twin.simulation.building.mapped_surfaces import surface_on_mesh
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.building.reduced_body import Placed
-from softrobot_twin.simulation.building.scene_layout import build_shape, triangulated
+from softrobot_twin.simulation.building.scene_layout import triangulated
 from softrobot_twin.simulation.state import State
 
 # A beam is drawn with at least this many pieces, each element with no more than the second number.
@@ -149,9 +148,7 @@ def spring_places(model: Model, node_positions: np.ndarray) -> dict[str, np.ndar
     return {kind: places for kind, places in found.items() if len(places)}
 
 
-def skins(
-    bodies: tuple[Body, ...], scene: Scene, beams: tuple[BeamBody, ...], notes: list[str]
-) -> tuple:
+def skins(bodies: tuple[Body, ...], scene: Scene, beams: tuple[BeamBody, ...], notes: list[str]) -> tuple:
     """The surface by which each deformable body is drawn, then that of each beam.
 
     Args:
@@ -301,20 +298,20 @@ def obstacle_skins(model: Model, facets: float) -> tuple[SolidSkin, ...]:
     skins = []
     for entry in model.scene.obstacles:
         # Repairs of its file are reported when the contact is built.
-        shape = build_shape(entry.shape, model.scene, notes=[])
-        is_plane = isinstance(shape, Plane)
-        points, triangles = _patch(shape, entry, model) if is_plane else triangulated(shape, facets)
+        shape = entry.shape.solid(model.scene.file_path, [])
+        if isinstance(shape, Plane):
+            points, triangles = shape.square(_middle(entry, model), PATCH * model.nodes.size)
+        else:
+            points, triangles = triangulated(shape, facets)
         turn = Rotation.from_euler("xyz", entry.rotation)
         skins.append(SolidSkin(entry.name, turn.apply(points) + entry.position, triangles))
     return tuple(skins)
 
 
-def _patch(plane: Plane, entry, model: Model) -> tuple[np.ndarray, np.ndarray]:
-    """The part of a plane that lies beside the bodies, in the plane's coordinates."""
+def _middle(entry, model: Model) -> np.ndarray:
+    """Middle of the bodies in the coordinates of an obstacle [m], shape (3,)."""
     middle = model.nodes.rest_positions[_body_nodes(model)].mean(axis=0)
-    middle = Rotation.from_euler("xyz", entry.rotation).inv().apply(middle - entry.position)
-    foot = middle - ((middle - plane.point) @ plane.normal) * plane.normal
-    return Plane(foot, plane.normal).surface(PATCH * model.nodes.size)
+    return Rotation.from_euler("xyz", entry.rotation).inv().apply(middle - entry.position)
 
 
 def _body_nodes(model: Model) -> np.ndarray:

@@ -14,11 +14,8 @@ from softrobot_twin.mechanics.kinematics import on_unknowns
 from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.building.actuators import Actuators, build_actuators
-from softrobot_twin.simulation.building.constraint_building import (
-    contact_term,
-    effector_term,
-    marker_mapping,
-)
+from softrobot_twin.simulation.building.effector_building import effector_term, marker_mapping
+from softrobot_twin.simulation.building.contact_building import contact_term
 from softrobot_twin.simulation.building.force_building import force_terms
 from softrobot_twin.simulation.building.guided_bodies import Guides
 from softrobot_twin.simulation.building.model import Model

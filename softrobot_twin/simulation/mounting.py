@@ -19,7 +19,8 @@ from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.kinematics import Nodes
 from softrobot_twin.scene import Scene
-from softrobot_twin.scene.body_entries import SHAPES, SphereShape
+from softrobot_twin.scene.body_entries import Shaped
+from softrobot_twin.scene.shapes import Sphere
 from softrobot_twin.scene.mounting_entries import MountingStage
 from softrobot_twin.simulation.build import build_terms
 from softrobot_twin.simulation.command import LONG, CommandSetpoints
@@ -275,7 +276,7 @@ def prestress(simulation: Steppable) -> Prestress:
     moved = {move.body for stage in scene.mounting for move in stage.bodies}
 
     def loose(body):
-        free = dict.fromkeys(SHAPES) | dict(sphere=SphereShape(radius=1.0), speed=None, turn_rate=None)
+        free = dict.fromkeys(Shaped.one_of) | dict(sphere=Sphere(radius=1.0), speed=None, turn_rate=None)
         return body.changed(motion="free", mass=1.0e-12, **free) if body.name in moved else body
 
     # Were these bodies free, the forces on their unknowns would be what their mounts bear.

@@ -37,7 +37,6 @@ from softrobot_twin.simulation.building.actuator_kinds import ActuatorGroup, Qua
 from softrobot_twin.simulation.building.beam_bodies import BeamBody
 from softrobot_twin.simulation.building.cavity_actuator import wall_details
 from softrobot_twin.simulation.building.deformable_body import AtRest, MaterialPart, law_at_rest
-from softrobot_twin.simulation.building.scene_layout import build_shape
 from softrobot_twin.simulation.command import DEFAULT_TIME_STEP
 from softrobot_twin.simulation.effects.observed_forces import observed_term
 from softrobot_twin.simulation.effects.reduction_error import FullModelError
@@ -705,7 +704,7 @@ def _own_mass(entry, simulation: Simulation) -> float:
     """Mass of a free rigid body [kg], without that of nodes and beams that move with it."""
     if entry.mass is not None:
         return entry.mass
-    return entry.density * build_shape(entry.shape, simulation.scene, []).mass_properties()[0]
+    return entry.density * entry.shape.solid(simulation.scene.file_path, []).mass_properties()[0]
 
 
 def _by_value(what: str, values: list[tuple[str, str]]) -> list[tuple[str, str]]:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from softrobot_twin.geometry.shapes import Sphere
+from softrobot_twin.scene.shapes import Sphere
 from softrobot_twin.geometry.surface import half_edges
 from softrobot_twin.harness.figure import load_pyplot, write_figure
 from softrobot_twin.harness.output_file import OutputError
@@ -99,7 +99,7 @@ def balls(centres: np.ndarray, radius: float) -> np.ndarray:
         centres: Their centres [m], shape (ball_count, 3).
         radius: Their radius [m].
     """
-    points, triangles = Sphere(np.zeros(3), radius).surface(np.pi * radius / _SIDES)
+    points, triangles = Sphere(radius=radius).surface(np.pi * radius / _SIDES)
     return (centres[:, None, None] + points[triangles]).reshape(-1, 3, 3)
 
 

@@ -28,9 +28,7 @@ def make(bound_term, /, mesh, *paths, fixed=()):
 
 
 def shaken(mesh, amount=0.01):
-    return mesh.node_positions + amount * np.random.default_rng(0).standard_normal(
-        mesh.node_positions.shape
-    )
+    return mesh.node_positions + amount * np.random.default_rng(0).standard_normal(mesh.node_positions.shape)
 
 
 def collapsed(mesh):

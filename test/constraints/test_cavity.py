@@ -60,9 +60,7 @@ def test_rows_are_the_derivative_of_the_volume(cavity, bound_term, dense_rows):
     np.testing.assert_allclose(H.reshape(len(H), -1), slopes, atol=1e-8 * scale)
 
 
-def test_stiffness_is_minus_the_derivative_of_the_forces_of_pressure(
-    cavity, bound_term, dense_rows
-):
+def test_stiffness_is_minus_the_derivative_of_the_forces_of_pressure(cavity, bound_term, dense_rows):
     mesh, surface = cavity
     term, matrix, free = bound_term(Cavities, (surface, surface), mesh.node_positions, fixed=[0, 5])
     x, pressures, step = shaken(mesh), np.array([300.0, -1700.0]), 1e-5

@@ -92,9 +92,7 @@ def test_stiffness_is_minus_force_times_the_gaps_curvature_or_its_definite_part(
             x, nodes, weights, curvature, normal, force, True, is_whole, found
         )
         left_out = 0.0 if is_whole else force * np.kron(np.outer(c, c), curvature)
-        np.testing.assert_allclose(
-            found[:size, :size], whole + left_out, atol=2e-3 * np.abs(whole).max()
-        )
+        np.testing.assert_allclose(found[:size, :size], whole + left_out, atol=2e-3 * np.abs(whole).max())
         assert not found[size:].any() and not found[:, size:].any()
 
 
@@ -113,9 +111,7 @@ def test_a_facet_along_a_straight_side_is_not_infinitely_stiff():
     normal, found = np.array([0.0, 0.0, 1.0]), np.zeros((9, 9))
     curvature, weights = curvature_of(normal, AXIS), np.array([0.5, 0.5, 0.0])
     nodes = np.array([0, 1, -1])
-    assert 2 == write_facet_stiffness(
-        corners, nodes, weights, curvature, normal, 1.0, True, False, found
-    )
+    assert 2 == write_facet_stiffness(corners, nodes, weights, curvature, normal, 1.0, True, False, found)
     assert 0.0 < found[2, 2] <= 1.001 * RADIUS / (LEAST_CURVATURE * 0.008**2)
 
 

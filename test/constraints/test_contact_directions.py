@@ -18,8 +18,7 @@ def test_normal_and_tangents_are_a_right_handed_frame():
     normals[:6] = np.vstack([np.eye(3), -np.eye(3)])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     made = directions(normals)
-    np.testing.assert_allclose(made @ made.transpose(0, 2, 1), np.tile(np.eye(3), (500, 1, 1)),
-                               atol=1e-14)  # fmt: skip
+    np.testing.assert_allclose(made @ made.transpose(0, 2, 1), np.tile(np.eye(3), (500, 1, 1)), atol=1e-14)
     np.testing.assert_allclose(np.linalg.det(made), 1.0, atol=1e-14)
     np.testing.assert_array_equal(made[:, 0], normals)
 

@@ -151,9 +151,7 @@ def test_wanted_coordinates_add_up_how_far_the_target_turned(mesh, axis):
     rows = []
     for angle in np.linspace(0.0, 1.5, 31):
         rows.append(term.aim(Rotation.from_rotvec([angle, 0.0, 0.0]).as_quat()[None], x))
-    np.testing.assert_allclose(
-        np.linalg.norm(np.diff(rows, axis=0), axis=1), LENGTH * 0.05, rtol=1e-9
-    )
+    np.testing.assert_allclose(np.linalg.norm(np.diff(rows, axis=0), axis=1), LENGTH * 0.05, rtol=1e-9)
     assert np.linalg.norm(rows[-1] - rows[0]) == pytest.approx(LENGTH * 1.5)
     assert np.linalg.norm(rows_at(term, x)[1][3:] - rows[-1]) == pytest.approx(LENGTH * 1.5)
 

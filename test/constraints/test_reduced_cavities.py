@@ -103,9 +103,7 @@ def test_rows_are_the_derivative_of_the_volume(reduced, dense_rows, drawn_rng):
     H = by_coordinates(dense_rows(reduced.term, state(q), reduced.free)[0], reduced.free)
     for m, change in enumerate(step * np.eye(9)):
         ahead, behind = (reduced.term.volumes(state(q + s * change)) for s in (1.0, -1.0))
-        np.testing.assert_allclose(
-            H[:, m], (ahead - behind) / (2 * step), atol=1e-7 * np.abs(H).max()
-        )
+        np.testing.assert_allclose(H[:, m], (ahead - behind) / (2 * step), atol=1e-7 * np.abs(H).max())
 
 
 def test_stiffness_is_minus_the_derivative_of_the_forces_of_pressure(reduced, dense_rows, drawn_rng):
@@ -215,6 +213,4 @@ def test_walls_that_are_fixed_have_a_volume_and_no_entries():
     rest, surface = half.rest_positions, half.surfaces
     full = Cavities(surface, np.arange(len(rest)), rest)
     q = np.array([[0.01, 0.02, -0.005]])
-    np.testing.assert_allclose(
-        term.volumes(q), full.volumes(on_nodes(rest, half.basis, q)), rtol=1e-13
-    )
+    np.testing.assert_allclose(term.volumes(q), full.volumes(on_nodes(rest, half.basis, q)), rtol=1e-13)

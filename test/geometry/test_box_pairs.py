@@ -6,7 +6,7 @@ from scipy.spatial import ConvexHull, Delaunay
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.geometry.box_pairs import BoxPairDetector
-from softrobot_twin.geometry.shapes import Box
+from test.shapes import Box
 
 EDGE, MARGIN = 0.04, 0.003
 UPRIGHT = np.eye(3)
@@ -22,9 +22,7 @@ def on_top(offset, turn=0.0, gap=0.0, tilt=0.0, size=(EDGE,) * 3, world=None):
     at = np.array([*offset, 0.5 * (EDGE + size[2]) + gap])
     turned = world * Rotation.from_euler("zx", [turn, tilt])
     detector = BoxPairDetector(cube(size), cube())
-    return detector.detect(
-        (world.apply(at), turned.as_matrix()), (np.zeros(3), world.as_matrix()), MARGIN
-    )
+    return detector.detect((world.apply(at), turned.as_matrix()), (np.zeros(3), world.as_matrix()), MARGIN)
 
 
 @pytest.mark.parametrize("shift", [0.0, 1e-15, 1e-12, 1e-9, 1e-8, 1e-7, 1e-6])
@@ -76,8 +74,7 @@ def test_contact_corners_span_the_common_area_of_two_faces(seed):
     np.testing.assert_allclose(
         found.first_positions - found.second_positions, gap * found.normals, atol=1e-14
     )
-    np.testing.assert_allclose(found.normals, np.tile(world.apply([0, 0, 1]), (len(corners), 1)),
-                               atol=1e-12)  # fmt: skip
+    np.testing.assert_allclose(found.normals, np.tile(world.apply([0, 0, 1]), (len(corners), 1)), atol=1e-12)
 
 
 @pytest.mark.parametrize("tilt", [1e-4, 1e-2, 0.3, 0.7])

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.geometry.broad_phase import Clusters
-from softrobot_twin.geometry.shapes import Box, Capsule, Cylinder, Plane, Sphere
+from test.shapes import Box, Capsule, Cylinder, Plane, Sphere
 from softrobot_twin.geometry.surface_shape import SurfaceShapeDetector
 from test.near_pairs import near
 
@@ -24,14 +24,10 @@ def tube():
     along, around = np.meshgrid(np.arange(rings), np.arange(sides), indexing="ij")
     angle = 2.0 * np.pi * around / sides
     radius = 0.05 + 0.01 * np.sin(3.0 * angle + 0.7 * along)
-    points = np.stack(
-        [0.02 * (along - 19.5), radius * np.cos(angle), radius * np.sin(angle)], axis=-1
-    )
+    points = np.stack([0.02 * (along - 19.5), radius * np.cos(angle), radius * np.sin(angle)], axis=-1)
     a = sides * along[:-1] + around[:-1]
     b = sides * along[:-1] + (around[:-1] + 1) % sides
-    triangles = np.concatenate(
-        [np.stack([a, b, a + sides], -1), np.stack([b, b + sides, a + sides], -1)]
-    )
+    triangles = np.concatenate([np.stack([a, b, a + sides], -1), np.stack([b, b + sides, a + sides], -1)])
     return points.reshape(-1, 3), triangles.reshape(-1, 3)
 
 

@@ -21,7 +21,7 @@ from softrobot_twin.geometry.cad_meshing import (
 )
 from softrobot_twin.geometry.mesh_reading import read_solid_mesh
 from softrobot_twin.geometry.quality import radius_ratios
-from softrobot_twin.geometry.shapes import Sphere
+from test.shapes import Sphere
 from softrobot_twin.geometry.tet_mesh import TetMesh
 from test.cad_parts import box, finger, joined, need_gmsh, write_step, write_stl
 
@@ -191,8 +191,7 @@ def test_solids_of_a_step_file_become_regions_that_share_nodes(tmp_path):
 
 def test_a_void_of_a_step_solid_is_a_cavity_and_its_unit_is_known(tmp_path):
     need_gmsh()
-    path = write_step(tmp_path / "hollow.step", ((0, 0, 0), (40, 16, 16)),
-                      cut=[((5, 5, 5), (30, 6, 6))])  # fmt: skip
+    path = write_step(tmp_path / "hollow.step", ((0, 0, 0), (40, 16, 16)), cut=[((5, 5, 5), (30, 6, 6))])
     size = part_size(path)
     np.testing.assert_allclose(size.extents, [40 * MM, 16 * MM, 16 * MM], rtol=1e-3)
     made = mesh_cad(path, 8 * MM)
@@ -208,8 +207,7 @@ def tube(path):
     try:
         gmsh.option.setNumber("General.Terminal", 0)
         occ = gmsh.model.occ
-        occ.cut([(3, occ.addBox(0, 0, 0, 30, 12, 12))],
-                [(3, occ.addCylinder(5, 6, 6, 20, 0, 0, 3))])
+        occ.cut([(3, occ.addBox(0, 0, 0, 30, 12, 12))], [(3, occ.addCylinder(5, 6, 6, 20, 0, 0, 3))])
         occ.synchronize()
         if path.suffix == ".stl":
             gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", 40)
@@ -267,9 +265,7 @@ def test_text_is_no_step_file(tmp_path):
     ("OSError('libGLU.so.1: cannot open shared object file')",
      ("libGLU.so.1", "sudo apt install libglu1-mesa")),
 ], ids=["gmsh", "library"])  # fmt: skip
-def test_what_is_missing_is_named_with_the_command_that_installs_it(
-    tmp_path, monkeypatch, raised, words
-):
+def test_what_is_missing_is_named_with_the_command_that_installs_it(tmp_path, monkeypatch, raised, words):
     (tmp_path / "gmsh.py").write_text(f"raise {raised}\n")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     refused(write_stl(tmp_path / "cube.stl", CUBE), *words)

@@ -10,7 +10,7 @@ from softrobot_twin.geometry.closed_surface import (
     flat_regions,
     flatten_regions,
 )
-from softrobot_twin.geometry.shapes import Box, Capsule, Cylinder, Sphere
+from test.shapes import Box, Capsule, Cylinder, Sphere
 from softrobot_twin.geometry.shapes.distance_kernels import CYLINDER
 from softrobot_twin.geometry.solid_shape import SolidShapeDetector
 from softrobot_twin.geometry.surface_pairs import SurfacePairDetector
@@ -100,9 +100,7 @@ def test_all_contact_normals_on_a_flat_floor_equal_its_normal(cells, scale, seed
     points, triangles = floor(cells, scale, seed)
     random = np.random.default_rng(seed)
     cube, faces = Box([0, 0, 0], [0.3 * scale] * 3).surface(np.inf)
-    pair = SurfacePairDetector(
-        triangles, len(points), faces, len(cube), rigid_points=(points, cube)
-    )
+    pair = SurfacePairDetector(triangles, len(points), faces, len(cube), rigid_points=(points, cube))
     radius = 0.15 * scale
     ends = radius * np.array([[0, 0, -1.0], [0, 0, 1.0]])
     round_shapes = [Sphere([0, 0, 0], radius), Capsule(ends, radius), Cylinder(ends, radius)]
@@ -185,6 +183,6 @@ def test_a_rim_exactly_on_a_floor_is_not_treated_as_beyond_it(scale, depth):
         x, y = np.cos(angle), np.sin(angle)
         # The floor's plane is square to the radius, the rim point is below it.
         foot = ((radius - depth * scale) * x, (radius - depth * scale) * y, end * half)
-        assert not is_past_shape(CYLINDER, extents, foot, -depth * scale)
+        assert not is_past_shape((CYLINDER, extents), foot, -depth * scale)
         beyond = (-2.0 * radius * x, -2.0 * radius * y, end * half)
-        assert is_past_shape(CYLINDER, extents, beyond, -3.0 * radius)
+        assert is_past_shape((CYLINDER, extents), beyond, -3.0 * radius)

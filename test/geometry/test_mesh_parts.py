@@ -344,8 +344,7 @@ def test_instances_of_abaqus_parts_are_moved_then_turned(tmp_path):
         [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [5, 0, 0], [5, 1, 0], [4, 0, 0], [5, 0, 1]],
         atol=1e-12)  # fmt: skip
     regions = {name: cells.tolist() for name, cells in reading.parts.regions.items()}
-    assert regions == {"a-1.ALL": [0], "a-1.Again": [0], "b-1.ALL": [1], "b-1.Again": [1],
-                       "Second": [1]}  # fmt: skip
+    assert regions == {"a-1.ALL": [0], "a-1.Again": [0], "b-1.ALL": [1], "b-1.Again": [1], "Second": [1]}
     assert reading.notes[0] == "Left out the part unused, which no *Instance places."
 
 

@@ -140,9 +140,7 @@ def test_parts_stay_separate_on_request_and_the_cut_is_reported(read_tets):
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
-def test_a_mesh_whose_elements_share_no_node_is_merged_into_the_original_mesh(
-    block, read_tets, scale
-):
+def test_a_mesh_whose_elements_share_no_node_is_merged_into_the_original_mesh(block, read_tets, scale):
     mesh = block()
     points = scale * mesh.node_positions[mesh.cells].reshape(-1, 3).astype(np.float32)
     reading = read_tets(points, np.arange(len(points)).reshape(-1, 4))

@@ -11,9 +11,7 @@ pytestmark = pytest.mark.libraries
 
 
 def held_points(mesh, location):
-    return np.einsum(
-        "pn,pni->pi", location.barycentric_weights, mesh.node_positions[location.nodes]
-    )
+    return np.einsum("pn,pni->pi", location.barycentric_weights, mesh.node_positions[location.nodes])
 
 
 def test_weights_of_inside_points_reproduce_the_points(block):
@@ -43,9 +41,7 @@ def test_outside_points_are_located_at_the_nearest_point_of_the_surface(block):
     nearest = np.clip(points, 0, [0.2, 0.3, 0.4])
     location = locate_points(mesh, points)
     np.testing.assert_allclose(held_points(mesh, location), nearest, atol=1e-13)
-    np.testing.assert_allclose(
-        location.distances, np.linalg.norm(points - nearest, axis=1), atol=1e-13
-    )
+    np.testing.assert_allclose(location.distances, np.linalg.norm(points - nearest, axis=1), atol=1e-13)
     assert (location.barycentric_weights >= 0).all()
     np.testing.assert_allclose(location.barycentric_weights.sum(axis=1), 1.0, atol=1e-14)
 

@@ -15,7 +15,7 @@ from softrobot_twin.geometry.round_axes import (
     pair_axes,
     pair_axis_with_shape,
 )
-from softrobot_twin.geometry.shapes import Box, Capsule, Cylinder, Plane, Sphere
+from test.shapes import Box, Capsule, Cylinder, Plane, Sphere
 
 AT_WORLD = np.vstack([np.zeros(3), np.eye(3)])
 FINE = np.linspace(0.0, 1.0, 401)
@@ -60,7 +60,7 @@ def test_place_nearest_to_a_shape_is_that_of_a_search(shape, drawn_rng):
         axis = chain(drawn_rng)
         for e in range(4):
             distances, _ = shape.signed_distances(points_of(axis, e))
-            s = nearest_share(axis, e, shape.kind, np.array(shape.extents()), placed)
+            s = nearest_share(axis, e, shape.form(), placed)
             found, _ = shape.signed_distances([axis_point(axis, e, s)])
             # An axis that is bent around an edge may be near at two places: either may be found.
             falls = np.diff(distances) < 0.0
@@ -101,8 +101,8 @@ def test_a_straight_axis_above_a_plane_touches_with_its_nodes():
     axis = RoundAxis(np.stack([places[:-1], places[1:]], axis=1),
                      np.stack([tangents, tangents], axis=1), 0.004)  # fmt: skip
     found = found_by(partial(
-        pair_axis_with_shape, axis, np.zeros(7, bool), Plane([0, 0, 0], [0, 0, 1]).kind,
-        np.zeros(3), AT_WORLD,
+        pair_axis_with_shape, axis, np.zeros(7, bool), Plane([0, 0, 0], [0, 0, 1]).form(),
+        np.inf, AT_WORLD,
     ), margin=0.003)  # fmt: skip
     np.testing.assert_array_equal(found.keys, [0, 2, 4, 6])
     np.testing.assert_allclose(found.gaps, 0.001)
@@ -116,7 +116,7 @@ def test_an_axis_across_a_wire_touches_between_its_nodes():
     wire = Capsule([[0.0, -0.1, 0.0], [0.0, 0.1, 0.0]], 0.001)
     origin, axes = wire.frame()
     found = found_by(partial(
-        pair_axis_with_shape, axis, np.zeros(3, bool), wire.kind, np.array(wire.extents()),
+        pair_axis_with_shape, axis, np.zeros(3, bool), wire.form(), wire.radius,
         np.vstack([origin, np.array(axes).T]),
     ), margin=0.003)  # fmt: skip
     np.testing.assert_array_equal(found.keys, [1])

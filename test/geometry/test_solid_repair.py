@@ -5,7 +5,7 @@ import pytest
 
 from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.cad_meshing import read_shells
-from softrobot_twin.geometry.shapes import Capsule
+from test.shapes import Capsule
 from softrobot_twin.study.meshing import mesh_part
 from test.cad_parts import box, inside_out, joined, write_stl
 

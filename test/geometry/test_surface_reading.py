@@ -10,7 +10,7 @@ from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.closed_surface import closed_surface
 from softrobot_twin.geometry.ear_clipping import clip_ears
 from softrobot_twin.geometry.mass_properties import surface_mass_properties
-from softrobot_twin.geometry.shapes import Box, Capsule
+from test.shapes import Box, Capsule
 from softrobot_twin.geometry.surface_reading import read_solid_surface
 
 pytestmark = pytest.mark.libraries
@@ -157,8 +157,7 @@ def polydata(faces, version=3, binary=False):
                   ("CONNECTIVITY vtktypeint64", np.concatenate(faces), ">i8")]  # fmt: skip
     else:
         own = np.concatenate([(len(face), *face) for face in faces])
-        arrays = [("POINTS 8 float", CORNERS, ">f4"),
-                  (f"POLYGONS {len(faces)} {len(own)}", own, ">i4")]  # fmt: skip
+        arrays = [("POINTS 8 float", CORNERS, ">f4"), (f"POLYGONS {len(faces)} {len(own)}", own, ">i4")]
     text = (head + "DATASET POLYDATA\n").encode()
     for word, values, kind in arrays:
         values = np.asarray(values, kind).ravel()

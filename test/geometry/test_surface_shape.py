@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from softrobot_twin.geometry.shapes import Box, Capsule, Cylinder, Plane, Sphere
+from test.shapes import Box, Capsule, Cylinder, Plane, Sphere
 from softrobot_twin.geometry.surface_shape import SurfaceShapeDetector, edges_and_sides
 from test.near_pairs import near
 
@@ -98,12 +98,10 @@ def touching(shape, seed, gap):
     points = points + generator.uniform(-4e-4, 4e-4, points.shape)
     direction = generator.normal(size=3)
     direction /= np.linalg.norm(direction)
-    if isinstance(shape, Plane):
-        direction = -turns[1] @ shape.normal
+    if shape.is_half_space:
+        direction = -turns[1] @ shape.unit_normal
     origin = approach(shape, points, triangles, turns[1], direction, gap)
-    found = near(
-        SurfaceShapeDetector(triangles, len(points), shape), points, origin, turns[1], MARGIN
-    )
+    found = near(SurfaceShapeDetector(triangles, len(points), shape), points, origin, turns[1], MARGIN)
     return points, triangles, origin, turns[1], found
 
 
@@ -209,8 +207,7 @@ def test_contacts_move_with_the_placement_of_the_whole(shape):
     np.testing.assert_array_equal(moved.keys, found.keys)
     np.testing.assert_allclose(moved.gaps, found.gaps, atol=1e-12)
     np.testing.assert_allclose(moved.normals, found.normals @ move.T, atol=1e-6)
-    np.testing.assert_allclose(moved.first_positions, found.first_positions @ move.T + shift,
-                               atol=1e-8)  # fmt: skip
+    np.testing.assert_allclose(moved.first_positions, found.first_positions @ move.T + shift, atol=1e-8)
 
 
 @pytest.mark.sampled
@@ -245,7 +242,7 @@ def test_keys_stay_under_small_motion(shape):
 
 
 def test_far_away_nothing_is_found(shape):
-    origin = -10.0 * shape.normal if isinstance(shape, Plane) else np.array([0.0, 0.0, 10.0])
+    origin = -10.0 * shape.unit_normal if shape.is_half_space else np.array([0.0, 0.0, 10.0])
     detector = SurfaceShapeDetector(np.array([[0, 1, 2]]), 3, shape)
     found = near(detector, COVER, origin, UPRIGHT, MARGIN)
     assert [len(array) for array in found] == [0] * 9
@@ -427,7 +424,7 @@ def test_a_feature_through_the_centre_has_a_unit_normal(shape, part):
     for result in (found, at_centre):
         assert all(np.isfinite(array).all() for array in result)
         np.testing.assert_allclose(np.linalg.norm(result.normals, axis=1), 1.0)
-    if not isinstance(shape, Box) or part != "inside":
+    if not shape.has_edges or part != "inside":
         assert at_centre.gaps.min() <= -0.01 + 1e-9
 
 

@@ -44,9 +44,7 @@ def test_the_stiffness_is_symmetric(free):
     rng = np.random.default_rng(3)
     correction.linearize(turned(mesh)[1] + 1e-2 * rng.standard_normal((mesh.node_count, 3)))
     a, b = rng.standard_normal((2, mesh.node_count + correction.bubble_count, 3))
-    assert np.vdot(a, correction.multiply(b)) == pytest.approx(
-        np.vdot(b, correction.multiply(a)), rel=1e-10
-    )
+    assert np.vdot(a, correction.multiply(b)) == pytest.approx(np.vdot(b, correction.multiply(a)), rel=1e-10)
 
 
 def test_at_rest_the_nodes_have_the_stiffness_of_quadratic_elements(free, bind):
@@ -56,9 +54,7 @@ def test_at_rest_the_nodes_have_the_stiffness_of_quadratic_elements(free, bind):
     bound = bind((lambda *given: small_displacement(*given[:2], LAME), mesh, 1.0, 0.0))
     forces, _ = bound.forces(mesh.node_positions + move)
     whole = np.concatenate([move, np.zeros((correction.bubble_count, 3))])
-    np.testing.assert_allclose(
-        correction.multiply(whole)[: mesh.node_count], -forces, rtol=1e-9, atol=1e-6
-    )
+    np.testing.assert_allclose(correction.multiply(whole)[: mesh.node_count], -forces, rtol=1e-9, atol=1e-6)
 
 
 @pytest.mark.parametrize("at_rest", [True, False], ids=["at rest", "turned"])
@@ -84,9 +80,7 @@ def test_the_correction_solves_its_equations(block):
     bubbles_held = held[cubic.bubble_corners].all(axis=1)
     free = np.concatenate([~held, ~bubbles_held])
     index = np.where(free, np.cumsum(free) - 1, -1)
-    correction = CubicCorrection(
-        [CubicPart(cubic, 0, LAME, 1000.0, True)], index, int((~held).sum())
-    )
+    correction = CubicCorrection([CubicPart(cubic, 0, LAME, 1000.0, True)], index, int((~held).sum()))
     correction.linearize(mesh.node_positions)
     size, nodes = 3 * int(free.sum()), correction.node_unknowns
     whole = np.stack([correction.multiply(unit.reshape(-1, 3)).ravel() for unit in np.eye(size)])

@@ -39,8 +39,7 @@ def robot(**sections) -> dict:
 
 def repeated(section: str, entry: dict, repeat, **others) -> tuple:
     """The entries of a section that one repeated entry makes."""
-    return getattr(scene_from_mapping(robot(**{section: [{**entry, "repeat": repeat}]}, **others)),
-                   section)  # fmt: skip
+    return getattr(scene_from_mapping(robot(**{section: [{**entry, "repeat": repeat}]}, **others)), section)
 
 
 def refused(mapping: dict) -> SceneError:
@@ -136,8 +135,7 @@ def test_steps_and_turns_nest_and_name_their_copies():
     assert [t.name for t in tubes] == ["t0_0", "t0_1", "t0_2", "t1_0", "t1_1", "t1_2"]
     assert tubes[2].points == ((0.01, 0.0, 0.04), (0.01, 0.0, 0.045))
     assert tubes[4].points == ((-0.01, 0.0, 0.02), (-0.01, 0.0, 0.025))
-    tubes = repeated("tubes", tube | {"name": "t"}, {"count": 2, "about": "y", "first": 1,
-                                                     "step": [0, 1, 0]})  # fmt: skip
+    tubes = repeated("tubes", tube | {"name": "t"}, {"count": 2, "about": "y", "first": 1, "step": [0, 1, 0]})
     assert [t.name for t in tubes] == ["t_1", "t_2"]
     assert tubes[1].points[1] == (-0.01, 1.0, -0.005)
 

@@ -56,8 +56,7 @@ def test_a_beam_that_is_dropped_rests_on_a_floor_that_bears_its_weight(section, 
     result = repeat_step(sim, Hold(0.005), 40)
     assert result.status is Status.OK
     weight = 9.81 * sim.model.beams[0].mass
-    np.testing.assert_allclose(result.contacts.forces.sum(axis=0), [0.0, 0.0, weight],
-                               atol=1e-3 * weight)  # fmt: skip
+    np.testing.assert_allclose(result.contacts.forces.sum(axis=0), [0.0, 0.0, weight], atol=1e-3 * weight)
     np.testing.assert_allclose(nodes(sim)[:, 2], half, atol=1e-6)
 
 
@@ -80,9 +79,7 @@ def test_beams_that_cross_bear_each_other_as_their_stiffnesses_demand():
     force = sag / (at**3 / (3 * bending) + LENGTH**3 / (192 * bending))
     (found,) = result.contacts.forces
     np.testing.assert_allclose(found, [0.0, 0.0, -force], atol=0.02 * force)
-    assert nodes(sim, 1)[8, 2] + 2 * RADIUS == pytest.approx(
-        -force * LENGTH**3 / (192 * bending), rel=0.02
-    )
+    assert nodes(sim, 1)[8, 2] + 2 * RADIUS == pytest.approx(-force * LENGTH**3 / (192 * bending), rel=0.02)
     # What one is pushed by, the other one is pushed back by, also about any axis.
     term, x = sim.model.contacts, sim.state.positions
     own = term.coefficients[0, :8] @ x[term.nodes[0, :8]]
@@ -167,8 +164,7 @@ def over_a_drum(ratio, friction=0.3):
     radius, across = 0.05, 0.051
     angles = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 13)
     arc = np.column_stack([across * np.sin(angles), 0.0 * angles, across * np.cos(angles)])
-    points = np.vstack([[-across, 0, -0.1], [-across, 0, -0.05], arc, [across, 0, -0.05],
-                        [across, 0, -0.1]])  # fmt: skip
+    points = np.vstack([[-across, 0, -0.1], [-across, 0, -0.05], arc, [across, 0, -0.05], [across, 0, -0.1]])
     pulled = [
         {"name": name, "body": "rod", "points": [[x, 0, -0.1]], "pull_point": [x, 0, -0.5],
          "tension": [0, 100]} for name, x in (("left", -across), ("right", across))
@@ -211,8 +207,7 @@ def test_a_rope_whose_elements_are_longer_than_the_radius_of_its_peg_is_warned_o
 @pytest.mark.parametrize("speed, step", [(1.0, 0.001), (3.0, 0.005), (10.0, 0.02)])
 @pytest.mark.parametrize("across", ["wire", "beam"])
 def test_no_beam_passes_through_what_is_a_millimetre_thin(across, speed, step):
-    wire = {"name": "wire", "capsule": {"ends": [[0.1013, -0.1, 0], [0.1013, 0.1, 0]],
-                                        "radius": 0.0005}}  # fmt: skip
+    wire = {"name": "wire", "capsule": {"ends": [[0.1013, -0.1, 0], [0.1013, 0.1, 0]], "radius": 0.0005}}
     height, stiff = 0.02 + 0.37 * speed * step, MATERIAL | {"young_modulus": 1.0e9}
     flying = beam(points=[[0, 0, height], [LENGTH, 0, height]], fixed=[], material=stiff,
                   section={"circle": {"radius": 0.0005}}, elements=8)  # fmt: skip
@@ -252,8 +247,7 @@ def test_a_deep_overlap_is_pushed_out_no_faster_than_asked():
 @pytest.mark.parametrize("other", ["sphere", "beam", "itself"])
 def test_rows_are_the_finite_differences_of_gaps(other, drawn_rng):
     ball = {"name": "thing", "sphere": {"centre": [0.103, 0.003, -0.0142], "radius": 0.01}}
-    crossing = beam(name="thing", points=[[0.103, -0.1, -0.0085], [0.103, 0.1, -0.0085]],
-                    elements=7)  # fmt: skip
+    crossing = beam(name="thing", points=[[0.103, -0.1, -0.0085], [0.103, 0.1, -0.0085]], elements=7)
     angles = np.linspace(0.0, 1.9 * np.pi, 9)
     ring = np.column_stack([0.03 * np.cos(angles), 0.03 * np.sin(angles), 0.0 * angles])
     beams = {"sphere": [beam(elements=5)], "beam": [beam(elements=5), crossing],

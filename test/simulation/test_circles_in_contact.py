@@ -10,10 +10,7 @@ RUNS = 4
 MEAN, LARGEST = 2.0e-6, 1.0e-4  # m
 BALL = [-0.022, 0.0, 0.150]  # m
 # Centre, radius [m] and second axis of each circle.
-CIRCLES = {
-    "between cylinders": ([0.020, 0.0, 0.215], 0.005, 2),
-    "on a ball": ([0.0, 0.0, 0.188], 0.020, 1),
-}
+CIRCLES = {"between cylinders": ([0.020, 0.0, 0.215], 0.005, 2), "on a ball": ([0.0, 0.0, 0.188], 0.020, 1)}
 # In motion the platform stands still. Places of obstacles [m], and circles that statics reach.
 BALL_IN_MOTION, CYLINDERS_IN_MOTION = [-0.028, 0.0, 0.150], [0.025, 0.160]
 CIRCLES_IN_MOTION = {
@@ -104,9 +101,7 @@ def test_a_circle_in_contact_is_met_wherever_exactly_the_obstacle_is(coarse_trun
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("time_step", [0.01, 0.02])
 @pytest.mark.parametrize("name", CIRCLES_IN_MOTION)
-def test_in_motion_a_trunk_that_leans_below_its_tip_meets_a_circle(
-    coarse_trunk, drawn_rng, name, time_step
-):
+def test_in_motion_a_trunk_that_leans_below_its_tip_meets_a_circle(coarse_trunk, drawn_rng, name, time_step):
     for _ in range(RUNS):
         trunk = coarse_trunk(leaning_in_motion(name, drawn_rng))
         follow(trunk, CIRCLES_IN_MOTION[name], time_step)

@@ -11,8 +11,7 @@ MATERIAL = {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0}
 
 
 @builder
-def finger(scene_of, write_block, /, integration="quasi_static", friction=0.4,
-           **contact) -> Simulation:  # fmt: skip
+def finger(scene_of, write_block, /, integration="quasi_static", friction=0.4, **contact) -> Simulation:
     """A bar on a wall, with a cable below that pulls it against an obstacle."""
     return scene_of(
         gravity=[0, 0, 0], integration=integration,

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.errors import MeshError, SceneError
-from softrobot_twin.geometry.shapes import Box
+from test.shapes import Box
 from softrobot_twin.simulation import Hold, Simulation, Status
 from test.builder import builder
 
@@ -64,16 +64,14 @@ def test_the_mesh_boundary_as_contact_surface_changes_nothing(tmp_path, cube, el
     block = Box([0.01, 0.0, -0.05], [0.3, 0.2, 0.1])
     floor |= {
         "plane": {"plane": {}},
-        "box": {"box": {"centre": block.centre.tolist(), "size": block.size.tolist()}},
+        "box": {"box": {"centre": list(block.centre), "size": list(block.size)}},
         "stl": {"surface": {"file": written(tmp_path / "floor.stl", *block.surface(0.03))}},
     }[obstacle]
     mine, carried = (
         cube(surface, element=element, lift=1e-3, obstacles=[floor]) for surface in (None, skin)
     )
     for one, other in zip(run(mine, 15), run(carried, 15), strict=True):
-        np.testing.assert_allclose(
-            other.state.positions, one.state.positions, rtol=0, atol=2e-6 * SIDE
-        )
+        np.testing.assert_allclose(other.state.positions, one.state.positions, rtol=0, atol=2e-6 * SIDE)
     assert mine.state.positions[:, 2].min() < -SIDE / 2 + 1e-6
 
 

@@ -70,9 +70,7 @@ def test_fingers_that_just_touch_a_cube_rest_and_do_not_flicker(beyond):
     simulation = Simulation(scene_from_mapping(entries, SCENE_FILE))
     for wound in np.arange(0.0, 0.016, 2e-4):
         simulation.step(CommandSetpoints(simulation.rest_setpoints - wound, STEP))
-        pairs = simulation.step(
-            CommandSetpoints(simulation.rest_setpoints - wound, STEP)
-        ).contacts
+        pairs = simulation.step(CommandSetpoints(simulation.rest_setpoints - wound, STEP)).contacts
         if any("finger" in pairs.names[pair][0] for pair in pairs.pairs):
             break
     results = follow(simulation, np.array([beyond, 0.0, 0.0]), 200)

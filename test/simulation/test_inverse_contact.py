@@ -43,9 +43,7 @@ def least_of_piece(problem, touching):
     lengths = np.linalg.norm(rows, axis=1)
     lengths[lengths == 0.0] = 1.0
     lower = np.concatenate([problem.lower[free], problem.row_lower, -problem.d])
-    upper = np.concatenate(
-        [problem.upper[free], problem.row_upper, np.where(touching, -problem.d, np.inf)]
-    )
+    upper = np.concatenate([problem.upper[free], problem.row_upper, np.where(touching, -problem.d, np.inf)])
     sense = np.where(lower == upper, 5, 0).astype(c_int)
     w, _, flag, _ = daqp.solve(
         np.eye(len(free)), q / size, rows / lengths[:, None],

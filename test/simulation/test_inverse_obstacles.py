@@ -90,6 +90,4 @@ def test_the_inverse_solution_is_an_equilibrium_with_its_lengths_held(beam, rod)
     same = repeat_step(direct, CommandSetpoints(found.setpoints, 0.05), 60)
     np.testing.assert_allclose(same.state.positions, found.state.positions, atol=1e-7)
     np.testing.assert_allclose(same.efforts, found.efforts, atol=1e-3)
-    np.testing.assert_allclose(
-        same.contacts.forces.sum(axis=0), found.contacts.forces.sum(axis=0), atol=1e-4
-    )
+    np.testing.assert_allclose(same.contacts.forces.sum(axis=0), found.contacts.forces.sum(axis=0), atol=1e-4)

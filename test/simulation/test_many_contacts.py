@@ -67,9 +67,7 @@ def obeys_signorini_and_coulomb(simulation, result, friction):
 
 
 @pytest.mark.exhaustive
-def test_two_hundred_contacts_press_on_the_facets_of_a_soft_block(
-    scene_of, write_block, studded_slab
-):
+def test_two_hundred_contacts_press_on_the_facets_of_a_soft_block(scene_of, write_block, studded_slab):
     ground = {
         "name": "ground",
         "mesh": {"file": write_block((0.06, 0.06, 0.02), (1, 1, 1)), "translation": [0, 0, -0.01]},

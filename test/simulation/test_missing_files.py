@@ -3,7 +3,7 @@
 import meshio
 import pytest
 
-from softrobot_twin.geometry.shapes import Box
+from test.shapes import Box
 from softrobot_twin.simulation import Hold, Status
 from test.builder import builder
 

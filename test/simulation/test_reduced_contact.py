@@ -98,9 +98,7 @@ def matrix_of(factorization):
 
 
 @pytest.mark.parametrize("shape", ["sphere", "cylinder"])
-def test_folded_stiffness_is_minus_force_times_the_second_derivative_of_the_gap(
-    beam, tmp_path, shape
-):
+def test_folded_stiffness_is_minus_force_times_the_second_derivative_of_the_gap(beam, tmp_path, shape):
     """∂²gap/∂q² of the gap as it is detected, by differences."""
 
     def add(mapping):
@@ -235,9 +233,7 @@ def test_the_full_model_judges_a_body_where_its_slide_has_brought_it(spanned):
 
 
 @pytest.mark.parametrize("own_surface", [False, True], ids=["of_the_mesh", "of_a_file"])
-def test_a_guided_ball_pushes_a_spanning_basis_as_the_full_model(
-    spanned, write_surface, own_surface
-):
+def test_a_guided_ball_pushes_a_spanning_basis_as_the_full_model(spanned, write_surface, own_surface):
     """The shape moves; the surface is that of the mesh, or one that the body carries."""
 
     def change(mapping):

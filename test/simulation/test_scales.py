@@ -14,7 +14,7 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
-from softrobot_twin.geometry.shapes import Cylinder
+from test.shapes import Cylinder
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation

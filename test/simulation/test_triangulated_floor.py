@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial import Delaunay
 from scipy.spatial.transform import Rotation
 
-from softrobot_twin.geometry.shapes import Box
+from test.shapes import Box
 from softrobot_twin.simulation import Hold
 from test.builder import builder
 from test.scene_changes import repeat_step
@@ -130,9 +130,7 @@ def ways_on_the_plane():
 
 @pytest.mark.parametrize("name", ["cube", "stl cube", "sphere", "capsule", "lying cylinder"])
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_body_slides_down_a_slope_as_on_the_analytic_plane(
-    laid, ways_on_the_plane, tmp_path, name, kind
-):
+def test_a_body_slides_down_a_slope_as_on_the_analytic_plane(laid, ways_on_the_plane, tmp_path, name, kind):
     """A cube slides against friction, what is round rolls."""
 
     def way_on(shape):
@@ -163,9 +161,7 @@ def test_a_cube_that_begins_on_a_slope_touches_it_in_the_first_step(laid, tmp_pa
 
 @pytest.mark.parametrize("name, share", [("sphere", 2 / 5), ("lying cylinder", 1 / 2)])
 @pytest.mark.parametrize("kind", ["plane", "irregular"])
-def test_round_bodies_roll_down_with_the_acceleration_of_their_inertia(
-    laid, tmp_path, name, share, kind
-):
+def test_round_bodies_roll_down_with_the_acceleration_of_their_inertia(laid, tmp_path, name, share, kind):
     floor = {"plane": {}}
     if kind != "plane":
         floor = {"surface": {"file": write_slab(tmp_path / "floor.stl", kind, 5)}}

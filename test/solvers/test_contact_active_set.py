@@ -50,9 +50,7 @@ def test_two_almost_identical_contacts_are_distinguished(share):
 def test_duplicate_contacts_share_the_force_of_one(seed):
     once = problem(seed, contacts=4)
     of = np.concatenate([np.arange(8), np.arange(4, 8)])
-    twice = once._replace(
-        W=once.W[np.ix_(of, of)].copy(), violation=once.violation[of], friction=np.zeros(8)
-    )
+    twice = once._replace(W=once.W[np.ix_(of, of)].copy(), violation=once.violation[of], friction=np.zeros(8))
     alone = solve_by_active_set(once, np.zeros(8), FAR)
     shared = solve_by_active_set(twice, np.ones(12), FAR)
     assert residual(twice, shared) < 1e-9
@@ -63,9 +61,7 @@ def test_an_omitted_contact_is_added_when_its_gap_becomes_negative():
     """One cable, shortened by 3 mm, pulls against a wall given twice, 2 mm away; open in the guess.
     """
     W = 1.0e-3 * np.array([[2.0, -1.0, -1.0], [-1.0, 2.0, 2.0], [-1.0, 2.0, 2.0]])
-    posed = ContactProblem(
-        W, np.array([-3e-3, 1e-3, 1e-3]), np.zeros(1), np.full(1, 9.0), np.zeros(2), 1
-    )
+    posed = ContactProblem(W, np.array([-3e-3, 1e-3, 1e-3]), np.zeros(1), np.full(1, 9.0), np.zeros(2), 1)
     far = posed._replace(violation=np.array([-3e-3, 1.0, 1.0]))
     free = solve_by_active_set(far, np.zeros(3), FAR)
     assert (W @ free + posed.violation)[1] < 0.0

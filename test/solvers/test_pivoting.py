@@ -19,9 +19,7 @@ def solve(robot, problem=None, **options):
 
 
 @pytest.mark.parametrize("seed", range(25))
-def test_an_answer_is_admissible_and_no_worse_than_holding(
-    robot_in_contact, complementarity_residual, seed
-):
+def test_an_answer_is_admissible_and_no_worse_than_holding(robot_in_contact, complementarity_residual, seed):
     robot = robot_in_contact(seed)
     problem = robot.problem()
     answer = solve(robot, problem)
@@ -152,9 +150,7 @@ def test_duplicate_contacts_neither_cycle_nor_change_the_motion(
         np.testing.assert_allclose(motion, of_one, atol=3e-5)
 
 
-def test_contacts_on_a_rigid_face_share_the_load(
-    robot_in_contact, complementarity_residual, drawn_rng
-):
+def test_contacts_on_a_rigid_face_share_the_load(robot_in_contact, complementarity_residual, drawn_rng):
     """Six contacts whose compliance has rank three: what they bear together is determined."""
     robot = robot_in_contact(int(drawn_rng.integers(2**32)), contacts=3)
     mix, of_face = drawn_rng.dirichlet(np.ones(3), 6), robot.system

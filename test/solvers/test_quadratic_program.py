@@ -14,9 +14,7 @@ def random_robot(seed, n=4, rows=3):
     rng = np.random.default_rng(seed)
     Y = rng.standard_normal((n + rows, n + rows)) * np.logspace(0, -1.5, n + rows)[:, None]
     W = 1e-3 * Y.T @ Y
-    bounds = Bounds(
-        np.full(n, -1e-3), np.full(n, 2e-2), np.zeros(n), np.full(n, rng.uniform(2, 30))
-    )
+    bounds = Bounds(np.full(n, -1e-3), np.full(n, 2e-2), np.zeros(n), np.full(n, rng.uniform(2, 30)))
     return W[:n, :n], W[n:, :n], 1e-2 * rng.standard_normal(rows), 1e-3 * rng.random(n), bounds
 
 
@@ -62,9 +60,7 @@ def test_the_whitened_objective_is_the_program_s_own(seed):
         w = np.linalg.solve(whitened.T, z)
         return 0.5 * w @ w + whitened.q @ w
 
-    ratio = (program.objective(first) - program.objective(second)) / (
-        objective(first) - objective(second)
-    )
+    ratio = (program.objective(first) - program.objective(second)) / (objective(first) - objective(second))
     assert ratio == pytest.approx(program.objective(first) / objective(first), rel=1e-6)
 
 

@@ -1,6 +1,17 @@
-"""Signed distances to canonical shapes, and their gradients.
+"""Forms of shapes: signed distances to them, their gradients, and points that reach farthest.
 
-Every shape is mapped to one of four canonical forms, identified by a number:
+A form says what a shape looks like in its own frame; all search kernels take one. It is convex, so
+its signed distance is a convex function of space, inside as well: the tangent plane at any point is
+a lower bound everywhere.
+
+A new form is a NamedTuple of its sizes that holds two kernels (`KERNEL`), which numba compiles into
+the searches:
+
+    distance(form, p)   signed distance of a point p [m], negative inside, and its unit gradient
+    farthest(form, n)   the point that reaches farthest along a unit vector n [m]
+
+The shapes of this package share one form, so that the searches are compiled once for all of them: a
+tuple of a number and of sizes (`extents`, shape (3,)) [m].
 
     HALF_SPACE  z ≤ 0
     CAPSULE     within extents[0] of the segment |z| ≤ extents[1] of the z axis; a sphere has
@@ -8,10 +19,8 @@ Every shape is mapped to one of four canonical forms, identified by a number:
     CYLINDER    ρ ≤ extents[0], |z| ≤ extents[1]
     BOX         |x| ≤ extents[0], |y| ≤ extents[1], |z| ≤ extents[2]
 
-All forms are convex, so the signed distance is a convex function of space, inside as well: the
-tangent plane at any point is a lower bound everywhere.
-
 Arguments of the kernels here:
+    form: The form.
     half: Half sides of a box [m], three numbers.
     p: A point, three numbers [m].
     placed: Origin [m] in row 0 and axes in rows 1 to 3, shape (4, 3).
@@ -20,8 +29,10 @@ Arguments of the kernels here:
 from __future__ import annotations
 
 import numpy as np
+from numba import types
+from numba.extending import overload
 
-from softrobot_twin.geometry.vector3 import divided, dot, norm, row, subtract
+from softrobot_twin.geometry.vector3 import divided, dot, norm, row, set_row, subtract
 from softrobot_twin.kernels.compilation import INNER, KERNEL, ONCE, njit
 
 HALF_SPACE, CAPSULE, CYLINDER, BOX = range(4)
@@ -87,17 +98,9 @@ def _box_distance(half, p):
 
 
 @njit(**KERNEL)
-def shape_distance(kind, extents, p):
-    """Signed distance of a point to a canonical shape.
-
-    Args:
-        kind: HALF_SPACE, CAPSULE, CYLINDER or BOX.
-        extents: Sizes of the shape [m], see the module.
-        p: Point in the frame of the shape [m].
-
-    Returns:
-        Distance [m], negative inside, and its unit gradient.
-    """
+def canonical_distance(form, p):
+    """Signed distance [m] of a point to a form of this package, and its unit gradient."""
+    kind, extents = form
     if kind == HALF_SPACE:
         return p[2], (0.0, 0.0, 1.0)
     if kind == CAPSULE:
@@ -105,6 +108,59 @@ def shape_distance(kind, extents, p):
     if kind == CYLINDER:
         return _cylinder_distance(extents[0], extents[1], p)
     return _box_distance(extents, p)
+
+
+def shape_distance(form, p):
+    """Signed distance [m] of a point to any form, and its unit gradient; inside kernels.
+
+    Args:
+        form: The form.
+        p: Point in the frame of the shape [m].
+    """
+    raise NotImplementedError("only inside compiled kernels")
+
+
+def shape_size(form):
+    """Largest extent of any form along an axis [m], inside kernels.
+
+    Args:
+        form: The form.
+    """
+    raise NotImplementedError("only inside compiled kernels")
+
+
+@overload(shape_distance, jit_options={"forceinline": True})
+def _shape_distance(form, p):
+    if not isinstance(form, types.BaseNamedTuple):
+        return lambda form, p: canonical_distance(form, p)
+    distance = form.instance_class.distance
+    return lambda form, p: distance(form, p)
+
+
+@overload(shape_size, jit_options={"forceinline": True})
+def _shape_size(form):
+    if not isinstance(form, types.BaseNamedTuple):
+        return lambda form: max(form[1][0], form[1][1], form[1][2])
+    reach = form.instance_class.farthest
+    return lambda form: max(
+        reach(form, (1.0, 0.0, 0.0))[0], reach(form, (0.0, 1.0, 0.0))[1],
+        reach(form, (0.0, 0.0, 1.0))[2],
+    )  # fmt: skip
+
+
+@njit(**KERNEL)
+def measure_points(form, points, distances, gradients):
+    """Signed distances of points to a form.
+
+    Args:
+        form: The form.
+        points: In the frame of the shape [m], shape (count, 3).
+        distances: Takes the distances [m], shape (count,).
+        gradients: Takes their unit gradients, shape (count, 3).
+    """
+    for i in range(len(points)):
+        distances[i], gradient = shape_distance(form, row(points, i))
+        set_row(gradients, i, gradient)
 
 
 @njit(**KERNEL)

@@ -1,33 +1,61 @@
-"""Base of all shapes: a frame in which the shape is canonical, and common constructions."""
+"""Base of all rigid shapes, and constructions that they share."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
-from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry.mass_properties import MassProperties
-from softrobot_twin.geometry.shapes.distance_kernels import shape_distance
+from softrobot_twin.geometry.shapes.distance_kernels import measure_points
 
 
 class Shape:
     """A convex solid in the frame of its carrier, an obstacle or a rigid body.
 
     Attributes:
-        kind: Number of the canonical form, see ``shapes.distance_kernels``.
+        kind: Number of a form of this package, see `distance_kernels.py`.
+        is_half_space: Whether its distance is linear, so that only vertices come nearest to it.
+        has_edges: Whether it is a box, around whose edges a surface may fold.
+        is_round: Whether the distance has the same curvature about its axis, or its centre.
+        axis: Direction of the straight side of a round shape, shape (3,); zero where it has none.
+        has_round_ends: Whether what is not this side is round too.
+        curvature_radius: Radius of curvature [m]; infinite where it is flat.
+        width: Smallest width of what is straight on it [m]; 0 where nothing is, as on a sphere.
     """
 
     kind: ClassVar[int]
+    is_half_space: ClassVar[bool] = False
+    has_edges: ClassVar[bool] = False
+    is_round: ClassVar[bool] = False
+    has_round_ends: ClassVar[bool] = True
+
+    @property
+    def axis(self) -> np.ndarray:
+        """See the attributes."""
+        return np.zeros(3)
+
+    @property
+    def curvature_radius(self) -> float:
+        """See the attributes."""
+        return np.inf
+
+    @property
+    def width(self) -> float:
+        """See the attributes."""
+        return 0.0
 
     def frame(self) -> tuple[np.ndarray, np.ndarray]:
-        """Frame of the canonical form in that of the carrier: origin [m] (3,), axes as columns."""
+        """Frame of its form in that of the carrier: origin [m] (3,), axes as columns (3, 3)."""
         raise NotImplementedError
 
     def extents(self) -> np.ndarray:
-        """Sizes of the canonical form [m], shape (3,); unused ones are zero."""
+        """Sizes of its form [m], shape (3,); unused ones are zero."""
         raise NotImplementedError
+
+    def form(self) -> Any:
+        """Its form, as the kernels take it."""
+        return self.kind, np.array(self.extents(), float)
 
     def signed_distances(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Computes the signed distances of points from the shape.
@@ -41,10 +69,10 @@ class Shape:
             equally short, one of them is returned.
         """
         origin, axes = self.frame()
-        extents, own = self.extents(), (np.asarray(points, float) - origin) @ axes
-        found = [shape_distance(self.kind, extents, tuple(place)) for place in own.tolist()]
-        normals = np.array([normal for _, normal in found]).reshape(-1, 3)
-        return np.array([distance for distance, _ in found]), normals @ axes.T
+        own = np.ascontiguousarray((np.asarray(points, float) - origin) @ axes)
+        distances, gradients = np.empty(len(own)), np.empty((len(own), 3))
+        measure_points(self.form(), own, distances, gradients)
+        return distances, gradients @ axes.T
 
     def distances(self, points: np.ndarray) -> np.ndarray:
         """Computes the distances of points from the solid, zero inside [m]; points (count, 3).
@@ -64,12 +92,9 @@ class Shape:
         Returns:
             Points in the frame of the carrier [m], shape (point_count, 3), and triangles of a
             closed surface, counter-clockwise from outside, int64, shape (triangle_count, 3).
-
-        Raises:
-            SceneError: The resolution is not > 0.
         """
         origin, axes = self.frame()
-        points, triangles = self._own_surface(positive("resolution", resolution, infinite=True))
+        points, triangles = self._own_surface(resolution)
         return points @ axes.T + origin, triangles
 
     def mass_properties(self) -> MassProperties:
@@ -90,67 +115,16 @@ class Shape:
         raise NotImplementedError
 
 
-@dataclass(frozen=True, eq=False)
-class AxialShape(Shape):
-    """A round shape along a segment.
+class RollingShape(Shape):
+    """A shape that touches a plane with the points of its round that come lowest."""
 
-    Attributes:
-        noun: What it is called in messages.
-        ends: Ends of the segment [m], shape (2, 3).
-        radius: Radius [m], > 0.
-    """
+    def lowest(self, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The points that may touch a plane [m], shape (count, 3), and their keys, shape (count,).
 
-    noun: ClassVar[str]
-    ends: np.ndarray
-    radius: float
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "ends", vectors(f"{self.noun}.ends", self.ends, (2, 3)))
-        object.__setattr__(self, "radius", positive(f"{self.noun}.radius", self.radius))
-
-    @property
-    def length(self) -> float:
-        """Length of the segment [m]."""
-        return float(np.linalg.norm(self.ends[1] - self.ends[0]))
-
-    def frame(self) -> tuple[np.ndarray, np.ndarray]:
-        """See `Shape.frame`; the z axis runs from the first end to the second."""
-        axes = axes_along(self.ends[1] - self.ends[0]) if self.length > 0.0 else np.eye(3)
-        return self.ends.mean(axis=0), axes
-
-    def extents(self) -> np.ndarray:
-        """Radius and half length; see `Shape.extents`."""
-        return np.array([self.radius, 0.5 * self.length, 0.0])
-
-
-def positive(key: str, value: float, infinite: bool = False) -> float:
-    """Checks that a length is > 0, and finite unless allowed; raises a `SceneError` if not.
-
-    Args:
-        key: Name of the length in the scene, for the error.
-        value: The length [m].
-        infinite: Whether it may be infinite.
-    """
-    number = float(value)
-    if not number > 0.0 or (np.isinf(number) and not infinite):
-        raise SceneError(None, key, value, "m", "must be a finite length > 0")
-    return number
-
-
-def vectors(key: str, value: np.ndarray, shape: tuple[int, ...], unit: str = "m") -> np.ndarray:
-    """Makes a read-only array of finite numbers of a shape; raises a `SceneError` if it cannot.
-
-    Args:
-        key: Name of the array in the scene, for the error.
-        value: The numbers.
-        shape: The shape that they must have.
-        unit: Their unit, for the error.
-    """
-    array = np.array(value, dtype=float)
-    if array.shape != shape or not np.isfinite(array).all():
-        raise SceneError(None, key, value, unit, f"must be finite numbers of shape {shape}")
-    array.setflags(write=False)
-    return array
+        Args:
+            normal: Normal of the plane in the frame of the form, shape (3,).
+        """
+        return np.array([self.form().farthest(tuple(-normal))]), np.zeros(1, np.int64)
 
 
 def axes_along(direction: np.ndarray) -> np.ndarray:

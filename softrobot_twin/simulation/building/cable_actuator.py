@@ -15,7 +15,7 @@ from softrobot_twin.constraints.elastic_cable import ElasticCables
 from softrobot_twin.constraints.wrapped_cable import WrappedCables, drawn_path, side_at
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.actuator_entries import Cable, Pulley
-from softrobot_twin.scene.body_entries import CapsuleShape, CylinderShape
+from softrobot_twin.scene.shapes import AxialShape
 from softrobot_twin.scene.references import matching
 from softrobot_twin.scene.words import count, words
 from softrobot_twin.simulation.building.actuator_kinds import (
@@ -32,7 +32,7 @@ from softrobot_twin.simulation.building.limits import (
     shortenings_of_angles,
     unlikely,
 )
-from softrobot_twin.simulation.building.scene_layout import Layout, build_shape
+from softrobot_twin.simulation.building.scene_layout import Layout
 
 # Limits outside these shares of a cable's natural scales are reported: a wrong unit is a factor of
 # a thousand.
@@ -230,7 +230,7 @@ def cable_path(layout: Layout, key: str, cable: Cable, notes: list[str]) -> Cabl
     for place, name in enumerate(cable.wraps):
         obstacle, at = obstacles[name], f"{key}.wraps[{place}]"
         shape = obstacle.shape
-        if not isinstance(shape, CapsuleShape | CylinderShape):
+        if not isinstance(shape, AxialShape):
             raise layout.scene.error(at, name, "is no capsule and no cylinder")
         turn = Rotation.from_euler("xyz", obstacle.rotation)
         ends = turn.apply(np.array(shape.ends)) + obstacle.position
@@ -262,7 +262,7 @@ def _nearest_segment(points: np.ndarray, wrap: Wrap) -> int:
 def _crossings(model, group: ActuatorGroup) -> Iterator[str]:
     """Obstacles and rigid bodies that a straight part of a cable passes through at rest."""
     scene, rest = model.scene, model.nodes.rest_positions
-    solid = [(one.name, build_shape(one.shape, scene, []), np.array(one.position, float),
+    solid = [(one.name, one.shape.solid(scene.file_path, []), np.array(one.position, float),
               Rotation.from_euler("xyz", one.rotation).as_matrix()) for one in scene.obstacles]  # fmt: skip
     solid += [(part.name, part.shape, part.origin, part.rotation) for part in model.rigid]
     for (key, cable), path in zip(scene.keyed("cables"), group.term.paths, strict=True):

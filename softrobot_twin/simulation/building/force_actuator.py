@@ -19,7 +19,7 @@ from softrobot_twin.simulation.building.actuator_kinds import (
     group_of,
     numbers_of,
 )
-from softrobot_twin.simulation.building.constraint_building import frame_of
+from softrobot_twin.simulation.building.effector_building import frame_of
 from softrobot_twin.simulation.building.limits import efforts_at_scale, unlikely
 from softrobot_twin.simulation.building.scene_layout import Layout
 

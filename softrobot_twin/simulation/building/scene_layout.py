@@ -10,8 +10,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.errors import SceneError
-from softrobot_twin.geometry import shapes
-from softrobot_twin.geometry.surface_reading import read_solid_surface
 from softrobot_twin.mechanics.barycentric import NO_LEVER, BarycentricMapping
 from softrobot_twin.mechanics.cavity_surfaces import CavitySurface
 from softrobot_twin.mechanics.hinged_frames import HingedFrames, Hinges
@@ -19,14 +17,7 @@ from softrobot_twin.mechanics.kinematics import Nodes, size_of_body, size_of_poi
 from softrobot_twin.mechanics.rigid_bodies import AttachedNodes, RigidFrames
 from softrobot_twin.mechanics.superelements import Superelements
 from softrobot_twin.scene import Scene
-from softrobot_twin.scene.body_entries import (
-    BoxShape,
-    CapsuleShape,
-    CylinderShape,
-    PlaneShape,
-    RigidBody,
-    SphereShape,
-)
+from softrobot_twin.scene.body_entries import RigidBody
 from softrobot_twin.scene.entry import values_below
 from softrobot_twin.scene.references import matching
 from softrobot_twin.simulation.building.beam_bodies import BeamBody, BeamNet, FramePart
@@ -56,42 +47,7 @@ def triangulated(shape, facets: float = FACETS) -> tuple[np.ndarray, np.ndarray]
         shape: The shape.
         facets: Length of the facets of a round shape, as a share of its radius.
     """
-    is_round = isinstance(shape, shapes.Sphere | shapes.Capsule | shapes.Cylinder)
-    return shape.surface(facets * shape.radius if is_round else np.inf)
-
-
-def build_shape(entry, scene: Scene, notes: list[str], shift=(0.0, 0.0, 0.0)):
-    """Build a shape in the frame of its body or obstacle.
-
-    Args:
-        entry: Its entry in the scene.
-        scene: The scene.
-        notes: List to which repairs are appended.
-        shift: Displacement added to its coordinates [m], shape (3,).
-
-    Returns:
-        A shape of ``geometry.shapes``, or a `SolidSurface`.
-
-    Raises:
-        MeshError: A surface cannot be used.
-    """
-    shift = np.asarray(shift, float)
-    if isinstance(entry, PlaneShape):
-        normal = np.asarray(entry.normal) / np.linalg.norm(entry.normal)
-        return shapes.Plane(shift + entry.point, normal)
-    if isinstance(entry, SphereShape):
-        return shapes.Sphere(shift + entry.centre, entry.radius)
-    if isinstance(entry, CapsuleShape):
-        return shapes.Capsule(shift + np.array(entry.ends), entry.radius)
-    if isinstance(entry, CylinderShape):
-        return shapes.Cylinder(shift + np.array(entry.ends), entry.radius)
-    if isinstance(entry, BoxShape):
-        rotation = Rotation.from_euler("xyz", entry.rotation).as_matrix()
-        return shapes.Box(shift + entry.centre, np.array(entry.size), rotation)
-    return read_solid_surface(
-        scene.file_path(entry.file), scale=entry.scale, rotation=entry.rotation,
-        translation=shift + entry.translation, notes=notes, hull=entry.hull,
-    )  # fmt: skip
+    return shape.surface(facets * shape.curvature_radius)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -211,7 +167,7 @@ def held_bodies(scene: Scene, net: BeamNet | None, held: set[str]) -> set[str]:
 
 def _build_part(entry, index: int, first_node: int, bodies, scene, notes) -> RigidPart:
     rotation = Rotation.from_euler("xyz", entry.rotation).as_matrix()
-    shape = build_shape(entry.shape, scene, notes)
+    shape = entry.shape.solid(scene.file_path, notes)
     centre, mass, inertia = np.zeros(3), 0.0, np.zeros((3, 3))
     attached, points = np.empty(0, np.int64), np.empty((0, 3))
     if entry.motion == "free":
@@ -221,7 +177,7 @@ def _build_part(entry, index: int, first_node: int, bodies, scene, notes) -> Rig
         attached, points, masses = _attached_to(entry.name, bodies)
         points = (points - np.asarray(entry.position, float)) @ rotation
         mass, centre, inertia = _with_point_masses(mass, centre, inertia, masses, points)
-        shape = build_shape(entry.shape, scene, notes, shift=-centre)
+        shape = entry.shape.moved(-centre).solid(scene.file_path, notes)
     corners, _ = triangulated(shape)
     local = points - centre
     radius = float(np.linalg.norm(np.vstack([corners, local]), axis=1).max())

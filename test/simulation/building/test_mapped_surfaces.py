@@ -8,7 +8,7 @@ import pytest
 
 from softrobot_twin.geometry.self_proximity import FixedPairs
 from softrobot_twin.simulation import CommandSetpoints, Hold, State, Status
-from softrobot_twin.simulation.building import constraint_building
+from softrobot_twin.simulation.building import contact_building
 from test.scene_changes import repeat_step
 
 STEP = 0.02
@@ -258,7 +258,7 @@ def test_a_named_contact_is_with_the_triangle_that_holds_its_place_however_large
         fixed_pairs.append(given)
         return FixedPairs(*given)
 
-    monkeypatch.setattr(constraint_building, "FixedPairs", noted)
+    monkeypatch.setattr(contact_building, "FixedPairs", noted)
     simulation = scene_of(
         body={
             "mesh": {"file": str(file)}, "element": "linear",

@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 
 from softrobot_twin.geometry.mass_properties import MassProperties
 from softrobot_twin.geometry.shapes.distance_kernels import CAPSULE
-from softrobot_twin.geometry.shapes.shape import AxialShape, revolve, side_count
+from softrobot_twin.geometry.shapes.shape import revolve, side_count
+from softrobot_twin.scene.shapes.shape_entry import AxialShape
 
 
 class Capsule(AxialShape):
-    """A cylinder with a half-sphere at both ends.
+    """A cylinder with hemispheres at its ends."""
 
-    Attributes:
-        ends: Ends of the segment, the centres of the half-spheres [m], shape (2, 3); a sphere if
-            both are equal.
-        radius: Radius [m], > 0.
+    told: ClassVar[tuple[str, ...]] = ("capsule of radius {radius:mm} mm", "{ends:|} mm long")
+    kind: ClassVar[int] = CAPSULE
+    has_round_ends: ClassVar[bool] = True
 
-    Raises:
-        SceneError: A number is not finite, or the radius is not > 0.
-    """
-
-    kind, noun = CAPSULE, "capsule"
+    def lowest(self, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """See `RollingShape.lowest`: of the balls at both ends."""
+        half = 0.5 * self.length
+        ends = np.array([[0.0, 0.0, -half], [0.0, 0.0, half]])
+        return ends - self.radius * normal, np.arange(2)
 
     def _own_surface(self, resolution: float) -> tuple[np.ndarray, np.ndarray]:
         sides = side_count(self.radius, resolution)
@@ -29,8 +31,7 @@ class Capsule(AxialShape):
         radii, heights = self.radius * np.sin(quarter), self.radius * np.cos(quarter)
         radii[0] = 0.0
         cells = max(1, int(np.ceil(self.length / resolution)))
-        # Without a cylindrical part, both equators are one ring.
-        between = np.linspace(-half, half, cells + 1) if half > 0.0 else np.zeros(1)
+        between = np.linspace(-half, half, cells + 1)
         return revolve(
             np.concatenate([radii[:-1], np.full(len(between), self.radius), radii[-2::-1]]),
             np.concatenate([-half - heights[:-1], between, half + heights[-2::-1]]),

@@ -2,38 +2,38 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from softrobot_twin.geometry.mass_properties import MassProperties
 from softrobot_twin.geometry.shapes.distance_kernels import CAPSULE
-from softrobot_twin.geometry.shapes.shape import Shape, positive, revolve, side_count, vectors
+from softrobot_twin.geometry.shapes.shape import revolve, side_count
+from softrobot_twin.scene.entry import Vector
+from softrobot_twin.scene.shapes.shape_entry import Length, ShapeEntry
 
 
-@dataclass(frozen=True, eq=False)
-class Sphere(Shape):
-    """A sphere. Its canonical form is a capsule of length zero.
+class Sphere(ShapeEntry):
+    """A ball."""
 
-    Attributes:
-        centre: Centre [m], shape (3,).
-        radius: Radius [m], > 0.
+    told: ClassVar[tuple[str, ...]] = ("sphere of radius {radius:mm} mm",)
+    # A capsule of length zero.
+    kind: ClassVar[int] = CAPSULE
+    is_round: ClassVar[bool] = True
 
-    Raises:
-        SceneError: A number is not finite, or the radius is not > 0.
-    """
+    centre: Vector = (0.0, 0.0, 0.0)
+    """Centre."""
+    radius: Length
+    """Radius."""
 
-    kind = CAPSULE
-    centre: np.ndarray
-    radius: float
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "centre", vectors("sphere.centre", self.centre, (3,)))
-        object.__setattr__(self, "radius", positive("sphere.radius", self.radius))
+    @property
+    def curvature_radius(self) -> float:
+        """See `Shape`."""
+        return self.radius
 
     def frame(self) -> tuple[np.ndarray, np.ndarray]:
         """See `Shape.frame`."""
-        return self.centre, np.eye(3)
+        return np.array(self.centre), np.eye(3)
 
     def extents(self) -> np.ndarray:
         """The radius; see `Shape.extents`."""
