@@ -167,7 +167,7 @@ def _body_mesh(state: SceneComponent, fields: list[SceneComponent]) -> LoadedMes
     found = [one for one in map(mesh_of, filter(None, tops)) if len(one.tets) or len(one.hexahedra)]
     found = found[: 1 if own else None]
     if not found:
-        raise NotConverted("its node has no topology with cells")
+        raise NotConverted("its node has no topology with cells; grids are not built here")
     tets = np.unique(np.concatenate([one.tets for one in found]), axis=0) if len(found) > 1 else found[0].tets
     hexahedra = found[0].hexahedra
     if len(hexahedra) and any(one.kind.startswith("Hexa") for one in fields):

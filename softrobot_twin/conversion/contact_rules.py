@@ -72,10 +72,10 @@ def contact(conversion: Conversion, component: SceneComponent) -> str | None:
     pairs += [[one.name, other.name] for index, one in enumerate(every) for other in every[index + 1 :]
               if (one.can_move or other.can_move) and one.may_touch(other)]  # fmt: skip
     _drop_lonely_obstacles(conversion, {name for pair in pairs for name in pair})
-    if not pairs:
-        return "nothing that may touch"
     alarm = number_of(component, "alarmDistance", otherwise=1.0)
     least = number_of(component, "contactDistance", otherwise=0.5)
+    if not pairs:
+        return "nothing that may touch"
     friction = _friction(conversion)
     conversion.scene["contact"] = {
         **({"friction": friction} if friction else {}), "alarm_distance": conversion.length(alarm),

@@ -20,5 +20,5 @@ def createScene(root):
     cable.addObject("CableConstraint", pullPoint=a_module_that_nobody_has.winch)
     cable.addObject("BarycentricMapping")
     bar.addObject("IndexValueMapper", name="layers", indices=[0], value=600)
-    grid = root.addChild("grid")
-    grid.addObject("RegularGridTopology", n=[2, 2, 2])
+    bar.addObject("UnilateralPlaneConstraint", indices=[0, 1, 2, 3])
+    bar.addObject("RegularGridTopology", n=[2, 2, 2])
