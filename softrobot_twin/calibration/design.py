@@ -106,9 +106,7 @@ class DesignModel:
         poses: The poses.
     """
 
-    def __init__(
-        self, scene: Scene, variables: Sequence[Parameter | JointParameter], poses: Sequence[Pose]
-    ):
+    def __init__(self, scene: Scene, variables: Sequence[Parameter | JointParameter], poses: Sequence[Pose]):
         """Build the scene.
 
         Args:
@@ -226,9 +224,7 @@ class DesignModel:
         return _check_held(simulation, setpoints, pose, index)
 
 
-def _check_held(
-    simulation: Simulation, setpoints: np.ndarray, pose: Pose, index: int
-) -> tuple[str, ...]:
+def _check_held(simulation: Simulation, setpoints: np.ndarray, pose: Pose, index: int) -> tuple[str, ...]:
     """Refuses actuators at limits; gives the names of those that hang slack."""
     actuators, efforts, slack = simulation.actuators, simulation.state.efforts, []
     limits, wanted = actuators.limits, actuators.drives(setpoints)

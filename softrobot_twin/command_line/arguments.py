@@ -151,8 +151,7 @@ def add_command(
     if files:
         parser.add_argument("--set", dest="changes", nargs="+", action="extend", default=[],
                             metavar="KEY=VALUE", help=_CHANGES)
-    parser.set_defaults(run=lambda chosen: function(**_values(chosen, parameters, files)),
-                        examples=examples)
+    parser.set_defaults(run=lambda chosen: function(**_values(chosen, parameters, files)), examples=examples)
 
 
 _CHANGES = ("other values of entries of the scene, such as body.material.young_modulus=1.5e5, "
@@ -170,9 +169,7 @@ def _values(chosen: argparse.Namespace, names: Iterable[str], files: Sequence[st
     return values
 
 
-def _add_argument(
-    group, parameter: inspect.Parameter, hint, metavar: str | None, text: str
-) -> None:  # fmt: skip
+def _add_argument(group, parameter: inspect.Parameter, hint, metavar: str | None, text: str) -> None:
     """Declares an argument by its parameter.
 
     Args:

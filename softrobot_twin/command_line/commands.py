@@ -786,8 +786,7 @@ def program(name: str) -> argparse.ArgumentParser:
                f"{', '.join(NODES)}: nodes, as with ros2 run.\n\n{EXIT_CODES}",
         formatter_class=argparse.RawDescriptionHelpFormatter)
     made.add_argument("--version", action="version", version=f"softrobot_twin {_version()}")
-    commands = made.add_subparsers(title="commands", dest="command", metavar="COMMAND",
-                                   required=True)
+    commands = made.add_subparsers(title="commands", dest="command", metavar="COMMAND", required=True)
     for command in COMMANDS:
         add_command(commands, command, *EXCLUSIVE.get(command, ((), False)),
                     vars(training_options), EXIT_CODES)

@@ -58,8 +58,7 @@ _SETTLING = 2.0
 """Presses count from so many transitions onto a path on."""
 
 
-def demo(robot: str, folder: Path, run_time: float, view: bool,
-         changes: Sequence[str] = ()) -> int:
+def demo(robot: str, folder: Path, run_time: float, view: bool, changes: Sequence[str] = ()) -> int:
     """Runs the demo and writes report.json, pictures and samples beside run.rrd.
 
     Args:
@@ -150,8 +149,7 @@ def _print_start(plan: DemoPlan, domain: str) -> None:
                  f"started, and then the report; --seconds shortens it; ROS_DOMAIN_ID={domain}",
                  soft_wrap=True)
     if plan.view_port is not None and not plan.opens_viewer:
-        output.print(f"no display; open the live view with: rerun {plan.view_address}",
-                  soft_wrap=True)
+        output.print(f"no display; open the live view with: rerun {plan.view_address}", soft_wrap=True)
 
 
 def _report(plan: DemoPlan, outcome: DemoOutcome) -> tuple[int, dict[str, TrackingRecord]]:
@@ -160,10 +158,8 @@ def _report(plan: DemoPlan, outcome: DemoOutcome) -> tuple[int, dict[str, Tracki
     records = {run: record for run in outcome.starts
                if (record := _record(outcome, run, simulation.actuators.kind_of)) is not None}
     if records:
-        mesh = {"nodes": simulation.node_count, "tets": simulation.tet_count,
-                "dof": simulation.dof_count}
-        report = tracking_report(plan.robot, records,
-                                 {**_loop_figures(plan, outcome), "mesh": mesh})
+        mesh = {"nodes": simulation.node_count, "tets": simulation.tet_count, "dof": simulation.dof_count}
+        report = tracking_report(plan.robot, records, {**_loop_figures(plan, outcome), "mesh": mesh})
         report["complete"] = not outcome.was_stopped
         report["twin_priority"] = outcome.recorder.priority or None
         report["processor_share_of_others"] = outcome.others

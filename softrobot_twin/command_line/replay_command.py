@@ -89,9 +89,7 @@ def _drawer(again: Replay, path: Path, stack: ExitStack) -> Taker:
     mirror = stack.enter_context(RerunMirror(frames.stage, serve=False, record=path))
 
     def draw(outcome: TickOutcome, ros_time: int, seconds: float) -> None:
-        mirror.offer(frames.frame(
-            again.comparison.ticks, ros_time, outcome.result, **outcome.shown()
-        ))  # fmt: skip
+        mirror.offer(frames.frame(again.comparison.ticks, ros_time, outcome.result, **outcome.shown()))
         mirror.wait(_LONGEST_DRAWING)
 
     return draw

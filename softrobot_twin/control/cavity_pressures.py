@@ -38,16 +38,12 @@ class CavityPressures:
 
     def __init__(self, simulation: Simulation, ambient_pressure: float = STANDARD_ATMOSPHERE):
         if not (math.isfinite(ambient_pressure) and ambient_pressure > 0.0):
-            raise ParameterError(
-                "ambient_pressure", ambient_pressure, "Pa", "must be finite and above zero"
-            )
+            raise ParameterError("ambient_pressure", ambient_pressure, "Pa", "must be finite and above zero")
         self.ambient_pressure = ambient_pressure
         kinds = enumerate(simulation.actuators.kind_of.items())
         cavities = [(i, name, kind) for i, (name, kind) in kinds if kind.effort.word == "pressure"]
         self.places = {name: index for index, name, _ in cavities}
-        self.by_volume = frozenset(
-            name for _, name, kind in cavities if not kind.is_effort_driven
-        )
+        self.by_volume = frozenset(name for _, name, kind in cavities if not kind.is_effort_driven)
         self._gas = next((f for f in simulation.model.forces if f.name == "sealed_gas"), None)
         self._find_sealed(simulation.scene)
         for name, index in self.places.items():

@@ -65,9 +65,7 @@ class Engagement:
 
     def __init__(self, simulation: Simulation, guidance: Guidance, device: MeasuredSetpoints | None):
         self._simulation, self._guidance, self._device = simulation, guidance, device
-        self.gate = CommandGate(
-            simulation.actuator_names, simulation.rest_setpoints, simulation.limits
-        )
+        self.gate = CommandGate(simulation.actuator_names, simulation.rest_setpoints, simulation.limits)
         self._near = np.maximum(
             RESYNCHRONISED_SHARE * simulation.limits.travel(0.0), self.gate.tolerances.setpoints
         )

@@ -75,9 +75,7 @@ class Guidance:
         """
         here = self.poses()
         for name, pose in here.items():
-            self.sent[name] = self._simulation.model.guides.towards(
-                name, self.sent[name], pose, time_step
-            )
+            self.sent[name] = self._simulation.model.guides.towards(name, self.sent[name], pose, time_step)
         return dict(self.sent)
 
     @property

@@ -85,9 +85,7 @@ class LastCommand:
         """
         self.refusal = ""
         with self._changed:
-            is_written = self._changed.wait_for(
-                lambda: self.failure or not self._is_pending, LONGEST_WRITE
-            )
+            is_written = self._changed.wait_for(lambda: self.failure or not self._is_pending, LONGEST_WRITE)
         if self.failure or not is_written:
             return None
         try:

@@ -46,8 +46,7 @@ def setting(meaning: str, default: Any = MISSING, unit: str = "", least: float |
             negative, or above zero where this is; None for what is no number.
         most: Greatest value of the parameter.
     """
-    return field(default=default, metadata={
-        "meaning": meaning, "unit": unit, "least": least, "most": most})
+    return field(default=default, metadata={"meaning": meaning, "unit": unit, "least": least, "most": most})
 
 
 def check_numbers(settings: Any, prefix: str = "") -> None:
@@ -127,21 +126,18 @@ class LoopSettings:
     workspace_max: tuple[float, float, float] = setting("Upper corner of that box.", (1.0, 1.0, 1.0), "m")
     closed_loop: bool = setting("Correct the targets by the measured markers.", False)
     prediction: bool = setting("With control law dynamic: command by prediction.", True)
-    misfit_rate: float = setting(
-        "Rate at which the correction follows the misfit.", 20.0, "1/s", 0.0, 1000.0)
+    misfit_rate: float = setting("Rate at which the correction follows the misfit.", 20.0, "1/s", 0.0, 1000.0)
     correction_gain: float = setting("Gain of the integrator, where setpoints are not measured.",
                                      2.0, "1/s", 0.0, 1000.0)
     correction_limit: float = setting("Greatest length of the correction.", 0.01, "m", 0.0, 1.0)
     lead_limit: float = setting(
         "Greatest time by which a moving target is led in closed loop.", 0.15, "s", 0.0, 1.0)
-    marker_timeout: float = setting(
-        "Time without a message until markers are lost.", 0.5, "s", 0.001, 60.0)
+    marker_timeout: float = setting("Time without a message until markers are lost.", 0.5, "s", 0.001, 60.0)
     on_lost_markers: WhenLost = setting(
         "In closed loop: keep the last correction, or hold.", WhenLost.OPEN_LOOP)
     device_timeout: float = setting(
         "Time without measured setpoints until the device is lost.", 0.5, "s", 0.001, 60.0)
-    on_lost_device: WhenLost = setting(
-        "Continue with the model alone, or hold.", WhenLost.HOLD)
+    on_lost_device: WhenLost = setting("Continue with the model alone, or hold.", WhenLost.HOLD)
     touch_timeout: float = setting("Time without a message until a touch ends.", 0.2, "s", 0.001, 60.0)
 
     def __post_init__(self) -> None:

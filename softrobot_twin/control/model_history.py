@@ -86,8 +86,7 @@ class ModelHistory:
             self.forget()
         if self._count == len(self._times):
             self._count = self._capacity
-            for array in (self._times, self._setpoints, self._values, self._loads,
-                          self._by_loads):
+            for array in (self._times, self._setpoints, self._values, self._loads, self._by_loads):
                 if array is None:
                     continue
                 array[: self._capacity] = array[self._capacity :]
@@ -137,8 +136,7 @@ class ModelHistory:
             The model; None where it was not near these setpoints.
         """
         oldest = time - round(LONGEST_DELAY * NANOSECONDS)
-        first = max(int(np.searchsorted(self._times[: self._count], oldest)),
-                    self._count - self._capacity, 0)  # fmt: skip
+        first = max(int(np.searchsorted(self._times[: self._count], oldest)), self._count - self._capacity, 0)
         first = min(first, self._count - 1)
         if first < 0:
             return None

@@ -182,8 +182,7 @@ class PredictiveControl:
         self._covariance = self._settled.copy()
         self._tick = self._seen = 0
         # Inputs that take effect in the ticks from `_seen` on.
-        self._sent: deque[np.ndarray] = deque(
-            [before - self.model.input_values] * self.delay)  # fmt: skip
+        self._sent: deque[np.ndarray] = deque([before - self.model.input_values] * self.delay)
         self.last_inputs = before.copy()
         self.innovation = np.zeros(len(self.outputs))
 
@@ -220,8 +219,7 @@ class PredictiveControl:
         C = C[is_seen]
         self.innovation = np.where(is_seen, outputs - expected, 0.0)
         cross = self._covariance @ C.T
-        gain = np.linalg.solve(
-            C @ cross + self._noise**2 * np.eye(len(C)), cross.T).T  # fmt: skip
+        gain = np.linalg.solve(C @ cross + self._noise**2 * np.eye(len(C)), cross.T).T
         self._x = self._x + gain @ self.innovation[is_seen]
         self._covariance -= gain @ cross.T
 
@@ -366,9 +364,7 @@ class Program:
         self._reach = np.kron(spans * period, np.where(limited, allowed.rates, 0.0))[self._limited]
         self._k, self._is_first = k, np.arange(count * k) < k
 
-    def solve(
-        self, x: np.ndarray, last: np.ndarray, targets: np.ndarray
-    ) -> tuple[np.ndarray | None, int]:
+    def solve(self, x: np.ndarray, last: np.ndarray, targets: np.ndarray) -> tuple[np.ndarray | None, int]:
         """The inputs of the first tick, as deviations; None where the program is not solved.
 
         Args:
@@ -474,8 +470,7 @@ def stability_margin(control: PredictiveControl, age: int = 0) -> StabilityMargi
         return stable
 
     more = next((n for n in range(1, MOST_DELAY) if _growth(control, age, 1.0, n) >= 1.0), MOST_DELAY)
-    return StabilityMargin(farthest(1.0 / SCANNED), farthest(SCANNED), (more - 1) * control.period,
-                           growth)  # fmt: skip
+    return StabilityMargin(farthest(1.0 / SCANNED), farthest(SCANNED), (more - 1) * control.period, growth)
 
 
 def with_margin(

@@ -101,8 +101,7 @@ class RestWatch:
         """
         self._simulation = simulation
         actuators = simulation.actuators
-        scale = np.where(actuators.is_effort_driven, actuators.effort_scale,
-                         actuators.displacement_scale)  # fmt: skip
+        scale = np.where(actuators.is_effort_driven, actuators.effort_scale, actuators.displacement_scale)
         self._same, self._size = SAME * scale, simulation.model.nodes.finite_size
         self._source = source
         self.found: deque[RestPose] = deque(maxlen=MOST_POSES)

@@ -61,13 +61,11 @@ class DeviceFlaws:
     valve_lag: float = setting("Time constant of pressure regulators; 0 for none.", 0.0, "s", 0.0, 60.0)
     flow_limit: float = setting("Greatest flow at ambient pressure, or speed of a syringe.",
                                 2.0e-4, "m³/s", 1e-12, 10.0)
-    leak: float = setting("Flow out at ambient pressure, by gauge pressure.",
-                          0.0, "m³/(s Pa)", 0.0, 1.0)
+    leak: float = setting("Flow out at ambient pressure, by gauge pressure.", 0.0, "m³/(s Pa)", 0.0, 1.0)
     pressure_noise: float = setting("Standard deviation of each measured pressure.", 0.0, "Pa", 0.0, 1e6)
     angle_rate: float = setting("Greatest speed of the motors of hinges.", 6.0, "rad/s", 1e-6, 1000.0)
     angle_noise: float = setting("Standard deviation of each of their measured angles.", 0.0, "rad", 0.0, 1.0)
-    backlash: float = setting(
-        "Angle that a motor turns back before the beam follows.", 0.0, "rad", 0.0, 1.0)
+    backlash: float = setting("Angle that a motor turns back before the beam follows.", 0.0, "rad", 0.0, 1.0)
 
     def __post_init__(self) -> None:
         check_numbers(self, "device_")

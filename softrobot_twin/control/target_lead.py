@@ -118,8 +118,7 @@ class TargetStream:
             return None
         powers = np.vander(times, 3, increasing=True)
         orthogonal, triangle = np.linalg.qr(powers)
-        course = _Course(
-            np.linalg.solve(triangle, orthogonal.T @ offsets), sent[-1], places[-1], scale)
+        course = _Course(np.linalg.solve(triangle, orthogonal.T @ offsets), sent[-1], places[-1], scale)
         way = course.at(sent[-1] + scale) - places[-1]
         variance = ((offsets - powers @ course.coefficients) ** 2).sum() / (count - 3)
         variance *= (np.linalg.solve(triangle.T, np.ones(3)) ** 2).sum()

@@ -295,9 +295,7 @@ def make_path(name: str, effector: str, around: ClosedCurve) -> TargetPath:
         return kinds[name](around.centre, around.radius, around.period, around.plane)
     if name.endswith(".csv"):
         return read_waypoints(Path(name), effector)
-    raise ParameterError(
-        "target_path", name, "", f"must be one of {list(kinds)} or a file that ends in .csv"
-    )
+    raise ParameterError("target_path", name, "", f"must be one of {list(kinds)} or a file that ends in .csv")
 
 
 def make_sequence(

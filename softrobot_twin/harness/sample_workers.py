@@ -106,9 +106,7 @@ def check_run(path: Path, before: str, run: dict[str, object]) -> None:
         if not isinstance(known, dict):
             raise ValueError
     except ValueError:
-        raise RunError(
-            path, "is no unfinished run of this command; remove it to begin anew"
-        ) from None
+        raise RunError(path, "is no unfinished run of this command; remove it to begin anew") from None
     for name, value in json.loads(json.dumps(run)).items():  # JSON has no tuples
         if known.get(name) != value:
             raise RunError(
@@ -309,8 +307,7 @@ class DaskWorkers:
             return self._distributed.Client(self.address, timeout=CONNECTION_TIMEOUT)
         except (OSError, ValueError, TypeError) as error:
             # OSError is the base of the time-outs of sockets, too.
-            raise SchedulerError(f"--scheduler {self.address}",
-                                 f"cannot be reached: {error}") from error
+            raise SchedulerError(f"--scheduler {self.address}", f"cannot be reached: {error}") from error
 
     def run(self, job: Job, samples: Sequence[tuple[int, np.ndarray]]) -> Iterator[SampleOutcome]:
         """See `SampleWorkers.run`; each run has a connection of its own."""

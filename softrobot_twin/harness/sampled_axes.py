@@ -127,9 +127,7 @@ def shifted_sobol(dimension: int, count: int, seed: int) -> np.ndarray:
     return (points[:count] + shift) % 1.0
 
 
-def sampled_setpoints(
-    simulation: Simulation, axes: Sequence[Axis], count: int, seed: int
-) -> np.ndarray:
+def sampled_setpoints(simulation: Simulation, axes: Sequence[Axis], count: int, seed: int) -> np.ndarray:
     """Setpoints of the samples; more samples begin with the same ones.
 
     Args:
@@ -148,9 +146,7 @@ def sampled_setpoints(
     return setpoints
 
 
-def setpoints_between(
-    simulation: Simulation, axes: Sequence[Axis], shares: np.ndarray
-) -> np.ndarray:
+def setpoints_between(simulation: Simulation, axes: Sequence[Axis], shares: np.ndarray) -> np.ndarray:
     """Setpoints at shares of the axes of a box.
 
     Args:

@@ -36,9 +36,7 @@ def console(stream: TextIO | None = None) -> Console:
     return Console(file=stream, width=width, highlight=False, markup=False)
 
 
-def table(
-    title: str, *columns: str, rows: Iterable[Iterable[str]] = (), piped: bool | None = None
-) -> Table:  # fmt: skip
+def table(title: str, *columns: str, rows: Iterable[Iterable[str]] = (), piped: bool | None = None) -> Table:
     """A table: with a frame on a terminal, plain columns through a pipe.
 
     Args:

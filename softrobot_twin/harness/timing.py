@@ -37,8 +37,7 @@ def spread(values: ArrayLike) -> Spread:
     finite = finite[np.isfinite(finite)]
     if not finite.size:
         return Spread(np.nan, np.nan, np.nan)
-    return Spread(float(np.median(finite)), float(np.percentile(finite, 99.0)),
-                  float(finite.max()))
+    return Spread(float(np.median(finite)), float(np.percentile(finite, 99.0)), float(finite.max()))
 
 
 @cache

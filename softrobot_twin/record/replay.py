@@ -181,9 +181,7 @@ class TickComparison:
                 found.append(self._difference(tick, time, name, before, after))
         return found
 
-    def _difference(
-        self, tick: int, time: float, name: str, before: object, after: object
-    ) -> Difference:
+    def _difference(self, tick: int, time: float, name: str, before: object, after: object) -> Difference:
         quantity = quantities().get(name, Quantity())
         if not quantity.is_number:
             return Difference(tick, time, name, "", before, after, np.inf)
@@ -253,8 +251,7 @@ def recorded_scene(run: RunFile, changes: Mapping[str, Any]) -> Scene:
     moved = _moved_files(run, scene)
     if not moved:
         return scene
-    return changed_scene(scene_from_mapping(_with_files(mapping, moved), path),
-                         _with_files(changes, moved))
+    return changed_scene(scene_from_mapping(_with_files(mapping, moved), path), _with_files(changes, moved))
 
 
 def _moved_files(run: RunFile, scene: Scene) -> dict[str, str]:
@@ -271,9 +268,7 @@ def _moved_files(run: RunFile, scene: Scene) -> dict[str, str]:
             looked = ", ".join(str(place) for place in dict.fromkeys(places))
             raise RunFileError(run.path, f"needs {file.name}: no such file; looked for {looked}")
         if digest_of(found) != file.sha256:
-            raise RunFileError(
-                run.path, f"{found} has changed since the run: its SHA-256 was {file.sha256}"
-            )
+            raise RunFileError(run.path, f"{found} has changed since the run: its SHA-256 was {file.sha256}")
         if found != Path(file.path):
             moved[file.name] = str(found)
     return moved
@@ -334,9 +329,7 @@ class Replay:
         left_out = () if self.is_of_its_scene else (COMPUTE_TIME, STATE_DIGEST)
         self._compare = TickComparison(run.description, left_out)
 
-    def all_ticks(
-        self, take: Callable[[TickOutcome, int, float], None] = lambda *tick: None
-    ) -> Comparison:
+    def all_ticks(self, take: Callable[[TickOutcome, int, float], None] = lambda *tick: None) -> Comparison:
         """Replays the run to its end, or up to where something of it is missing.
 
         Args:
@@ -376,8 +369,7 @@ class Replay:
             found.refused.append(f"tick {tick} at {seconds:.3f} s: {name}: {error}")
             return
         if _text(answer) != _text(content[ANSWER]):
-            found.add(Difference(tick, seconds, f"{ANSWER} of {name}", "", content[ANSWER], answer,
-                                 np.inf))
+            found.add(Difference(tick, seconds, f"{ANSWER} of {name}", "", content[ANSWER], answer, np.inf))
 
 
 def _check_names(run: RunFile, simulation: Simulation) -> None:

@@ -170,13 +170,9 @@ class RunWriter:
     def _channel_of(self, topic: Topic) -> int:
         schema = self._schemas.get(topic.type_name)
         if schema is None:
-            schema = self._writer.register_schema(
-                topic.type_name, "ros2msg", topic.definition.encode()
-            )
+            schema = self._writer.register_schema(topic.type_name, "ros2msg", topic.definition.encode())
             self._schemas[topic.type_name] = schema
-        return self._writer.register_channel(
-            topic.name, "cdr", schema, {"direction": topic.direction}
-        )
+        return self._writer.register_channel(topic.name, "cdr", schema, {"direction": topic.direction})
 
     def flush(self) -> None:
         """Ends the present chunk and gives all that was written to the system."""
@@ -242,9 +238,7 @@ class RunFile:
         content.pop("kind")
         found = content.pop("format", None)
         if found != FORMAT:
-            raise RunFileError(
-                self.path, f"is of format {found}, this version reads format {FORMAT}"
-            )
+            raise RunFileError(self.path, f"is of format {found}, this version reads format {FORMAT}")
         try:
             self.description = RunDescription.from_json(content)
         except (KeyError, TypeError) as error:

@@ -102,8 +102,7 @@ class RunRecorder:
             message: The message.
         """
         time = max(0, self._ros_time())  # MCAP has no times before its epoch.
-        self._add(Noted(False, time, lambda: self.writer.add_message(
-            topic, time, self._to_bytes(message))))
+        self._add(Noted(False, time, lambda: self.writer.add_message(topic, time, self._to_bytes(message))))
 
     def pass_on(self) -> None:
         """Passes on what was noted; called after each tick."""

@@ -61,8 +61,7 @@ def of_channels(given: Iterable[Channel]) -> dict[str, Quantity]:
                         lambda tick, one=one: one.read(tick.result))  # fmt: skip
         found[one.name] = told
         if one.most:
-            found[one.measured_name] = told._replace(
-                path=lambda tick, one=one: tick.measured[one.name])
+            found[one.measured_name] = told._replace(path=lambda tick, one=one: tick.measured[one.name])
     return found
 
 

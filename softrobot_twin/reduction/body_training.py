@@ -263,9 +263,7 @@ class Training:
         """
         return self.samples(count, self.options.seed, MARGIN, with_corners=True)
 
-    def samples(
-        self, count: int, seed: int, margin: float = 0.0, with_corners: bool = False
-    ) -> np.ndarray:
+    def samples(self, count: int, seed: int, margin: float = 0.0, with_corners: bool = False) -> np.ndarray:
         """Samples, that at rest first; see `samples_of` and `samples_along`.
 
         Args:
@@ -277,9 +275,7 @@ class Training:
         if self.way is not None:
             return samples_along(self.simulation, self.way, count, seed)
         boxes = [box.widened(margin) for box in self.options.targets]
-        return samples_of(
-            self.simulation, self.axes, self.sampling, boxes, count, seed, with_corners
-        )
+        return samples_of(self.simulation, self.axes, self.sampling, boxes, count, seed, with_corners)
 
     def fresh_samples(self, count: int, seed: int) -> np.ndarray:
         """Samples to judge by, without that at rest, which every training has seen.
@@ -698,9 +694,7 @@ def _save(output: Path, reduction: BodyReduction, body: Body) -> None:
         write_body_reduction(stream, reduction, reduction_fingerprints(body))
 
 
-def _said(
-    path: Path, options: TrainingOptions, trained: Trained, states: States, seconds: float
-) -> dict:
+def _said(path: Path, options: TrainingOptions, trained: Trained, states: States, seconds: float) -> dict:
     """How a reduced model was made, for its file."""
     return {
         "scene": Path(path).name, "seed": options.seed, "states": int(states.is_found.sum()),
@@ -751,8 +745,7 @@ def _print_result(
     rows.add_row("time of the training", f"{seconds:.0f} s", "")
     rows.add_row("unknowns", f"{freedoms}", f"{trained.mode_count}")
     rows.add_row("quadrature points", f"{point_count(body)}", f"{len(trained.sampled[0].cells)}")
-    rows.add_row("energy that the modes leave out", "",
-                 f"{trained.modes.shares[trained.mode_count]:.1e}")
+    rows.add_row("energy that the modes leave out", "", f"{trained.modes.shares[trained.mode_count]:.1e}")
     rows.add_row("virtual work that the points leave out", "", f"{100 * trained.sampled[1]:.2f} %")
     rows.add_row("spare modes, points with them", "",
                  f"{trained.modes.basis.shape[2] - trained.mode_count}, "

@@ -281,8 +281,7 @@ def work_of(
     for chunk in _chunks(body, modes.basis):
         for state, sum_of_all in zip(states, total, strict=True):
             sum_of_all += scale * _force(chunk.elements, state)
-        size = sum(np.abs(chunk.elements.point_forces(state) * scale).sum(axis=1)
-                   for state in seen)  # fmt: skip
+        size = sum(np.abs(chunk.elements.point_forces(state) * scale).sum(axis=1) for state in seen)
         sizes.append(size)
         points.append(chunk.points)
     points = SampledPoints(*map(np.concatenate, zip(*points, strict=True)))

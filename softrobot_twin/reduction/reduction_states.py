@@ -586,8 +586,7 @@ class StateFinder:
             result = self._step(CommandSetpoints(setpoints, ANY_TIME))
             if result.status.is_failure:
                 return False
-            if not is_last or (result.report.residual <= tolerance
-                               and not result.report.inverted_count):
+            if not is_last or (result.report.residual <= tolerance and not result.report.inverted_count):
                 return True
         return False
 

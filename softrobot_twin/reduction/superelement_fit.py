@@ -259,9 +259,7 @@ class SoftPartModel:
         arms = positions[self._b_nodes] - (self._part.end_points[0] + chord)
         wrench = np.concatenate([own.sum(axis=0), np.cross(arms, own).sum(axis=0)])
         slopes = np.linalg.solve(_pose_slopes(turn, chord).T, -wrench)
-        return Sample(
-            variables, enthalpy, np.concatenate([slopes, -growths]), self._centre(positions)
-        )
+        return Sample(variables, enthalpy, np.concatenate([slopes, -growths]), self._centre(positions))
 
     def _centre(self, positions: np.ndarray) -> np.ndarray:
         """Centre of mass of the inner nodes, from the middle of the face on A [m], shape (3,)."""

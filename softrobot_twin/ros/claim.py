@@ -147,8 +147,7 @@ class TopicClaim:
         now = time.monotonic()
         self._forget_dead(now)
         if beat.identity in self.rivals or len(self.rivals) < MOST_RIVALS:
-            self.rivals[beat.identity] = Rival(
-                now, now - beat.age, beat.name, beat.identity, beat.is_enabled)
+            self.rivals[beat.identity] = Rival(now, now - beat.age, beat.name, beat.identity, beat.is_enabled)
 
     def _forget_dead(self, now: float) -> None:
         self.rivals = {

@@ -236,8 +236,7 @@ class DemoPlan:
         return arguments
 
 
-def plan_demo(robot: str, folder: Path, run_time: float, view: bool,
-              changes: Sequence[str] = ()) -> DemoPlan:
+def plan_demo(robot: str, folder: Path, run_time: float, view: bool, changes: Sequence[str] = ()) -> DemoPlan:
     """Plans a demo.
 
     Args:
@@ -346,10 +345,8 @@ def _parameters(file: Path) -> dict[str, object]:
         content = yaml.safe_load(file.read_text(encoding="utf-8"))
         sections = [section["ros__parameters"] for section in content.values()]
         return {name: value for section in sections for name, value in section.items()}
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, AttributeError, KeyError,
-            TypeError) as error:
-        raise ParameterError("robot", str(file), "",
-                             f"is not a ROS parameter file: {error!r}") from error
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, AttributeError, KeyError, TypeError) as error:
+        raise ParameterError("robot", str(file), "", f"is not a ROS parameter file: {error!r}") from error
 
 
 def _port(wanted: int) -> int:
@@ -447,9 +444,7 @@ class DemoProcess:
         place: Its cores and nice value, or None for those of this process.
     """
 
-    def __init__(
-        self, name: str, command: Sequence[str], log: Path, place: ProcessorShare | None = None
-    ):
+    def __init__(self, name: str, command: Sequence[str], log: Path, place: ProcessorShare | None = None):
         self.name = name
         self.log = log
         with log.open("wb") as file:

@@ -58,8 +58,7 @@ def help_text(name: str, about: Sequence[str], table: Sequence[Entry]) -> str:
     """
     usage = (f"usage: {name} [-h] [--ros-args [--params-file FILE] [-p NAME:=VALUE ...]"
              " [-r FROM:=TO ...]]")
-    lines = [usage, "", *about, "",
-             "Parameters (-p NAME:=VALUE; * can be set while it runs):"]
+    lines = [usage, "", *about, "", "Parameters (-p NAME:=VALUE; * can be set while it runs):"]
     for entry in table:
         unit = f" {entry.unit}" if entry.unit else ""
         star = "" if entry.read_only else " *"

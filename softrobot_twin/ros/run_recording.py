@@ -66,8 +66,7 @@ class RunRecording:
             {"use_sim_time": node.is_simulated_time, **parameters},
         )  # fmt: skip
         try:
-            self.recorder = RunRecorder(
-                self.path, loop, self.clock, description, node.ros_time, to_bytes)
+            self.recorder = RunRecorder(self.path, loop, self.clock, description, node.ros_time, to_bytes)
         except RunFileError as error:
             raise ParameterError(PARAMETER, str(self.path), "", error.reason) from None
 

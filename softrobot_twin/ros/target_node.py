@@ -89,8 +89,7 @@ class TargetNode(TickingNode):
         group = "effector_poses" if self._turns else "effectors"
         topic = TOPICS[f"<twin>/{group}/<effector>"]
         self._topic = self.resolve_topic_name(topic.full_name(self._effector, self._twin))
-        self._listener = self.listen(
-            topic, self.take_start, RefusalCounts(), self._effector, self._twin)
+        self._listener = self.listen(topic, self.take_start, RefusalCounts(), self._effector, self._twin)
         self.get_logger().info(f"ready: {what}")
 
     def _open_path(self, values: Mapping[str, object]) -> str:
@@ -101,8 +100,7 @@ class TargetNode(TickingNode):
         names = [name for name in values["target_sequence"] if name] or [values["target_path"]]
         found = [str(find_scene_file(name, "target_path")) if name.endswith(".csv") else name
                  for name in names]  # fmt: skip
-        self.path = make_sequence(
-            found, effector, around, values["target_sequence_time"], self._ramp_time)
+        self.path = make_sequence(found, effector, around, values["target_sequence_time"], self._ramp_time)
         for note in notes_of(self.path):
             self.get_logger().warning(note)
         self._turn = _UNTURNED

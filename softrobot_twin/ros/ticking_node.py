@@ -387,8 +387,7 @@ class TickingNode(Node):
             for ends, is_severe in ((critical, True), (others, False)) for end in ends
         ]  # fmt: skip
         # A separate timer: ticks may be rare, and with simulated time they may pause.
-        self.create_timer(_GRAPH_PERIOD, self.watch_graph,
-                          clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.create_timer(_GRAPH_PERIOD, self.watch_graph, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def look_for_clashes(self) -> list[Clash]:
         """The clashes at this moment.

@@ -171,9 +171,7 @@ def open_subscription(
     """Receives a declared topic as serialized messages; see `Topic.full_name`."""
     if topic.direction is not IN:
         raise ValueError(f"{topic.name} is declared as a topic that the node publishes")
-    return node.create_subscription(
-        topic.kind, topic.full_name(name, twin), receive, topic.quality, raw=True
-    )
+    return node.create_subscription(topic.kind, topic.full_name(name, twin), receive, topic.quality, raw=True)
 
 
 def _by_name(*topics: Topic) -> dict[str, Topic]:

@@ -120,9 +120,7 @@ class TransformOutput:
         ParameterError: The names of the frames clash, or the pose is none.
     """
 
-    def __init__(
-        self, node: Node, simulation: Simulation, parameters: Mapping[str, Any], audience: Audience
-    ):
+    def __init__(self, node: Node, simulation: Simulation, parameters: Mapping[str, Any], audience: Audience):
         self._simulation, self._audience, self.publisher = simulation, audience, None
         frame_id, wanted, base_frame = (
             str(parameters[name]) for name in ("frame_id", "tf", "tf_base_frame"))

@@ -442,8 +442,7 @@ class TwinNode(TickingNode):
         self.pressures = self.publishers_on("~/pressures/<cavity>")
         self._compliances = ComplianceOutputs(self, self.loop, self._audience)
         values = self._values
-        self.visualization = VisualizationOutput(
-            self, simulation, frame, float(values["visualization_rate"]))
+        self.visualization = VisualizationOutput(self, simulation, frame, float(values["visualization_rate"]))
         self._transforms = TransformOutput(self, simulation, values, self._audience)
         self.status = StatusOutput(self, self.loop)
         self._diagnostics_out = open_publisher(self, TOPICS["/diagnostics"])
@@ -609,9 +608,7 @@ class TwinNode(TickingNode):
         """
         return self._answered("reset", response, True, self.loop.reset())
 
-    def grip(
-        self, name: str, request: SetBool.Request, response: SetBool.Response
-    ) -> SetBool.Response:
+    def grip(self, name: str, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         """Answers ``~/grip/<grip>``.
 
         Args:
@@ -676,9 +673,7 @@ class TwinNode(TickingNode):
         outputs, header = (self._compliances, self._transforms), partial(self._header, stamp)
         self._has_listeners = any([output.publish(outcome, header) for output in outputs])
 
-    def _publish_command(
-        self, command: ActuatorCommand, poses: Mapping[str, Pose], stamp: int
-    ) -> None:
+    def _publish_command(self, command: ActuatorCommand, poses: Mapping[str, Pose], stamp: int) -> None:
         for output, make, publishers in self._orders:
             for publisher, row in zip(publishers.values(), output.read((command, poses))):
                 self._repeated.send(publisher, make(stamp, *row))
@@ -767,8 +762,7 @@ class TwinNode(TickingNode):
             logger.error(f"command kept back: {', '.join(outcome.violated)}",
                          throttle_duration_sec=_WARN_EVERY)
         elif outcome.result.status.is_failure:
-            logger.error(f"step failed: {outcome.result.status.value}",
-                         throttle_duration_sec=_WARN_EVERY)
+            logger.error(f"step failed: {outcome.result.status.value}", throttle_duration_sec=_WARN_EVERY)
 
     def _changed_settings(self, parameters: list[Parameter]) -> LoopSettings:
         changes = {parameter.name: plain(parameter) for parameter in parameters}

@@ -46,9 +46,7 @@ class ViewFeed:
         """
         return bool(parameters["view"] or parameters["record_file"] or parameters["view_spawn"])
 
-    def offer(
-        self, outcome: TickOutcome, time_ns: int, discretization_error: float = float("nan")
-    ) -> None:
+    def offer(self, outcome: TickOutcome, time_ns: int, discretization_error: float = float("nan")) -> None:
         """Offers a tick to the mirror, if it is one of those to show.
 
         Args:

@@ -272,9 +272,7 @@ class ElasticEntry(Entry):
                 f"at strains of {low:.0f} % to {high:.0f} % in tension: at smaller ones, and in "
                 "compression, the law is extrapolated")  # fmt: skip
 
-    def volume_constants(
-        self, otherwise: ElasticEntry | None = None
-    ) -> tuple[float | None, float | None]:
+    def volume_constants(self, otherwise: ElasticEntry | None = None) -> tuple[float | None, float | None]:
         """Poisson's ratio and bulk modulus at rest [Pa], of which one is given, or none.
 
         Args:
@@ -303,8 +301,7 @@ class ElasticEntry(Entry):
             return
         nu, kappa = self.volume_constants(otherwise)
         if nu is None and kappa is None:
-            raise refusal("poisson_ratio", "(nothing)",
-                          "is required, or bulk_modulus [Pa] in its place")
+            raise refusal("poisson_ratio", "(nothing)", "is required, or bulk_modulus [Pa] in its place")
         if nu == 0.5 and not has_bulk_modulus(law_named(law).parameters):
             raise refusal("poisson_ratio", nu,
                           f"the law {law} is not defined for an incompressible material: give less "
@@ -375,8 +372,7 @@ def _check_constants(given: dict, own: OwnConstants, takes: str) -> None:
 class Material(ElasticEntry):
     """The material law."""
 
-    told: ClassVar[tuple[str, ...]] = (
-        "{density} kg/m³", "{total_mass} kg in total", *ElasticEntry.told)  # fmt: skip
+    told: ClassVar[tuple[str, ...]] = ("{density} kg/m³", "{total_mass} kg in total", *ElasticEntry.told)
 
     law: Annotated[str, registered("law", law_names)] = "corotational"
     density: Annotated[float | None, unit("kg/m³", gt=0.0)] = None
@@ -592,8 +588,7 @@ class Body(Entry):
         if self.reduced is None and self.vertebrae is None:
             return
         if self.reduced is not None and self.vertebrae is not None:
-            raise refusal("reduced", str(self.reduced.file),
-                          "is given beside vertebrae: name one of them")  # fmt: skip
+            raise refusal("reduced", str(self.reduced.file), "is given beside vertebrae: name one of them")
         if self.reduced is not None and self.has_patches:
             raise refusal("volume", "patches", PATCHES_NOT_REDUCED)
         bodies = "bodies with vertebrae" if self.reduced is None else "reduced bodies"
@@ -734,9 +729,7 @@ class CrossSection(Entry):
 class BeamMaterial(Entry):
     """Isotropic, linear elastic."""
 
-    told: ClassVar[tuple[str, ...]] = (
-        "E {young_modulus} Pa", "ν {poisson_ratio}", "{density} kg/m³",
-    )  # fmt: skip
+    told: ClassVar[tuple[str, ...]] = ("E {young_modulus} Pa", "ν {poisson_ratio}", "{density} kg/m³")
 
     young_modulus: Annotated[float, unit("Pa", gt=0.0)]
     """E."""

@@ -165,9 +165,7 @@ def _numbers(value: Any) -> list[float]:
     return []
 
 
-def refusal(
-    key: str, value: object, reason: str, also: str = "", unit: str = ""
-) -> PydanticCustomError:
+def refusal(key: str, value: object, reason: str, also: str = "", unit: str = "") -> PydanticCustomError:
     """An error about one key, for checks that compare several entries.
 
     Args:
@@ -276,8 +274,7 @@ def allows_zero(what: str, limits: str = "its limits") -> AfterValidator:
         what: What the quantity is at rest, for the error.
         limits: What the limits are called in the error.
     """
-    return _required(lambda bounds: bounds[0] <= 0.0 <= bounds[1],
-                     f"{what}, 0, must lie within {limits}")
+    return _required(lambda bounds: bounds[0] <= 0.0 <= bounds[1], f"{what}, 0, must lie within {limits}")
 
 
 def not_below_zero(words: str) -> AfterValidator:

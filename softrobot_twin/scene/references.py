@@ -20,8 +20,7 @@ def check_names(scene) -> None:
         PydanticCustomError: A name is given more than once.
     """
     if scene.body is not None and scene.bodies:
-        raise refusal("bodies", "(and body)",
-                      "a single body is given as body, several as bodies, not both")  # fmt: skip
+        raise refusal("bodies", "(and body)", "a single body is given as body, several as bodies, not both")
     if not (scene.deformables or scene.rigid_bodies or scene.mass_springs or scene.beams):
         raise refusal("body", "(nothing)",
                       "the scene has no body: give body, bodies, beams, rigid_bodies or "
@@ -41,8 +40,7 @@ def check_names(scene) -> None:
         for key, entry in (keyed for section in sections for keyed in scene.keyed(section)):
             key, name = f"{key}.{word}", getattr(entry, word)
             if name in seen:
-                raise refusal(key, name,
-                              f"{kind} {name} is given more than once, also in ", seen[name])
+                raise refusal(key, name, f"{kind} {name} is given more than once, also in ", seen[name])
             if name == "world":
                 raise refusal(key, name, f"{kind} world: this name is reserved for the fixed world")
             seen[name] = key
@@ -242,9 +240,7 @@ def check_pattern(key: str, what: str, pattern: str, known: list[str]) -> None:
     check_known(key, what, pattern, known)
 
 
-def check_carrier(
-    key: str, what: str, name: str | None, deformable: list[str], rigid: list[str]
-) -> None:
+def check_carrier(key: str, what: str, name: str | None, deformable: list[str], rigid: list[str]) -> None:
     """Checks the body of an entry; without a name the only deformable body is meant.
 
     Args:
@@ -259,8 +255,7 @@ def check_carrier(
     """
     known = deformable + rigid
     if name is None and len(deformable) != 1:
-        raise refusal(key, "(nothing)",
-                      f"{what} must name the body it is on, one of {_listed(known)}")  # fmt: skip
+        raise refusal(key, "(nothing)", f"{what} must name the body it is on, one of {_listed(known)}")
     if name is not None:
         check_known(key, f"{what} is on", name, known)
 

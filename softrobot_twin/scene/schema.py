@@ -357,8 +357,7 @@ class Observer(Entry):
         names = [force.name for force in self.forces]
         for index, name in enumerate(names):
             if name in names[:index]:
-                raise refusal(f"forces[{index}].name", name,
-                              f"force {name} is given more than once")
+                raise refusal(f"forces[{index}].name", name, f"force {name} is given more than once")
 
 
 class Control(Entry):

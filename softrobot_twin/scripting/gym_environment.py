@@ -203,8 +203,7 @@ class ReachingEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
         given = dict(options or {})
         target, state = given.pop("target", None), given.pop("state", None)
         if given:
-            raise CommandError(
-                next(iter(given)), "is no option of reset; there are: target, state")
+            raise CommandError(next(iter(given)), "is no option of reset; there are: target, state")
         info: dict[str, Any] = {}
         if self._draws:
             self._episode_count = 0 if seed is not None else self._episode_count
@@ -250,12 +249,10 @@ class ReachingEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
         clipped = int(np.count_nonzero(allowed != speeds))
         self.clipped_count += clipped
         moved = self._present() + allowed * self._rates * self.time_step
-        outcome = self._simulation.step(
-            self._command(np.minimum(np.maximum(moved, self._least), self._most)))
+        outcome = self._simulation.step(self._command(np.minimum(np.maximum(moved, self._least), self._most)))
         self._step_count += 1
         place, fails = self.place, outcome.status.is_failure
-        info = self._info(place) | {
-            "status": outcome.status.value, "is_failure": fails, "clipped": clipped}
+        info = self._info(place) | {"status": outcome.status.value, "is_failure": fails, "clipped": clipped}
         reward = -info["distance"]
         if fails:
             reward *= 1 + self.most_steps - self._step_count
@@ -374,9 +371,7 @@ class ReachingEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
         return {"distance": distance, "is_success": distance < self.reached_within}
 
 
-def _draws_of(
-    scene: Scene, randomized: Randomized
-) -> tuple[tuple[Parameter | JointParameter, Draw], ...]:
+def _draws_of(scene: Scene, randomized: Randomized) -> tuple[tuple[Parameter | JointParameter, Draw], ...]:
     """Each parameter that is drawn, and how; the scene takes both ends of each range."""
     draws, ends = [], (dict[str, float](), dict[str, float]())
     for key, how in randomized.items():
@@ -413,8 +408,7 @@ def _drives_of(simulation: Simulation) -> tuple[Axis, ...]:
                 drive.name, f"has a {word} from {drive.least:g} to {drive.most:g}; an environment "
                 f"needs finite limits: give {word}: [least, most] in the scene")
         if not math.isfinite(drive.rate):
-            raise CommandError(drive.name,
-                               "has no rate, which an environment needs: give it in the scene")
+            raise CommandError(drive.name, "has no rate, which an environment needs: give it in the scene")
     if not drives:
         raise CommandError(simulation.scene.name, "has no actuator that could learn")
     return tuple(drives)
@@ -445,7 +439,4 @@ def _place_of(target: Any) -> np.ndarray:
     return np.array(numbers)
 
 
-gymnasium.register(
-    id=ENVIRONMENT_ID,
-    entry_point=f"{__name__}:ReachingEnvironment",
-)
+gymnasium.register(id=ENVIRONMENT_ID, entry_point=f"{__name__}:ReachingEnvironment")

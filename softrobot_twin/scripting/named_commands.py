@@ -310,8 +310,7 @@ class CommandReader:
                                    f"the {kind.setpoint.word} of a {kind.noun}")
             for place, told in drive.told(number):
                 if place in driven_by:
-                    raise CommandError(
-                        name, f"drives {actuators.names[place]}, as {driven_by[place]} does")
+                    raise CommandError(name, f"drives {actuators.names[place]}, as {driven_by[place]} does")
                 driven_by[place] = name
                 yield place, told
 

@@ -103,9 +103,7 @@ def actuators_html(actuators: Sequence[Actuator], *values: np.ndarray) -> str:
     return "".join(tables)
 
 
-def effectors_html(
-    names: Sequence[str], positions: np.ndarray, errors: np.ndarray | None = None
-) -> str:
+def effectors_html(names: Sequence[str], positions: np.ndarray, errors: np.ndarray | None = None) -> str:
     """A table of the effectors.
 
     Args:

@@ -453,9 +453,7 @@ class Robot:
         """
         return optimised(self.scene, objective, parameters, bounds, commands, tolerance)
 
-    def design_model(
-        self, parameters: Variables, commands: Sequence[NamedCommand]
-    ) -> DesignModel:
+    def design_model(self, parameters: Variables, commands: Sequence[NamedCommand]) -> DesignModel:
         """Poses of the robot as a differentiable function of numbers of its scene.
 
         Args:
@@ -469,8 +467,7 @@ class Robot:
             SceneError: No number has such a key.
             CommandError: A command does not fit the robot.
         """
-        return DesignModel(
-            self.scene, variables_of(self.scene, parameters), poses_of(self.scene, commands))
+        return DesignModel(self.scene, variables_of(self.scene, parameters), poses_of(self.scene, commands))
 
     def calibrate(
         self, data: Any, fit: Iterable[str] = (), known: Mapping[str, Given] | None = None,
@@ -681,8 +678,7 @@ class Robot:
             TableFileError: The file or table cannot be used.
         """
         if _is_table(command):
-            _refuse("a table of commands", steps=steps, seconds=seconds, poses=poses,
-                    touches=touches)
+            _refuse("a table of commands", steps=steps, seconds=seconds, poses=poses, touches=touches)
             return self._run_table(command, rate)
         if command is None and not (poses or touches):
             return self._run_alone(steps, seconds, _rate(rate))
@@ -813,9 +809,7 @@ class Robot:
         """
         return self._yielding().principal_stiffness(self._place(effector))
 
-    def linear_model(
-        self, modes: int | None = 5, time_step: float = DEFAULT_TIME_STEP
-    ) -> LinearModel:
+    def linear_model(self, modes: int | None = 5, time_step: float = DEFAULT_TIME_STEP) -> LinearModel:
         """Small motions about where the robot stands, by a few modes; in scenes that move in time.
 
         Actuators that were commanded by efforts last have these as inputs, the others what drives
@@ -901,9 +895,7 @@ class Robot:
             self._view.close()
         serves = path is None and not notebook if serve is None else serve
         file = None if path is None else Path(path)
-        self._view = RobotView(
-            self.simulation, file, serves, spawn and serves, port, force_scale, notebook
-        )
+        self._view = RobotView(self.simulation, file, serves, spawn and serves, port, force_scale, notebook)
         self._view.show()
         return self._view
 

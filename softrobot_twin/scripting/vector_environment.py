@@ -104,8 +104,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.nd
         shares = np.array_split(np.arange(self.num_envs), min(len(starts), self.num_envs))
         self._shares = [slice(own[0], own[-1] + 1) for own in shares]
         for start, own in zip(starts, shares, strict=False):
-            self._workers.append(
-                start(self.scene, len(own), modes, {"states": self.states, **of_each}))
+            self._workers.append(start(self.scene, len(own), modes, {"states": self.states, **of_each}))
         self._ask("build")
 
     def reset(
@@ -139,8 +138,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.nd
             each = [given | {"reset_mask": np.asarray(mask, bool)[own]} for own in self._shares]
         else:
             raise CommandError("reset_mask", f"must be {self.num_envs} booleans, some of them true")
-        found = self._ask(
-            "reset", *([seeds[own] for own in self._shares], each))
+        found = self._ask("reset", *([seeds[own] for own in self._shares], each))
         return np.concatenate([one[0] for one in found]), self._joined([one[1] for one in found])
 
     def step(
@@ -160,8 +158,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.nd
         """
         speeds = np.asarray(actions, dtype=float)
         if speeds.shape != self.action_space.shape or not np.isfinite(speeds).all():
-            raise CommandError(
-                "actions", f"must be finite numbers of shape {self.action_space.shape}")
+            raise CommandError("actions", f"must be finite numbers of shape {self.action_space.shape}")
         *arrays, infos = zip(*self._ask("step", [speeds[own] for own in self._shares]), strict=True)
         observations, rewards, terminations, truncations = map(np.concatenate, arrays)
         return observations, rewards, terminations, truncations, self._joined(infos)

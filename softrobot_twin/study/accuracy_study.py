@@ -54,9 +54,7 @@ class AccuracyError(NamedError):
     """Accuracy cannot be determined for a scene or from a file."""
 
 
-def write_scene_copy(
-    path: Path, original: Path, chosen: Scene, setting: Setting, remarks: list[str]
-) -> None:
+def write_scene_copy(path: Path, original: Path, chosen: Scene, setting: Setting, remarks: list[str]) -> None:
     """Writes a copy of a scene file in which only the keys of a setting are changed.
 
     Args:
@@ -601,9 +599,7 @@ def follow_exactly(scene: Scene, path: LengthPath) -> tuple[np.ndarray, State]:
     return follow_lengths(scene, path, start, _EXACT_ITERATIONS).positions, start
 
 
-def follow_lengths(
-    scene: Scene, path: LengthPath, start: State, iterations: int, **parts
-) -> FollowedPath:
+def follow_lengths(scene: Scene, path: LengthPath, start: State, iterations: int, **parts) -> FollowedPath:
     """Follows a path of lengths with a number of linearizations per step, from an equilibrium at
     its start.
 
@@ -659,9 +655,7 @@ def _along(simulation: Simulation, path: LengthPath) -> list[CommandSetpoints]:
             for moved in path.displacements[1:]]
 
 
-def follow(
-    simulation: Simulation, start: State, commands: list, seconds: float = np.inf
-) -> FollowedPath:
+def follow(simulation: Simulation, start: State, commands: list, seconds: float = np.inf) -> FollowedPath:
     """Runs commands from a state.
 
     Args:
@@ -1007,9 +1001,7 @@ def dof_count(level: MeshLevel) -> int:
     return 3 * int(np.count_nonzero(~only_body(level.scene).fixed))
 
 
-def _solve_reference(
-    used: list[MeshLevel], moved: np.ndarray
-) -> tuple[Loads, dict[str, dict[str, Poses]]]:
+def _solve_reference(used: list[MeshLevel], moved: np.ndarray) -> tuple[Loads, dict[str, dict[str, Poses]]]:
     """Equilibria on the quadratic meshes; the finest one determines the prescribed efforts."""
     solved: dict[str, dict[str, Poses]] = {}
     loads = None

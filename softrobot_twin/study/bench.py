@@ -170,9 +170,7 @@ def read_earlier(path: Path) -> dict[str, tuple[float, float]]:
         raise TableFileError(path, f"is no bench.csv of this version: {error!r}") from error
 
 
-def _compare_with_earlier(
-    sizes: Sequence[SizeMeasurement], earlier: dict[str, tuple[float, float]]
-) -> Table:
+def _compare_with_earlier(sizes: Sequence[SizeMeasurement], earlier: dict[str, tuple[float, float]]) -> Table:
     """Each step beside that of an earlier run, by SuperLU's time in the same run and by calls."""
     made = table("An earlier run", "scene", "step / SuperLU", "then", "calls", "then", "")
     for size in sizes:

@@ -143,8 +143,7 @@ def swept_setpoints(simulation: Simulation) -> Iterator[CommandSetpoints]:
 
     def command(number: int) -> CommandSetpoints:
         angles = 2.0 * math.pi * number / _STEPS_A_ROUND + phases
-        return CommandSetpoints(actuators.setpoints(middle - swing * np.cos(angles)),
-                                CIRCLE_TIME_STEP)
+        return CommandSetpoints(actuators.setpoints(middle - swing * np.cos(angles)), CIRCLE_TIME_STEP)
 
     for _ in range(_PRETENSION_STEPS):
         simulation.step(command(0))

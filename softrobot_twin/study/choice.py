@@ -334,8 +334,7 @@ def pick(candidates: Iterable[Candidate], rate: float, reference_uncertainty: fl
     margin = max(reference_uncertainty, _ALIKE * least)
     alike = [one for one in fitting if one.error <= least + margin]
     # An unknown error counts as infinite.
-    soundest = min(alike, key=lambda one: (np.nan_to_num(one.force_error, nan=np.inf),
-                                           one.error)).setting
+    soundest = min(alike, key=lambda one: (np.nan_to_num(one.force_error, nan=np.inf), one.error)).setting
     same = [one for one in alike if one.setting.model == soundest.model]
     least = min(one.error for one in same)
     return min((one for one in same if one.error <= (1.0 + _ALIKE) * least),

@@ -123,8 +123,7 @@ _READABLE = {**SHOWN, "rad": (1.0, "rad")}
 """Factor and readable unit of SI units; angles are those of the scene."""
 
 
-_JOINTS = {"rigid": "moves with its frame", "hinge": "1 unknown: an angle",
-           "ball": "3 unknowns: a rotation"}  # fmt: skip
+_JOINTS = {"rigid": "moves with its frame", "hinge": "1 unknown: an angle", "ball": "3 unknowns: a rotation"}
 
 
 def _measured_error(measured: np.ndarray) -> str:
@@ -268,8 +267,7 @@ def _effects(simulation: Simulation, names: list[str]) -> Iterator[Effect]:
     if simulation.actuators.count and scene.effectors:
         used = max(weight, LEAST_ENERGY_WEIGHT)
         least = "" if used == weight else ", the least possible in floating point"
-        yield Effect("solver.energy_weight", number(weight),
-                     f"{number(used)} in the inverse problem{least}")
+        yield Effect("solver.energy_weight", number(weight), f"{number(used)} in the inverse problem{least}")
     most = count(range(scene.solver.newton_iterations), "linearization")
     yield Effect("integration", scene.integration.replace("_", "-"), words(
         _term(names, "inertia") if scene.integration == "dynamic" else "", _scheme(scene),
@@ -407,8 +405,7 @@ def _body_effects(body, integration: str, names: list[str]) -> Iterator[Effect]:
     for name, nodes in body.riding.items():
         yield Effect(f"{key}.attached", f"to {name}", f"{len(nodes)} nodes that move with it")
     if integration != "quasi_static":
-        yield from _damping_effects(key, entry.damping, _term(names, "mass damping"),
-                                    _term(names, "strain"))
+        yield from _damping_effects(key, entry.damping, _term(names, "mass damping"), _term(names, "strain"))
     for name, use in (("visual", "evaluated after the step"), ("contact_surface", "with which it touches")):
         if getattr(entry, name) is not None:
             yield Effect(f"{key}.{name}", str(getattr(entry, name).file), f"a mapping, {use}")
@@ -422,9 +419,7 @@ def _damping_effects(key: str, damping, of_mass: str, of_stiffness: str) -> Iter
         yield Effect(f"{key}.damping.stiffness", f"{number(damping.stiffness)} s", of_stiffness)
 
 
-def _beam_effects(
-    beam: BeamBody, integration: str, names: list[str]
-) -> Iterator[Effect]:  # fmt: skip
+def _beam_effects(beam: BeamBody, integration: str, names: list[str]) -> Iterator[Effect]:
     """Effects of a beam: its axis and section, material and stiffness, ends, damping."""
     entry, key, material, section = beam.entry, beam.key, beam.entry.material, beam.section
     length = beam.lengths.sum()
@@ -549,8 +544,7 @@ def sizes(simulation: Simulation) -> list[tuple[str, str]]:
         low, high = surface.min(axis=0), surface.max(axis=0)
         rounding = 1e-6 * np.max(high - low)
         low, high = (np.where(np.abs(end) < rounding, 0.0, end) for end in (low, high))
-        lines.append(("bounding box",
-                      f"{vector(1e3 * low)} to {vector(1e3 * high)} mm"))
+        lines.append(("bounding box", f"{vector(1e3 * low)} to {vector(1e3 * high)} mm"))
     lines += _weights(simulation)
     lines += _thinnest_parts(simulation)
     threads = getattr(without_rows(model.factorization), "thread_count", 1)

@@ -173,9 +173,7 @@ def _flat_area(points, triangles, axis: int, end: float) -> float:
     return 0.5 * float(np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1).sum())
 
 
-def _fixed_box(
-    points: np.ndarray, axis: int, at_high: bool, is_flat: bool
-) -> tuple[np.ndarray, int, str]:
+def _fixed_box(points: np.ndarray, axis: int, at_high: bool, is_flat: bool) -> tuple[np.ndarray, int, str]:
     """A box around the nodes at an end, their number, and what they are."""
     low, high = points.min(axis=0), points.max(axis=0)
     length = float(high[axis] - low[axis])

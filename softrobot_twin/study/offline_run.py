@@ -236,8 +236,7 @@ def load_with_notes(scene: Path) -> Simulation:
     return simulation
 
 
-def simulate(scene: Path, targets: Path, output: Path, settle: int = 0,
-             picture: Path | None = None) -> int:
+def simulate(scene: Path, targets: Path, output: Path, settle: int = 0, picture: Path | None = None) -> int:
     """Runs a scene over a targets file and writes the results.
 
     Args:

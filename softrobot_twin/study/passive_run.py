@@ -47,8 +47,7 @@ class BodyReadouts:
                             if term.name == "gravity")
         self._beam_weight = simulation.model.force_term(BeamWeight)
         self._bodies = simulation.model.bodies
-        self._points = [body.shown_nodes(np.arange(body.mesh.node_count))
-                        for body in self._bodies]
+        self._points = [body.shown_nodes(np.arange(body.mesh.node_count)) for body in self._bodies]
         self._beams = simulation.model.beams
         self._beam_nodes = [beam.nodes_mapping() for beam in self._beams]
         first = sum(body.scene_node_count for body in self._bodies)
@@ -98,8 +97,7 @@ class BodyReadouts:
         watched = [(body.name, "centre of mass", "centre") for body in self._bodies]
         watched += [(beam.name, "end", beam.node_count - 1) for beam in self._beams]
         for name, words, place in watched:
-            lines.append((f"{name}, largest displacement",
-                          f"{1e3 * readouts[f'{name}_moved_m']:.4g} mm"))
+            lines.append((f"{name}, largest displacement", f"{1e3 * readouts[f'{name}_moved_m']:.4g} mm"))
             at = [readouts[column] for column in position_columns(f"{name}_{place}")]
             lines.append((f"{name}, {words}", _millimetres(at)))
         for part in simulation.model.rigid:

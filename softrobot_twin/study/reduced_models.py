@@ -191,9 +191,7 @@ def train_level(original: Path, level: MeshLevel, folder: Path) -> ReducedModel:
     return trained_model(scene, original, level, study_options(level.scene, file))
 
 
-def trained_model(
-    scene: Path, original: Path, level: MeshLevel, options: TrainingOptions
-) -> ReducedModel:
+def trained_model(scene: Path, original: Path, level: MeshLevel, options: TrainingOptions) -> ReducedModel:
     """Write the scene of the full model of a mesh, and train its reduced model.
 
     Args:
@@ -283,9 +281,7 @@ class Trial(NamedTuple):
         return self.linearizations * step / core_count() + share * self.sampling
 
 
-def make_trial(
-    original: Path, levels: Sequence[MeshLevel], options: TrainingOptions, folder: Path
-) -> Trial:
+def make_trial(original: Path, levels: Sequence[MeshLevel], options: TrainingOptions, folder: Path) -> Trial:
     """Train a reduced model of the coarsest of some meshes, in this process.
 
     Linear tetrahedra lock: a coarse mesh of them does not buckle where a fine one does, and is left

@@ -197,8 +197,7 @@ def panels_of(series: Series, globs: Sequence[str] = ()) -> list[Panel]:
         if name in alone or not np.isfinite(series.numbers[name]).any():
             continue
         quantity, label = _quantity(name, series.numbers)
-        grouped.setdefault((quantity, unit_of(name)), []).append(
-            Line(name, label, targets.get(name, "")))
+        grouped.setdefault((quantity, unit_of(name)), []).append(Line(name, label, targets.get(name, "")))
     panels = [Panel(quantity, *SHOWN.get(unit, (1.0, unit)), lines, quantity.endswith("residual"))
               for (quantity, unit), lines in grouped.items()]
     return panels if globs else _few(panels)

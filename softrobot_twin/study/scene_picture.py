@@ -114,8 +114,7 @@ def arrow(start: np.ndarray, vector: np.ndarray, radius: float) -> np.ndarray:
     length = np.linalg.norm(vector)
     head = min(6.0 * radius, 0.6 * length)
     neck = 1.0 - head / length
-    return swept(start[None], vector[None], (radius, radius, 0.5 * head, 0.0),
-                 (0.0, neck, neck, 1.0))  # fmt: skip
+    return swept(start[None], vector[None], (radius, radius, 0.5 * head, 0.0), (0.0, neck, neck, 1.0))
 
 
 def creases(points: np.ndarray, triangles: np.ndarray, angle: float) -> np.ndarray:
@@ -405,8 +404,7 @@ def _grouped(noun: str, things: list[tuple[str, np.ndarray]]) -> Iterator[Label]
             told = first.startswith(noun.split()[-1])
             yield Label(first if told else f"{noun} {first}", place)
         else:
-            yield Label(f"{_PLURALS.get(noun, noun + 's')} {first} … {last} ({len(members)})",
-                        place)
+            yield Label(f"{_PLURALS.get(noun, noun + 's')} {first} … {last} ({len(members)})", place)
 
 
 _VIEW = (24.0, -58.0)
@@ -587,8 +585,7 @@ def _colour_maps(snapshots: Sequence[Snapshot]) -> dict:
         ends = 0.0, 1.0
     scale = ListedColormap(pressure_colours(np.linspace(*ends, 256), ends) / 255.0)
     tensions = Normalize(0.0, max(_values(snapshots, "cable")) or 1.0)
-    return {"cable": ScalarMappable(tensions, "plasma"),
-            "cavity": ScalarMappable(Normalize(*ends), scale)}
+    return {"cable": ScalarMappable(tensions, "plasma"), "cavity": ScalarMappable(Normalize(*ends), scale)}
 
 
 def _add_solids(axes, solids: list[Solid], camera: Camera) -> None:
@@ -645,8 +642,7 @@ def _square(point: np.ndarray, normal: np.ndarray, box) -> tuple[np.ndarray, lis
     lines = [[middle + place * one - half * other, middle + place * one + half * other]
              for one, other in ((across, along), (along, across))
              for place in np.linspace(-half, half, _PLANE_CELLS + 1)]
-    corners = middle + half * np.array([-across - along, across - along, across + along,
-                                        along - across])  # fmt: skip
+    corners = middle + half * np.array([-across - along, across - along, across + along, along - across])
     return corners, lines
 
 
@@ -713,8 +709,7 @@ def _number_axes(axes, box, camera: Camera, scale: float) -> None:
         named = 0.5 * (start + end) + 0.46 * inch * outward
         if axis == 2:
             named = end + [0.0, 0.12 * inch]
-        axes.text(*named, f"{'xyz'[axis]} [mm]", ha="center", va="center", fontsize=9,
-                  color=_NUMBER)
+        axes.text(*named, f"{'xyz'[axis]} [mm]", ha="center", va="center", fontsize=9, color=_NUMBER)
 
 
 def _hide_overlapping_numbers(figure) -> None:
@@ -784,8 +779,7 @@ def _add_scale_bar(axes, window: np.ndarray, camera: Camera, scale: float) -> No
     middle, y = 0.5 * (left + right), bottom - 0.16 * inch
     axes.plot(middle + np.array([-0.5, 0.5]) * length, [y, y], color="#444444", linewidth=2.0,
               solid_capstyle="butt", clip_on=False)
-    axes.text(middle, y - 0.06 * inch, f"{length:g} mm", ha="center", va="top", fontsize=9,
-              color="#444444")
+    axes.text(middle, y - 0.06 * inch, f"{length:g} mm", ha="center", va="top", fontsize=9, color="#444444")
     # Left of the bar and its text.
     origin = np.array([middle - max(0.5 * length, 0.3 * inch) - 0.5 * inch, bottom - 0.22 * inch])
     for name, arm, colour in zip("xyz", np.eye(3), AXIS_COLOURS, strict=True):

@@ -204,8 +204,7 @@ def draw_panels(figure, runs: dict[str, TrackingRecord]) -> None:
     _draw_errors(figure.add_subplot(grid[1, :]), runs)
     _draw_actuators(figure.add_subplot(grid[2, 0]), runs, "setpoint",
                     "Commanded change of setpoints", "change from the start", from_start=True)
-    _draw_actuators(figure.add_subplot(grid[2, 1]), runs, "effort",
-                    "Efforts of the twin", "effort")
+    _draw_actuators(figure.add_subplot(grid[2, 1]), runs, "effort", "Efforts of the twin", "effort")
 
 
 # Width of a panel of a half and of the whole width [inch].

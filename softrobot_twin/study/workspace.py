@@ -236,9 +236,7 @@ class Cloud(NamedTuple):
     rest: np.ndarray
 
 
-def clouds(
-    names: Sequence[str], header: Sequence[str], rows: Sequence[Sequence[str]]
-) -> list[Cloud]:
+def clouds(names: Sequence[str], header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[Cloud]:
     """The places of each effector, from rows of the file; lost samples are left out.
 
     Args:
@@ -255,8 +253,7 @@ def clouds(
         values = np.array([[float(row[column]) for column in columns] for row in kept])
         at_rest = values[[int(row[0]) == 0 for row in kept], :3]
         rest = at_rest[0] if len(at_rest) else np.full(3, np.nan)
-        is_good = np.isin(status, [Status.OK.value, Status.LINEARIZED.value,
-                                   Status.SATURATED.value])  # fmt: skip
+        is_good = np.isin(status, [Status.OK.value, Status.LINEARIZED.value, Status.SATURATED.value])
         made.append(Cloud(name, values[:, :3], values[:, 3], is_good, rest))
     return made
 
@@ -278,9 +275,7 @@ def views_of(points: np.ndarray) -> tuple[tuple[int, int], tuple[int, int]]:
 WIDE_RANGE = 10.0
 
 
-def draw_workspace(
-    shown: Sequence[Cloud], outline: np.ndarray, path: Path, title: str, foot: str
-) -> None:
+def draw_workspace(shown: Sequence[Cloud], outline: np.ndarray, path: Path, title: str, foot: str) -> None:
     """Writes a picture: two views of each effector's places, coloured by its least stiffness.
 
     Args:

@@ -193,8 +193,7 @@ class DrawList:
                 noun=group.kind.noun,
             ))  # fmt: skip
         if pulled:
-            entities.append(
-                Entity("/robot/pull_points", "points", (235, 235, 235), 4.0, kind="pull point"))
+            entities.append(Entity("/robot/pull_points", "points", (235, 235, 235), 4.0, kind="pull point"))
 
         def present(shown: Shown) -> Iterator[Drawn]:
             paths = simulation.actuator_paths()
@@ -380,8 +379,7 @@ def _grip_colours(margins: np.ndarray) -> np.ndarray:
 
 def _frames(path: str, kind: str, colours: tuple) -> Entity:
     """Axes, whose values are the numbers of their colours."""
-    return Entity(path, "arrows", size=1.5, kind=kind,
-                  colours_of=lambda numbers: np.array(colours)[numbers])  # fmt: skip
+    return Entity(path, "arrows", size=1.5, kind=kind, colours_of=lambda numbers: np.array(colours)[numbers])
 
 
 def _asked_axes(orientation) -> Iterator[tuple[np.ndarray, int]]:

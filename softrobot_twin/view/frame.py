@@ -86,8 +86,7 @@ class Entity:
         """
         shape, needed = np.shape(points), int(np.max(self.triangles, initial=-1)) + 1
         if len(shape) != 2 or shape[1] != 3 or shape[0] < needed:
-            raise ViewError(f"positions of {self.path}", shape,
-                            f"its triangles need at least ({needed}, 3)")
+            raise ViewError(f"positions of {self.path}", shape, f"its triangles need at least ({needed}, 3)")
 
     def check(self, drawn: Drawn) -> None:
         """Checks that what a frame has of it can be drawn.

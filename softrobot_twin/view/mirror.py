@@ -120,8 +120,7 @@ class RerunMirror(AbstractContextManager):
             if notebook:
                 page = recording.in_notebook(application, layout)
                 self.notebook_viewer = page.viewer
-                self.drawing_threads.append(
-                    DrawingThread("notebook", Picture(page, stage), every_nth(1)))
+                self.drawing_threads.append(DrawingThread("notebook", Picture(page, stage), every_nth(1)))
         except BaseException:
             self.close()
             raise

@@ -92,8 +92,7 @@ _TRAIL_DURATION, _PLOTTED_PAST = 5.0, 20.0
 # Okabe and Ito's colours without black; colour-blind people can distinguish them.
 _CURVE_COLOURS = ((86, 180, 233), (230, 159, 0), (0, 158, 115), (240, 228, 66),
                   (204, 121, 167), (213, 94, 0), (0, 114, 178), (200, 200, 200))
-_MARKS = {"points": rr.Points3D, "lines": rr.LineStrips3D, "trail": rr.LineStrips3D,
-          "arrows": rr.Arrows3D}  # fmt: skip
+_MARKS = {"points": rr.Points3D, "lines": rr.LineStrips3D, "trail": rr.LineStrips3D, "arrows": rr.Arrows3D}
 
 
 def _fixed(entity: Entity) -> object:

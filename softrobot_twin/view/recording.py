@@ -139,8 +139,7 @@ def serve_at(port: int, memory_limit: str, application: str, blueprint: rrb.Blue
                         "without blocking the sender; record into a file, or install rerun 0.41")
     port = check_port(port)
     sink = rr.GrpcServerSink(_ADDRESS, port, server_memory_limit=memory_limit)
-    stream = _new_stream(application,
-                         batcher_config=rr.ChunkBatcherConfig(flush_tick=_LIVE_FLUSH_TICK))
+    stream = _new_stream(application, batcher_config=rr.ChunkBatcherConfig(flush_tick=_LIVE_FLUSH_TICK))
     try:
         stream.set_sinks(sink, default_blueprint=blueprint)
     except RuntimeError as error:

@@ -75,8 +75,7 @@ class SimulationFrames:
         names = simulation.actuator_names[cables]
         yield ("Cable lengths [mm]", "/plots/cable_lengths", names,
                lambda result, _: 1e3 * result.setpoints[cables])  # fmt: skip
-        yield ("Cable tensions [N]", "/plots/cable_tensions", names,
-               lambda result, _: result.efforts[cables])  # fmt: skip
+        yield ("Cable tensions [N]", "/plots/cable_tensions", names, lambda result, _: result.efforts[cables])
         walls = [skin.name for skin in cavities.skins]
         yield ("Cavity gauge pressures [kPa]", "/plots/cavity_pressures",
                [f"{name} [kPa]" for name in walls],

@@ -146,9 +146,7 @@ class ActuatorKind(Protocol):
     is_effort_driven: bool = False
     least_setpoint: float = -np.inf
 
-    def build(
-        self, layout: Layout, entries: tuple[ActuatorEntry, ...], notes: list[str]
-    ) -> ActuatorGroup:
+    def build(self, layout: Layout, entries: tuple[ActuatorEntry, ...], notes: list[str]) -> ActuatorGroup:
         """The actuators of a scene.
 
         Args:

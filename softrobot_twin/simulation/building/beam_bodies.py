@@ -436,9 +436,7 @@ def build_beam(entry: Beam, index: int, scene: Scene) -> BeamBody:
         element_axes = np.repeat(of_elements[:, None], 2, axis=1)
         axes = np.concatenate([of_elements, of_elements[-1:]])
     section = build_section(entry.section, entry.material.poisson_ratio)
-    body = BeamBody(
-        entry, index, section, places, axes, element_axes, lengths, point_nodes.astype(np.int64)
-    )
+    body = BeamBody(entry, index, section, places, axes, element_axes, lengths, point_nodes.astype(np.int64))
     for k, arc in enumerate(entry.arcs):
         body = _with_arc(body, arc, scene, f"{body.key}.arcs[{k}].towards")
     return body

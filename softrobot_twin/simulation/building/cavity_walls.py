@@ -60,9 +60,7 @@ def joined_walls(
     return CavitySurface(name, vertices, np.concatenate(triangles))
 
 
-def cavity_wall(
-    layout, name: str, wall: CavityWall, key: str, notes: list[str]
-) -> CavitySurface:
+def cavity_wall(layout, name: str, wall: CavityWall, key: str, notes: list[str]) -> CavitySurface:
     """Vertices and triangles of one wall of a cavity; see `cavity_surface`."""
     body = layout.body_named(wall.body)
     kind, read = ("file", _from_file) if wall.part is None else ("part", _part)

@@ -215,9 +215,7 @@ def law_at_rest(entry: ElasticEntry, law: str, otherwise: ElasticEntry | None = 
     return AtRest(own.parameters(entry.constants, kappa), *moduli_of_shear_and_bulk(mu, kappa))
 
 
-def _check_volume(
-    part: MaterialPart, entry: BodyEntry, key: str, scene: Scene, notes: list[str]
-) -> None:
+def _check_volume(part: MaterialPart, entry: BodyEntry, key: str, scene: Scene, notes: list[str]) -> None:
     """Refuse what needs a bulk modulus of laws that have none, and tell what 0.5 stands for."""
     if part.poisson_ratio == 0.5:
         kappa = INCOMPRESSIBLE * part.shear_modulus
@@ -301,8 +299,7 @@ def claimed_cells(
         try:
             return parts.region(other.region)
         except MeshError as error:
-            raise scene.error(f"{place}.region", other.region,
-                              f"{entry.mesh.label} {error.reason}") from None
+            raise scene.error(f"{place}.region", other.region, f"{entry.mesh.label} {error.reason}") from None
     corners = mesh.corner_mesh.node_positions
     if other.frame == "mesh":
         corners = in_mesh(entry, corners)
@@ -800,9 +797,7 @@ def carry(
             snapped.append((distance, f"{place} = {stated} m"))
     if len(snapped) == 1:
         ((distance, place),) = snapped
-        notes.append(
-            f"{place} lies {1e3 * distance:.3f} mm outside the body: snapped to its surface"
-        )
+        notes.append(f"{place} lies {1e3 * distance:.3f} mm outside the body: snapped to its surface")
     elif snapped:
         distance, place = max(snapped)
         notes.append(
@@ -814,9 +809,7 @@ def carry(
     return body.mapping(found.cells, found.barycentric_weights)
 
 
-def spread_mapping(
-    body: Body, points: np.ndarray, found: PointLocation, radius: float
-) -> BarycentricMapping:
+def spread_mapping(body: Body, points: np.ndarray, found: PointLocation, radius: float) -> BarycentricMapping:
     """The mean of the body about each point, by the weight (1 - s²)² with s = distance / support.
 
     At a flat face it is as deep as that of a ball of this radius. Samples lie on a lattice that is

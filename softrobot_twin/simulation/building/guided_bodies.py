@@ -66,9 +66,7 @@ class Guides:
 
     def _poses(self, positions: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """Origin [m] and rotation of each guided body at a state."""
-        return {
-            name: self.frames.pose(positions, part.index) for name, part in self._parts.items()
-        }
+        return {name: self.frames.pose(positions, part.index) for name, part in self._parts.items()}
 
     def reset(self) -> None:
         """Set the targets to the rest poses."""

@@ -38,9 +38,7 @@ class HingeMotorActuator(ActuatorKind):
     effort = Quantity("torque", "Nm")
     stalls = True
 
-    def build(
-        self, layout: Layout, entries: tuple[HingeMotor, ...], notes: list[str]
-    ) -> ActuatorGroup:
+    def build(self, layout: Layout, entries: tuple[HingeMotor, ...], notes: list[str]) -> ActuatorGroup:
         """See `ActuatorKind.build`."""
         hinges = [hinge_of(layout, motor.beam, motor.at, motor.name, f"hinge_motors[{index}]")
                   for index, motor in enumerate(entries)]  # fmt: skip

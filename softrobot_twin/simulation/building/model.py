@@ -21,8 +21,7 @@ from softrobot_twin.simulation.building.actuators import Actuators
 from softrobot_twin.simulation.building.deformable_body import Body
 from softrobot_twin.solvers.factorization import Factorization
 
-STAGES = ("detect", "assemble", "factor", "condense", "stiffness", "optimise", "correct",
-          "residual")  # fmt: skip
+STAGES = ("detect", "assemble", "factor", "condense", "stiffness", "optimise", "correct", "residual")
 """Names of all stages of a step, in the order they run."""
 
 

@@ -552,9 +552,7 @@ class ReducedNodes:
             free_index: Unknown of each node of the scene, shape (node_count,).
         """
         nodes = self.coordinate_nodes
-        return ReducedPoints(
-            nodes, free_index[nodes], self.first_point, *self.point_modes(), self.platform
-        )
+        return ReducedPoints(nodes, free_index[nodes], self.first_point, *self.point_modes(), self.platform)
 
     def mass_matrix(self, body: Body, is_consistent: bool) -> np.ndarray:
         """Φᵀ M Φ, the mass of the coordinates [kg], shape (mode_count, mode_count).
@@ -639,6 +637,4 @@ def on_platform(body: Body, parts: Iterable) -> Body:
     if body.reduction is None or not body.riding:
         return body
     part = next(part for part in parts if part.name in body.riding)
-    return replace(
-        body, reduction=replace(body.reduction, platform=Platform(part.first_node, part.origin))
-    )
+    return replace(body, reduction=replace(body.reduction, platform=Platform(part.first_node, part.origin)))

@@ -436,9 +436,7 @@ class ReducedBody:
         weights = np.concatenate([1.0 - local.sum(axis=2, keepdims=True), local], axis=2)
         nodes = self.frame_nodes[ends][:, :, None] + np.arange(4)
         count = len(positions)
-        return BarycentricMapping(
-            nodes.reshape(count, 8), (weights * shares[:, :, None]).reshape(count, 8)
-        )
+        return BarycentricMapping(nodes.reshape(count, 8), (weights * shares[:, :, None]).reshape(count, 8))
 
 
 def reduced_body(body: Body, walls: tuple[CavitySurface, ...], scene: Scene) -> Body:

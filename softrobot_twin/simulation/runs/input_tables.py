@@ -158,8 +158,7 @@ class Columns:
             raise TableFileError(source, "appears twice in the header", 1, twice or "''")
         for line, row in zip(self.lines, cells, strict=True):
             if len(row) != len(header):
-                raise TableFileError(
-                    source, f"has {len(row)} cells where the header has {len(header)}", line)
+                raise TableFileError(source, f"has {len(row)} cells where the header has {len(header)}", line)
         self._places = {name: place for place, name in enumerate(header)}
         self._made: dict[str, np.ndarray] = {}
 
@@ -301,8 +300,7 @@ class Columns:
             TableFileError: There is no such column, or a time is not later than the one before.
         """
         if TIME not in self:
-            raise TableFileError(
-                self.source, "the header lacks this column of times in seconds", 1, TIME)
+            raise TableFileError(self.source, "the header lacks this column of times in seconds", 1, TIME)
         times = self.pop(TIME)
         late = np.flatnonzero(np.diff(times) <= 0.0)
         if late.size:
@@ -449,9 +447,7 @@ def read_targets(source: Path | str | Mapping, simulation: Simulation) -> Target
     """
     columns = open_columns(source, TARGETS_EXAMPLE)
     take_old_names(columns, simulation.actuators.kind_of.values())
-    if columns.is_output and not keep_targets(
-        columns, simulation.effector_names, simulation.sensor_columns
-    ):
+    if columns.is_output and not keep_targets(columns, simulation.effector_names, simulation.sensor_columns):
         _keep_what_drove(columns, simulation)
     times = columns.times()
     kind, values = TARGETS, None
@@ -689,8 +685,7 @@ def _refuse_lengths(path: Path, name: str, quaternions: np.ndarray, lines: list[
     """Refuses quaternions that are not of unit length."""
     off = np.abs(np.linalg.norm(quaternions, axis=1) - 1.0)
     if off.max() > NOT_UNIT:
-        raise TableFileError(path, f"{name}'s quaternion is not of unit length",
-                             lines[int(off.argmax())])
+        raise TableFileError(path, f"{name}'s quaternion is not of unit length", lines[int(off.argmax())])
 
 
 def _impossible(kind: ActuatorKind, commanded: str, values: np.ndarray) -> str:
@@ -865,8 +860,7 @@ def read_commands(source: Path | str | Mapping, simulation: Simulation) -> Comma
     """
     columns = open_columns(source, _EXAMPLE)
     if TIME in columns and len(columns) < 2:
-        raise TableFileError(
-            columns.source, "has one row; a run from the first row to the last needs two")
+        raise TableFileError(columns.source, "has one row; a run from the first row to the last needs two")
     if columns.is_output:
         _keep_what_drove(columns, simulation, surroundings=True)
         columns.begin_earlier()
@@ -886,8 +880,7 @@ def read_commands(source: Path | str | Mapping, simulation: Simulation) -> Comma
             *(one for own in simulation.touch_names
               for one in force_columns(own) + displacement_columns(own)),
             *map(holds_column, simulation.grip_names)))
-        raise columns.error(
-            columns.left[0], f"is not a valid column; valid are {_known(simulation)}{near}")
+        raise columns.error(columns.left[0], f"is not a valid column; valid are {_known(simulation)}{near}")
     commanded = [series for name, series in columns.taken.items() if name != TIME]
     changes = np.diff(np.column_stack([np.zeros(len(times)), *commanded]), axis=0)
     is_constant = (changes == 0.0).all(axis=1)
@@ -1039,8 +1032,7 @@ def _touches(columns: Columns, simulation: Simulation) -> dict[str, TouchColumns
         for own, are_forces in ((force_columns(name), True), (displacement_columns(name), False)):
             given = next((one for one in own if one in columns), None)
             if given is not None and name in touches:
-                raise columns.error(
-                    given, f"{name} is touched by forces or by displacements, not by both")
+                raise columns.error(given, f"{name} is touched by forces or by displacements, not by both")
             values = columns.pop_given(own, 0.0)
             if values is not None:
                 touches[name] = TouchColumns(values, are_forces)

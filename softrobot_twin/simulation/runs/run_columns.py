@@ -106,8 +106,7 @@ def actuator_columns(actuators: Actuators) -> list[tuple[str, Quantity]]:
 def _readings(kind: ActuatorKind) -> dict[Quantity, str]:
     """Quantities of an actuator in a file, and which values of a result each of them has."""
     if kind.is_effort_driven:  # The setpoint is the effort, and 0 at rest.
-        return {kind.setpoint: "setpoints", kind.displacement: "displacements",
-                kind.extent: "extents"}  # fmt: skip
+        return {kind.setpoint: "setpoints", kind.displacement: "displacements", kind.extent: "extents"}
     readings = {kind.setpoint: "setpoints", kind.effort: "efforts"}
     if kind.displacement != kind.setpoint:  # Else it is 0 at rest.
         rest = Quantity(f"rest_{kind.setpoint.word}", kind.setpoint.unit)
