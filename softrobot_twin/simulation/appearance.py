@@ -14,6 +14,7 @@ from softrobot_twin.mechanics.rotation import quaternion_from_rotation
 from softrobot_twin.mechanics.sealed_gas import SealedGas
 from softrobot_twin.mechanics.springs import Springs
 from softrobot_twin.scene import Scene
+from softrobot_twin.scene.shapes import Plane
 from softrobot_twin.simulation.building.beam_bodies import BeamBody, swept_surface
 from softrobot_twin.simulation.building.cavity_actuator import CavityActuator
 from softrobot_twin.simulation.building.deformable_body import Body
