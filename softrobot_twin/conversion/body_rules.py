@@ -167,7 +167,7 @@ def _body_mesh(state: SceneComponent, fields: list[SceneComponent]) -> LoadedMes
     found = [one for one in map(mesh_of, filter(None, tops)) if len(one.tets) or len(one.hexahedra)]
     found = found[: 1 if own else None]
     if not found:
-        raise NotConverted("its node has no topology with cells; grids are not built here")
+        raise NotConverted("its node has no topology with cells; sparse grids are not built here")
     tets = np.unique(np.concatenate([one.tets for one in found]), axis=0) if len(found) > 1 else found[0].tets
     hexahedra = found[0].hexahedra
     if len(hexahedra) and any(one.kind.startswith("Hexa") for one in fields):
@@ -191,7 +191,8 @@ def _elastic(
     if topology is not None and topology.node is not state.node:
         mesh = mesh_of(topology)
         own = {tuple(sorted(cell)) for cell in (mesh.hexahedra if cells.shape[1] == 8 else mesh.tets).tolist()}
-        covers = np.array([tuple(sorted(cell)) in own for cell in cells.tolist()])
+        # An empty one is filled from the one above, by a mapping such as Hexa2TetraTopologicalMapping.
+        covers = np.array([tuple(sorted(cell)) in own for cell in cells.tolist()]) if own else covers
     if component.kind in KINDS["hyperelastic"]:
         return _hyperelastic(conversion, component, covers)
     ratio = number_of(component, "poissonRatio", otherwise=0.45)
@@ -227,7 +228,7 @@ def _hyperelastic(conversion: Conversion, component: SceneComponent, covers: np.
         law, constants, bulk = "mooney_rivlin", {"c10": one, "c01": two}, more[0]
     else:
         # SOFA's energy is µ/α² Σ λ^α; the one here is µ/α Σ λ^α.
-        law, constants, bulk = "ogden", {"mu": np.array([two / given[2]]), "alpha": given[2:3]}, one
+        law, bulk, constants = "ogden", one, {"shear_moduli": np.array([two / given[2]]), "exponents": given[2:3]}
     constants = {key: rounded(value) for key, value in constants.items()}
     return _Elastic(law, none, none, {"constants": constants, "bulk_modulus": rounded(bulk)}, covers)
 

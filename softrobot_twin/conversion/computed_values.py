@@ -330,7 +330,7 @@ def mesh_of(component: SceneComponent) -> LoadedMesh:
     """
     if component.kind in KINDS["loaders"]:
         return loaded_mesh(component)
-    source = _source_of(component)
+    source = _grid_of(component) if component.kind in KINDS["grids"] else _source_of(component)
     given = (source or LoadedMesh())._asdict()
     for key, names in _MESH_FIELDS.items():
         width = given[key].shape[1]
@@ -346,6 +346,24 @@ def mesh_of(component: SceneComponent) -> LoadedMesh:
     mesh = LoadedMesh(**given)
     is_solid = len(mesh.tets) or len(mesh.hexahedra)
     return mesh.with_boundary() if is_solid and not len(mesh.triangles) else mesh
+
+
+_CORNERS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]])
+"""Corners of a hexahedron of a grid, in steps along each axis."""
+
+
+def _grid_of(component: SceneComponent) -> LoadedMesh:
+    """Points of a regular grid, those along x one after the other, and its hexahedra."""
+    usual = [number_of(component, f"n{axis}", otherwise=2) for axis in "xyz"]
+    counts = indices_of(component, "n", otherwise=usual)
+    if len(counts) != 3 or counts.min() < 2:
+        raise NotConverted("it needs two points or more along each axis")
+    low = array_of(component, 1, "min", otherwise=np.zeros(3)).ravel()
+    high = array_of(component, 1, "max", otherwise=np.ones(3)).ravel()
+    places = np.indices(counts[::-1]).reshape(3, -1)[::-1].T
+    points = array_of(component, 1, "p0", otherwise=low).ravel() + places * (high - low) / (counts - 1)
+    corners = np.flatnonzero((places < counts - 1).all(axis=1))
+    return LoadedMesh(points, hexahedra=corners[:, None] + _CORNERS @ [1, counts[0], counts[0] * counts[1]])
 
 
 def _source_of(component: SceneComponent) -> LoadedMesh | None:

@@ -151,8 +151,7 @@ def test_trials_with_an_actuator_at_its_limit_are_refused_and_told():
     assert first.solve(first.start).found.efforts[0, 0] < 6.0
 
     def soft(found):
-        return -found.efforts[0, 0], Equilibria(
-            np.zeros_like(found.effectors), np.array([[-1.0, 0.0]]))
+        return -found.efforts[0, 0], Equilibria(np.zeros_like(found.effectors), np.array([[-1.0, 0.0]]))
 
     design = tight.optimise(soft, ["body.material.young_modulus"], (1e5, 5e6), commands()[1:2])
     assert 5.4 < -design.after < 6.0, "it stops short of the limit"
@@ -235,8 +234,7 @@ def test_a_scene_in_motion_has_no_designs(finger):
 
 
 def test_a_design_is_written_shown_and_taken_over(tmp_path, finger):
-    design = finger.optimise(
-        [(commands()[0], {"tip": [0.09, None, -0.03]})], HEIGHTS, (-0.003, 0.003))
+    design = finger.optimise([(commands()[0], {"tip": [0.09, None, -0.03]})], HEIGHTS, (-0.003, 0.003))
     design.write(tmp_path / "new.yaml")
     written = load_scene(tmp_path / "new.yaml")
     places = [point[2] for point in written.cables[0].points]

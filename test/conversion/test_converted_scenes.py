@@ -2,6 +2,7 @@
 
 import re
 
+import meshio
 import numpy as np
 import pytest
 
@@ -13,7 +14,7 @@ SCENES = {
     "diamond.py": (0, 1.0), "stiff_layer.py": (0, 0.02), "pneumatic_fingers.py": (3, 0.01), "grid.py": (0, 0.01),
     "rubber.py": (0, 0.01), "prefabs.py": (0, 0.01), "rigid_end.py": (0, 0.01), "beam.py": (0, 0.01),
     "centre.py": (0, 0.05), "foreign.py": (3, 0.01), "broken.py": (3, 0.01), "bar.scn": (0, 0.01),
-    "gid.py": (0, 0.01), "articulated.py": (0, 0.01), "layers.scn": (0, 0.01),
+    "gid.py": (0, 0.01), "articulated.py": (0, 0.01), "layers.scn": (0, 0.01), "grids.scn": (0, 0.01),
 }  # fmt: skip
 
 
@@ -135,6 +136,16 @@ def test_hexahedra_of_a_file_in_python_are_written(convert, folder):
     body = convert("grid.py").scene.deformables[0]
     assert body.element == "hexahedral" and body.mass == "consistent"
     assert body.mesh.file.name == "grid_bar.msh" and (folder / "grid_bar.msh").is_file()
+
+
+def test_regular_grids_are_bodies_of_tetrahedra_and_of_hexahedra(convert, folder):
+    rubber, _ = convert("grids.scn").scene.deformables
+    assert rubber.material.constants == {"shear_moduli": (2400.0,), "exponents": (2.5,)}
+    for name, kind, count, ends in (("rubber", "tetra", 6 * 24, [[2, 0, 0], [3, 1, 3]]),
+                                    ("bricks", "hexahedron", 8, [[0, -2, 0], [0.5, 0, 1]])):
+        mesh = meshio.read(folder / f"grids_{name}.msh")
+        assert len(mesh.cells_dict[kind]) == count
+        np.testing.assert_allclose([mesh.points.min(axis=0), mesh.points.max(axis=0)], ends, atol=1e-9)
 
 
 def test_rigid_parts_carry_points_of_their_body(convert):

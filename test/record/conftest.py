@@ -96,9 +96,7 @@ def drive(live, ticks=TICKS):
                 loop.targets.accept_velocity((math.inf, 0.0, 0.0), live.time),
             ]
             assert None not in refused
-            assert loop.markers.accept(
-                np.empty(0, np.uint32), np.empty((0, 3)), live.arrival()
-            ) is None  # fmt: skip
+            assert loop.markers.accept(np.empty(0, np.uint32), np.empty((0, 3)), live.arrival()) is None
         if number == 10:
             assert loop.targets.accept_velocity((1e308, -0.0, 0.001), live.time) is None
         if number == 14:

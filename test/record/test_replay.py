@@ -306,9 +306,7 @@ def test_the_text_of_every_shipped_scene_is_read_back_as_it_is():
 # --- recording -----------------------------------------------------------------------------------
 
 
-def test_what_does_not_fit_the_queue_is_counted_and_ends_the_replay_there(
-    scene_file, tmp_path, capsys
-):
+def test_what_does_not_fit_the_queue_is_counted_and_ends_the_replay_there(scene_file, tmp_path, capsys):
     path, gate = tmp_path / "slow.mcap", threading.Event()
     live = Live(scene_file, path, most_waiting=3)
     write = live.recorder.write

@@ -58,8 +58,7 @@ def test_a_stiffness_is_a_part_of_targets_and_none_leaves_an_axis_free(entries):
     entries["effectors"][0]["stiffness"] = {"weight": 0.1}
     robot = st.build(**entries)
     assert robot.target_names == ("tip", "tip_stiffness_N_per_m")
-    result = robot.step(st.targets(tip=[0.1, 0.01, 0.012],
-                                   tip_stiffness_N_per_m=[None, None, 50.0]))
+    result = robot.step(st.targets(tip=[0.1, 0.01, 0.012], tip_stiffness_N_per_m=[None, None, 50.0]))
     assert result["tip_target_kz_N_per_m"] == 50.0
     assert "tip_target_kx_N_per_m" not in result.values
     assert same(robot, result, FollowTargets(

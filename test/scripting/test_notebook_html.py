@@ -47,8 +47,7 @@ class Page(HTMLParser):
 
 def test_texts_are_escaped():
     wicked = "<script>alert('&')</script>"
-    html = text_html(wicked) + table_html([wicked], [[wicked]]) + effectors_html(
-        [wicked], np.zeros((1, 3)))
+    html = text_html(wicked) + table_html([wicked], [[wicked]]) + effectors_html([wicked], np.zeros((1, 3)))
     assert "<script" not in html
     page = Page(html)
     assert page.texts == [wicked]

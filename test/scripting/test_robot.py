@@ -89,8 +89,7 @@ def test_a_copy_in_contact_goes_on_from_the_efforts_of_the_original():
     other = robot.copy()
     for _ in range(3):
         target = target + [0.001, 0.0, 0.002]
-        apart = (other.step(st.targets(tip=target)).positions
-                 - robot.step(st.targets(tip=target)).positions)
+        apart = (other.step(st.targets(tip=target)).positions - robot.step(st.targets(tip=target)).positions)
         assert np.abs(apart).max() < 1e-4
 
 

@@ -55,9 +55,7 @@ def assert_same(table, path) -> None:
 @pytest.mark.parametrize("text, run, options, asked", [
     (TARGETS, simulate, (), {}), (COMMANDS, simulate_commands, (100.0,), {"rate": 100}),
 ], ids=["targets", "commands"])  # fmt: skip
-def test_a_run_by_a_file_is_that_of_simulate_to_the_bit(
-    finger, scene, tmp_path, text, run, options, asked
-):
+def test_a_run_by_a_file_is_that_of_simulate_to_the_bit(finger, scene, tmp_path, text, run, options, asked):
     (tmp_path / "asked.csv").write_text(text)
     run(scene, tmp_path / "asked.csv", tmp_path / "run.csv", *options)
     assert_same(finger.run(tmp_path / "asked.csv", **asked), tmp_path / "run.csv")
@@ -79,8 +77,7 @@ def test_a_table_in_memory_is_a_file_of_the_same_columns(finger, tmp_path):
     assert by_file["tip_z_m"].tolist() == finger.run(table, rate=100)["tip_z_m"].tolist()
     finger.reset()
     pandas = pytest.importorskip("pandas")
-    assert by_file["tip_z_m"].tolist() == finger.run(
-        pandas.DataFrame(table), rate=100)["tip_z_m"].tolist()
+    assert by_file["tip_z_m"].tolist() == finger.run(pandas.DataFrame(table), rate=100)["tip_z_m"].tolist()
 
 
 def test_a_runs_table_given_back_repeats_the_run(finger):
@@ -108,8 +105,7 @@ def test_a_list_of_commands_has_a_step_for_each(finger):
 
 
 def test_a_list_may_mix_kinds_of_commands(finger):
-    table = finger.run([st.targets(tip=[0.1, 0.01, 0.012]), st.hold(),
-                        st.efforts(upper_tension_N=0.5)])
+    table = finger.run([st.targets(tip=[0.1, 0.01, 0.012]), st.hold(), st.efforts(upper_tension_N=0.5)])
     assert list(table["driven_by"]) == ["targets", "hold", "efforts"]
     assert "tip_target_x_m" not in names_of(table)
 

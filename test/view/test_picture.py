@@ -85,9 +85,7 @@ def test_the_status_is_logged_when_it_changes(draw, make_frame):
     assert recorded.at_steps("/status", "TextLog:text") == {0: ["ok"], 2: ["saturated"], 4: ["ok"]}
 
 
-def test_a_solid_is_logged_once_with_sharp_edges_and_its_pose_in_each_frame(
-    draw, make_frame, stage
-):
+def test_a_solid_is_logged_once_with_sharp_edges_and_its_pose_in_each_frame(draw, make_frame, stage):
     corners, triangles = make_frame(0).drawn["/robot/surface/body"].points, stage.entities[0].triangles
     solids = [Entity(path, "solid", (0, 0, 0), triangles=triangles, points=corners)
               for path in ("/rigid_bodies/stone", "/obstacles/floor")]

@@ -142,8 +142,7 @@ def test_orientations_of_effectors_and_targets_are_axes(oriented_rod):
     _, turned, _ = frame_of(simulation, target_orientations=turn.as_quat()[None])
     length = np.linalg.norm(none.drawn["/robot/effector_axes"].vectors, axis=1)
     assert length == pytest.approx(0.1 * simulation.model.nodes.size)
-    np.testing.assert_allclose(none.drawn["/robot/effector_axes"].vectors, length[0] * np.eye(3),
-                               atol=1e-9)
+    np.testing.assert_allclose(none.drawn["/robot/effector_axes"].vectors, length[0] * np.eye(3), atol=1e-9)
     assert len(none.drawn["/target_axes"].vectors) == 0
     np.testing.assert_allclose(
         turned.drawn["/target_axes"].vectors,

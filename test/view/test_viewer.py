@@ -20,9 +20,7 @@ def test_without_a_display_no_viewer_is_opened(no_display):
 
 
 @pytest.mark.parametrize("name", ["DISPLAY", "WAYLAND_DISPLAY"])
-def test_with_a_display_the_viewer_of_this_environment_is_opened(
-    no_display, name, monkeypatch, tmp_path
-):
+def test_with_a_display_the_viewer_of_this_environment_is_opened(no_display, name, monkeypatch, tmp_path):
     told = tmp_path / "arguments"
     python = tmp_path / "python"
     python.write_text(f'#!/bin/sh\necho "$@" > {told}\n')
