@@ -83,6 +83,29 @@ def cavity(conversion: Conversion, component: SceneComponent) -> str | None:
         conversion: The conversion.
         component: The constraint or actuator.
     """
+    name, wall, words = _closed_surface(conversion, component)
+    limits = _add_actuator(conversion, component, "cavities", {"name": name, "walls": [wall]})
+    return f"cavity {name} {words}{limits}"
+
+
+@rule(ACTUATORS, "VolumeEffector")
+def volume_effector(conversion: Conversion, component: SceneComponent) -> str | None:
+    """The volume in a surface: a sensor that is wanted.
+
+    Args:
+        conversion: The conversion.
+        component: The effector.
+    """
+    name, wall, words = _closed_surface(conversion, component)
+    conversion.add("sensors", component, {"name": name, "walls": [wall], "weight": 1.0})
+    wanted = number_of(component, "desiredVolume")
+    if wanted is not None:
+        conversion.targets[f"{name}_volume_m3"] = rounded(wanted * conversion.units.volume)
+    return f"sensor {name} {words}"
+
+
+def _closed_surface(conversion: Conversion, component: SceneComponent) -> tuple[str, dict[str, Any], str]:
+    """Name and wall of the chamber that a component is about, and in words where it is."""
     state = conversion.state(component)
     record = conversion.record_of(conversion.carrier(state))
     if record is None:
@@ -97,12 +120,38 @@ def cavity(conversion: Conversion, component: SceneComponent) -> str | None:
         raise NotConverted("its surface has no triangles")
     name = _name_of(conversion, component)
     wall = {"body": record.name, **surface_file(conversion, record, mesh, name)}
-    limits = _add_actuator(conversion, component, "cavities", {"name": name, "walls": [wall]})
-    return f"cavity {name} on {record.name}: {len(mesh.triangles)} triangles{limits}"
+    return name, wall, f"on {record.name}: {len(mesh.triangles)} triangles"
 
 
-def _add_actuator(conversion: Conversion, component: SceneComponent, section: str, entry: dict) -> str:
+@rule(ACTUATORS, "ForcePointActuator")
+def force(conversion: Conversion, component: SceneComponent) -> str | None:
+    """A force that each of some points of a body bears; here they share the sum.
+
+    Args:
+        conversion: The conversion.
+        component: The actuator.
+    """
+    state = conversion.state(component)
+    carrier = conversion.needed_carrier(state)
+    points = conversion.points(state)[indices_of(component, "indices", otherwise=[0])]
+    direction = array_of(component, 3, "direction", otherwise=np.zeros((1, 3)))[0]
+    entry = {"name": _name_of(conversion, component), "body": carrier, "points": rounded(points)}
+    entry |= {"direction": rounded(direction)} if direction.any() else {}
+    limits = _add_actuator(conversion, component, "forces", entry, len(points))
+    return f"force {entry['name']} on {carrier}: {len(points)} point{'s'[:len(points) > 1]}{limits}"
+
+
+def _add_actuator(
+    conversion: Conversion, component: SceneComponent, section: str, entry: dict, count: int = 1
+) -> str:
     """Adds an entry with limits by the table of its section, and the value to the commands.
+
+    Args:
+        conversion: The conversion.
+        component: The actuator.
+        section: Section of the entry.
+        entry: The entry.
+        count: By how much the effort here is that of the file.
 
     Returns:
         The limits in words.
@@ -110,7 +159,7 @@ def _add_actuator(conversion: Conversion, component: SceneComponent, section: st
     table, told = _TABLE[section], ""
     for key, row in table["limits"].items():
         low, high = (number_of(component, *row[end]) for end in ("low", "high"))
-        factor = _in_si(conversion, row["unit"], bool(low or high))
+        factor = count * _in_si(conversion, row["unit"], bool(low or high))
         least = -np.inf if low is None else row.get("sign", 1.0) * low * factor
         most = np.inf if high is None else high * factor
         # No actuator here has limits without rest, but for cables that stay taut.
@@ -125,7 +174,7 @@ def _add_actuator(conversion: Conversion, component: SceneComponent, section: st
         entry["control"] = row["control"]
     rate = number_of(component, row["rate"]) if "rate" in row else None
     if rate is not None:
-        entry["rate"] = rounded(rate * _in_si(conversion, row["unit"]) / conversion.time_step)
+        entry["rate"] = rounded(count * rate * _in_si(conversion, row["unit"]) / conversion.time_step)
     conversion.add(section, component, entry)
     if component.kind.endswith("Actuator"):
         given = {key: number_of(component, one["initial"], otherwise=0.0) for key, one in table["values"].items()}
@@ -135,7 +184,7 @@ def _add_actuator(conversion: Conversion, component: SceneComponent, section: st
         given = {chosen: values[index] if index < len(values) else 0.0}
     for key, value in given.items():
         column, unit = (table["values"][key][word] for word in ("column", "unit"))
-        value_in_si = value * _in_si(conversion, unit, bool(value))
+        value_in_si = count * value * _in_si(conversion, unit, bool(value))
         conversion.commands[f"{entry['name']}_{column}"] = rounded(value_in_si)
     return told
 

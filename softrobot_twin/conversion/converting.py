@@ -178,8 +178,8 @@ def _why_no_body(conversion: Conversion) -> str:
 
 
 ORDER = ("name", "gravity", "integration", "bodies", "rigid_bodies", "beams", "obstacles", "springs", "contact",
-         "cables", "cavities", "slides", "hinge_motors", "motors", "effectors", "solver")  # fmt: skip
-"""Sections of a scene, in the order of the file."""
+         "cables", "cavities", "forces", "slides", "hinge_motors", "motors", "effectors", "solver")  # fmt: skip
+"""Sections of a scene, in the order of the file; others follow."""
 
 
 def write(conversion: Conversion, file: Path, replace: bool) -> None:
@@ -203,8 +203,8 @@ def write(conversion: Conversion, file: Path, replace: bool) -> None:
     for name, write_file in conversion.files.items():
         with output_file(folder / name) as part:
             write_file(part)
-    order = {key: conversion.scene[key] for key in ORDER if conversion.scene.get(key)}
-    text = scene_yaml(order, [
+    own = {key: conversion.scene[key] for key in [*ORDER, *conversion.scene] if conversion.scene.get(key)}
+    text = scene_yaml(own, [
         f"Converted from {file.name}. SI units; the file's are {units.name} ({units.reason}).",
         f"Its step is {conversion.time_step:g} s: give simulate --rate {1.0 / conversion.time_step:g}.",
         *conversion.notes,

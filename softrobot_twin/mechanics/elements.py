@@ -199,9 +199,7 @@ class Elements(ForceTerm):
         inverted_count = self._take_state(positions, forces.shape)
         add_vectors(self._forces, forces)
         if len(self._corners.edges):
-            return count_folded(
-                positions, self.mesh.cells, *self._corners, self._uprights
-            )
+            return count_folded(positions, self.mesh.cells, *self._corners, self._uprights)
         return max(inverted_count, self._folded_count)
 
     def _take_state(self, positions: np.ndarray, shape: tuple[int, int]) -> int:
@@ -324,9 +322,7 @@ class Elements(ForceTerm):
             self.hourglass.add_force_curvature(positions, direction, curvature)
             self._forget()
 
-    def extreme_squares(
-        self, positions: np.ndarray, least: float, greatest: float
-    ) -> tuple[float, float]:
+    def extreme_squares(self, positions: np.ndarray, least: float, greatest: float) -> tuple[float, float]:
         """Squares of the least and greatest principal stretch beyond given ones.
 
         Args:
@@ -368,9 +364,7 @@ class Elements(ForceTerm):
             deformations = self._deformations_at(positions)
             energy += add_barrier_energies(self._barrier_stiffness, self._weights, deformations)
             if self.fold_barrier is not None:
-                energy += self.fold_barrier.energy(
-                    self._barrier_stiffness, positions, deformations
-                )
+                energy += self.fold_barrier.energy(self._barrier_stiffness, positions, deformations)
         return energy
 
     def _law_energy(self, positions: np.ndarray) -> tuple[float, bool]:

@@ -99,9 +99,7 @@ class ForceTerm(Protocol):
         """
         self._bound = bind_stencils(self._stencils, elimination_rank, slots)
 
-    def begin_step(
-        self, positions: np.ndarray, velocities: np.ndarray, time_step: float
-    ) -> None:
+    def begin_step(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:
         """Remember the state at the beginning of a step.
 
         Args:
@@ -153,9 +151,7 @@ class ForceTerm(Protocol):
         """
         return True
 
-    def add(
-        self, positions: np.ndarray, forces: np.ndarray, storage: np.ndarray, projected: bool
-    ) -> None:
+    def add(self, positions: np.ndarray, forces: np.ndarray, storage: np.ndarray, projected: bool) -> None:
         """Add the forces, and the stiffness to the system matrix.
 
         Args:
@@ -277,9 +273,7 @@ class InertiaTerm(ForceTerm, Protocol):
         """
         self.begin_step(positions, ahead, time_step)
 
-    def add_accelerations(
-        self, positions: np.ndarray, forces: np.ndarray, accelerations: np.ndarray
-    ) -> None:
+    def add_accelerations(self, positions: np.ndarray, forces: np.ndarray, accelerations: np.ndarray) -> None:
         """Add M⁻¹ f.
 
         Args:

@@ -44,9 +44,7 @@ class Gravity(ConstantForces):
     name = "gravity"
     is_traceable = True
 
-    def __init__(
-        self, masses: np.ndarray, gravity: np.ndarray, more: np.ndarray | None = None
-    ):
+    def __init__(self, masses: np.ndarray, gravity: np.ndarray, more: np.ndarray | None = None):
         """Compute the weight of each node.
 
         Args:

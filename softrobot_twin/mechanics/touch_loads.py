@@ -156,6 +156,4 @@ class TouchLoads(ForceTerm):
         if not self.is_active:
             return
         matrices = self._held_stiffness()[:, :, None] * np.eye(3)
-        add_weighted_matrices(
-            matrices, self._weights, self._bound.offsets, self._bound.strides, storage
-        )
+        add_weighted_matrices(matrices, self._weights, self._bound.offsets, self._bound.strides, storage)

@@ -164,9 +164,7 @@ class HeldTangent:
         contacts, pressing = self._contact_rows()
         own = rows.own_compliance()
         own = np.zeros((a.stop, a.stop)) if own is None else own
-        return _Holding(
-            held, touching, is_driven, contacts, pressing, own, rows.stretch_ratios()
-        )
+        return _Holding(held, touching, is_driven, contacts, pressing, own, rows.stretch_ratios())
 
     def _contact_rows(self) -> tuple[np.ndarray, int]:
         """Contact rows that hold, and how many contacts press."""
@@ -296,16 +294,12 @@ class EffectorCompliance(HeldTangent):
         """
         return self._found(by_effort, self._simulation.static_factorization)
 
-    def _found(
-        self, by_effort: np.ndarray | None, factorization: Factorization | None
-    ) -> ApparentCompliance:
+    def _found(self, by_effort: np.ndarray | None, factorization: Factorization | None) -> ApparentCompliance:
         model, state = self._model, self._simulation.state
         actuator_count = model.actuators.count
         if not self._count:
             no = np.zeros(actuator_count, bool)
-            return ApparentCompliance(
-                np.empty((0, 3, 3)), np.empty((0, 3, actuator_count)), no, no, 0
-            )
+            return ApparentCompliance(np.empty((0, 3, 3)), np.empty((0, 3, actuator_count)), no, no, 0)
         holding = self._holding(by_effort)
         rows = self._rows(state.positions, holding)
         try:
@@ -349,9 +343,7 @@ class EffectorCompliance(HeldTangent):
         return _solved_together(self._saddle(rows, holding), rows, holding)
 
 
-def apparent_compliance(
-    simulation: Simulation, by_effort: np.ndarray | None = None
-) -> ApparentCompliance:
+def apparent_compliance(simulation: Simulation, by_effort: np.ndarray | None = None) -> ApparentCompliance:
     """The compliance of the effectors and their Jacobian at the state of a simulation.
 
     Whoever asks at many states keeps one `EffectorCompliance`.
@@ -459,9 +451,7 @@ def _condensed(
 class CondensedHold:
     """Unknowns and multipliers by a factorization of A and the condensed system of what holds."""
 
-    def __init__(
-        self, factorization: Factorization, held: np.ndarray, own: np.ndarray
-    ):
+    def __init__(self, factorization: Factorization, held: np.ndarray, own: np.ndarray):
         """Condense.
 
         Args:
@@ -499,9 +489,7 @@ class Saddle:
         D: Those of displacements.
     """
 
-    def __init__(
-        self, A: sp.csc_array, dense: list, H: NodeRows, D: NodeRows, holding: _Holding
-    ):
+    def __init__(self, A: sp.csc_array, dense: list, H: NodeRows, D: NodeRows, holding: _Holding):
         """Take the stiffness.
 
         Args:
@@ -576,9 +564,7 @@ class Saddle:
         ).tocsr()
 
 
-def _solved_together(
-    saddle: Saddle, rows: _Rows, holding: _Holding
-) -> tuple[np.ndarray, np.ndarray]:
+def _solved_together(saddle: Saddle, rows: _Rows, holding: _Holding) -> tuple[np.ndarray, np.ndarray]:
     """Motion of the effectors by forces on them, and by the actuators."""
     h, count, held = holding.places, len(holding.held), np.count_nonzero(holding.held)
     first, G = count + len(holding.contacts), rows.G

@@ -161,9 +161,7 @@ def with_cables(terms: Terms, scene: Scene) -> Terms:
     return terms._replace(layout=layout, forces=forces, actuators=actuators)
 
 
-def _model_of(
-    scene: Scene, factorization_type: type | None, mounted: np.ndarray | None
-) -> Model:
+def _model_of(scene: Scene, factorization_type: type | None, mounted: np.ndarray | None) -> Model:
     terms = build_terms(scene, mounted)
     layout, forces, constraints = terms.layout, terms.forces, terms.constraints
     nodes, is_dense = layout.nodes, _is_dense(layout)

@@ -16,8 +16,7 @@ OBSTACLE_COLOUR = (112, 116, 124)
 EFFECTOR_COLOUR = (255, 255, 255)
 TARGET_COLOUR = (60, 220, 110)
 
-_VACUUM, _NOTHING, _MIDDLE, _MOST = ([43, 98, 201], [150, 152, 158], [226, 176, 66],
-                                     [214, 32, 32])
+_VACUUM, _NOTHING, _MIDDLE, _MOST = ([43, 98, 201], [150, 152, 158], [226, 176, 66], [214, 32, 32])
 _NOT_FINITE_COLOUR = np.array([255, 0, 255, 255], dtype=np.uint8)
 _SCALE_SIZE = 256
 

@@ -201,9 +201,7 @@ class ModalTangent(Sensitivities):
         super().__init__(simulation, by_effort)
         self._sparse, self._places = laid_out_like(simulation.model.factorization, SuperLU)
 
-    def at_state(
-        self, modes: int | None = 5, time_step: float = DEFAULT_TIME_STEP
-    ) -> LinearModel:
+    def at_state(self, modes: int | None = 5, time_step: float = DEFAULT_TIME_STEP) -> LinearModel:
         """The linear model at the state where the simulation stands.
 
         Args:

@@ -303,9 +303,7 @@ class CubicBody:
         for term in model.forces:
             term.add_forces(rest, forces)
         rows = self._left_rows(rest)
-        weight = correction.left_on_bubbles(
-            still + correction.weight(gravity), solve(forces)
-        )
+        weight = correction.left_on_bubbles(still + correction.weight(gravity), solve(forces))
         loads = [weight if gravity.any() else None, *rows[: self._actuator_count]]
         moved = [np.zeros_like(still) if load is None else correction.solve(load, solve)
                  for load in loads]  # fmt: skip

@@ -198,9 +198,7 @@ def _settles_from(own, before: Mounted, scene: Scene) -> bool:
     supports = _Supports.of(own)
     for stage in scene.mounting:
         supports = supports.moved(stage, 1.0)
-    own.restore(replace(
-        own.state, positions=own.model.nodes.placed_like(before.drawn, before.positions)
-    ))  # fmt: skip
+    own.restore(replace(own.state, positions=own.model.nodes.placed_like(before.drawn, before.positions)))
     own.step(supports.command(own))
     return own.is_balanced
 

@@ -157,9 +157,7 @@ class Sensitivities(HeldTangent):
         self._built: dict[tuple[str | None, int], Terms] = {}
         self._effector_rows: dict[int, RowStack] = {}
 
-    def solve_sensitivity(
-        self, forces: np.ndarray, displacements: np.ndarray | None = None
-    ) -> Answer:
+    def solve_sensitivity(self, forces: np.ndarray, displacements: np.ndarray | None = None) -> Answer:
         """How unknowns and efforts answer to small loads, while held actuators hold.
 
         Args:
@@ -198,8 +196,7 @@ class Sensitivities(HeldTangent):
         displacements = np.zeros((a, len(above)))
         displacements[self._held.held] = multipliers[: np.count_nonzero(self._held.held)]
         displacements *= self._held.ratios[:, None]
-        return Loads(forces.reshape(-1, 3, len(above)), displacements,
-                     np.zeros((self._count, 3, len(above))))  # fmt: skip
+        return Loads(forces.reshape(-1, 3, len(above)), displacements, np.zeros((self._count, 3, len(above))))
 
     def gradient(
         self, parameters: Sequence[Parameter | JointParameter], effectors: np.ndarray, efforts: np.ndarray,
@@ -287,8 +284,7 @@ class Sensitivities(HeldTangent):
                 refused = error
         if len(sides) < 2:
             words = f"{step:g} {parameter.unit}".strip()
-            raise SensitivityError(
-                parameter.key, f"cannot be changed by {words}: {refused}") from refused
+            raise SensitivityError(parameter.key, f"cannot be changed by {words}: {refused}") from refused
         self._check_balance()
         for other in sides.values():
             self._check(parameter.key, other)
@@ -341,8 +337,7 @@ class Sensitivities(HeldTangent):
             A, self._middle = self._definite(state.positions), None
             H = rows.H.transposed(self._model.nodes.free_node_count).T
             self._actuator_rows, self._effectors = H[: len(held.held)], H[len(H) - 3 * self._count :]
-            self._solver = (self._saddle(rows, held) if A is None
-                            else CondensedHold(A, H[held.places], own))
+            self._solver = (self._saddle(rows, held) if A is None else CondensedHold(A, H[held.places], own))
             self._at = state, by_effort
         return self._solver, len(self._held.held)
 

@@ -835,9 +835,7 @@ class Simulation(Readouts):
             for part in self._parts_with["rest"]:
                 part.rest(self, command, self.kept.result)
 
-    def _failed(
-        self, goal, clock, iterations, status=Status.DIVERGED, limits=()
-    ) -> StepResult:
+    def _failed(self, goal, clock, iterations, status=Status.DIVERGED, limits=()) -> StepResult:
         """The last good state, told as a failure. Its time has passed all the same."""
         self._goes_on = False
         self.kept = None

@@ -14,9 +14,7 @@ from softrobot_twin.solvers.direct_problem import solve_by_daqp
 from softrobot_twin.solvers.warm_start import optimum_from_active_set
 
 
-def solve_by_active_set(
-    problem: ContactProblem, guess: np.ndarray, clearance: float
-) -> np.ndarray | None:
+def solve_by_active_set(problem: ContactProblem, guess: np.ndarray, clearance: float) -> np.ndarray | None:
     """Multipliers of a problem without friction.
 
     Args:
@@ -37,9 +35,7 @@ def solve_by_active_set(
     near[:count] = True
     while True:
         rows = near.nonzero()[0]
-        found = solve_by_daqp(
-            W[np.ix_(rows, rows)], violation[rows], lower[rows], upper[rows]
-        )
+        found = solve_by_daqp(W[np.ix_(rows, rows)], violation[rows], lower[rows], upper[rows])
         if found is None:
             return None
         multipliers = np.zeros(len(near))

@@ -353,9 +353,7 @@ class BranchSolver:
         size = problem.size_of(max(np.linalg.norm(q), np.linalg.norm(whitened)), T)
         self._T, self._scale, self._factor, self._size = T * size, scale, factor, size
         self._geometric = self._geometric_projection(reference)
-        self._whitened = PolyhedronProjection(
-            self._stack(self._T), q / size, self._geometric.lengths
-        )
+        self._whitened = PolyhedronProjection(self._stack(self._T), q / size, self._geometric.lengths)
         self._reference = reference
         self._row_unit = np.abs(problem.A @ reference).max(initial=0.0) or 1.0
         usual = (problem.forces(reference), problem.force_max[self._limited])
@@ -404,9 +402,7 @@ class BranchSolver:
             z, shape (n,).
         """
         optimum = branch.optimum
-        z = self._within_bounds(
-            self._whitened.refined(optimum.projection, optimum.lower, optimum.upper)
-        )
+        z = self._within_bounds(self._whitened.refined(optimum.projection, optimum.lower, optimum.upper))
         forces = self.problem.forces(z)
         forces[~touching] = 0.0
         # A force at its limit is the limit itself, without rounding.
@@ -472,9 +468,7 @@ class BranchSolver:
         optimum = self._solve(lower, limits)
         if optimum is not None:
             return optimum
-        relaxed = self._relax(
-            lower, upper, SoftBounds(rows, np.full(len(rows), -np.inf), force_max)
-        )
+        relaxed = self._relax(lower, upper, SoftBounds(rows, np.full(len(rows), -np.inf), force_max))
         if relaxed is None:
             return None
         forces = self._values(relaxed, rows)

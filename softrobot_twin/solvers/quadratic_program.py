@@ -151,9 +151,7 @@ class OSQPSolver:
             self._solver.update(q=problem.q, l=lower, u=upper, Ax=problem.C.T.ravel())
         found = self._solver.solve(raise_error=False)
         status = found.info.status
-        return problem.solution(
-            found.x, found.y, status == "solved", found.info.iter, status, self.name
-        )
+        return problem.solution(found.x, found.y, status == "solved", found.info.iter, status, self.name)
 
     def _set_up(self, problem: WhitenedQP, lower: np.ndarray, upper: np.ndarray) -> None:
         self._solver, self._shape = self._osqp.OSQP(), problem.C.shape

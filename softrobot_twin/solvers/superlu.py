@@ -9,11 +9,7 @@ from scipy.sparse.linalg import splu
 from softrobot_twin.kernels.traced_stage import clear
 from softrobot_twin.solvers.factorization import Condensed, NodeRows, block_slots
 
-OPTIONS = {
-    "permc_spec": "MMD_AT_PLUS_A",
-    "diag_pivot_thresh": 0.0,
-    "options": {"SymmetricMode": True},
-}
+OPTIONS = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
 
 
 class SuperLU:
@@ -94,9 +90,7 @@ class SuperLU:
     def matrix(self) -> sp.csc_array:
         """The assembled matrix A, full and symmetric, shape (3 node_count, 3 node_count)."""
         n = 3 * self._node_count
-        return sp.csc_array(
-            (self.storage[self._gather], self._indices, self._indptr), shape=(n, n)
-        )
+        return sp.csc_array((self.storage[self._gather], self._indices, self._indptr), shape=(n, n))
 
     def factor(self) -> bool:
         """See `Factorization.factor`; the signs of the pivots tell definiteness."""

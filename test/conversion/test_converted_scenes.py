@@ -14,7 +14,7 @@ SCENES = {
     "diamond.py": (0, 1.0), "stiff_layer.py": (0, 0.02), "pneumatic_fingers.py": (3, 0.01), "grid.py": (0, 0.01),
     "rubber.py": (0, 0.01), "prefabs.py": (0, 0.01), "rigid_end.py": (0, 0.01), "beam.py": (0, 0.01),
     "centre.py": (0, 0.05), "foreign.py": (3, 0.01), "broken.py": (3, 0.01), "bar.scn": (0, 0.01),
-    "gid.py": (0, 0.01), "articulated.py": (0, 0.01), "layers.scn": (0, 0.01), "grids.scn": (0, 0.01),
+    "gid.py": (0, 0.01), "articulated.py": (0, 0.01), "layers.scn": (0, 0.01), "grids.scn": (0, 0.01), "volume.scn": (0, 0.01),
 }  # fmt: skip
 
 
@@ -146,6 +146,14 @@ def test_regular_grids_are_bodies_of_tetrahedra_and_of_hexahedra(convert, folder
         mesh = meshio.read(folder / f"grids_{name}.msh")
         assert len(mesh.cells_dict[kind]) == count
         np.testing.assert_allclose([mesh.points.min(axis=0), mesh.points.max(axis=0)], ends, atol=1e-9)
+
+
+def test_a_force_on_two_points_and_a_wanted_volume_are_converted(convert, folder):
+    """Each point bears the force of the file, an impulse in a step of 0.01 s: twice 50 mN / 0.01."""
+    scene = convert("volume.scn").scene
+    assert scene.forces[0].force == (0.0, 10.0) and scene.forces[0].rate == pytest.approx(200.0)
+    assert scene.sensors[0].weight == 1.0
+    assert (folder / "volume_targets.csv").read_text().splitlines()[:2] == ["time_s,chamber_volume_m3", "0,7.9e-06"]
 
 
 def test_rigid_parts_carry_points_of_their_body(convert):

@@ -121,9 +121,7 @@ def test_a_replay_compares_it(recorded):
     ({"age": 10**10}, Refusal.STALE),
     ({"age": -(10**10)}, Refusal.FROM_THE_FUTURE),
 ])  # fmt: skip
-def test_a_measured_number_that_cannot_be_used_is_refused(
-    force, world, make_twin, changes, refusal
-):
+def test_a_measured_number_that_cannot_be_used_is_refused(force, world, make_twin, changes, refusal):
     twin = make_twin()
     cell = world.speaker(JointState, "/twin/measured_force/north")
     cell.publish(message(twin, **changes))

@@ -83,9 +83,7 @@ def test_a_robot_that_is_driven_directly_plays_its_commands_in_one_run(tmp_path)
 
 
 @pytest.mark.parametrize("robot", ["pneunet"])
-def test_a_robot_without_targets_and_commands_is_refused_with_those_that_have_a_demo(
-    robot, tmp_path
-):
+def test_a_robot_without_targets_and_commands_is_refused_with_those_that_have_a_demo(robot, tmp_path):
     with pytest.raises(ParameterError, match="direct mode.*target_commands.*diamond, .*octoleg"):
         plan_demo(robot, tmp_path, 10.0, view=False)
     assert robot not in demo_robots()
@@ -168,8 +166,7 @@ except KeyboardInterrupt:
 @pytest.mark.parametrize("in_background", [False, True])
 def test_processes_end_cleanly_on_request(module, in_background):
     # A background process of a script ignores SIGINT, and its children would inherit that.
-    before = signal.signal(
-        signal.SIGINT, signal.SIG_IGN if in_background else signal.default_int_handler)
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN if in_background else signal.default_int_handler)
     try:
         enable_interrupts()
         ask_two_to_leave(module)
@@ -206,9 +203,7 @@ time.sleep(60)
 
 
 @pytest.mark.exhaustive
-def test_the_start_is_waited_for_as_long_as_a_node_tells_of_its_progress(
-    module, tmp_path, monkeypatch
-):
+def test_the_start_is_waited_for_as_long_as_a_node_tells_of_its_progress(module, tmp_path, monkeypatch):
     shown = []
     demo = Demo(SimpleNamespace(folder=tmp_path), shown.append)
     demo.processes = [module("twin", COMPILING)]
@@ -477,8 +472,7 @@ def test_a_short_demo_halves_the_error_and_writes_all_documented_files(led):
     compute = report["compute_time_ms"]
     assert 0.0 < compute["median"] <= compute["p99"] <= compute["max"]
     assert report["ticks"] > 10 and report["missed_ticks"] >= 0 and report["period_ms"] > 0.0
-    assert report["twin_priority"].split(":")[0] in (
-        "real-time, SCHED_FIFO 5", "nice -10", "normal")
+    assert report["twin_priority"].split(":")[0] in ("real-time, SCHED_FIFO 5", "nice -10", "normal")
     assert 0.0 <= report["processor_share_of_others"] <= 1.0
     busy = report["processor_share_of_others"] > 0.1
     assert ("times above are not representative" in " ".join(demo.output.split())) == busy

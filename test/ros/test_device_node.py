@@ -19,8 +19,7 @@ from test.builder import builder
 
 @builder
 def make_device(world, small_scene_file, /, **parameters):
-    defaults = {"device_scene_file": str(small_scene_file), "device_rate": 50.0,
-                "device_marker_noise": 0.0}
+    defaults = {"device_scene_file": str(small_scene_file), "device_rate": 50.0, "device_marker_noise": 0.0}
     return world.add(DeviceNode, **{**defaults, **parameters})
 
 

@@ -143,9 +143,7 @@ def test_a_reduced_body_far_from_the_full_model_or_outside_its_range_is_a_warnin
     assert watched.account("solver")[0] == OK
     watched.tick()
     diagnostics.reduction = Judged({"body": BodyError(2.0e-3, 0.31)})
-    assert watched.account("solver") == (
-        WARN, "body: 2 mm (31 % of the displacement) from the full model"
-    )
+    assert watched.account("solver") == (WARN, "body: 2 mm (31 % of the displacement) from the full model")
     for _ in range(150):
         watched.loop.targets.accept_point(0, (0.030, 0.0, 0.115), watched.arrival)
         watched.tick()

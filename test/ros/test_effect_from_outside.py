@@ -17,9 +17,7 @@ def test_results_and_tables_of_runs_have_its_figures(fatigue, small_scene_file):
     assert list(robot.run(commands)["fatigue_steps"]) == [1.0, 2.0, 3.0]
 
 
-def test_a_twin_publishes_and_records_them_and_a_replay_gives_them_again(
-    fatigue, world, make_twin, tmp_path
-):
+def test_a_twin_publishes_and_records_them_and_a_replay_gives_them_again(fatigue, world, make_twin, tmp_path):
     make_twin(record=str(tmp_path / "run.mcap"))
     heard = world.hear(JointState, "/twin/figures", 10)
     world.until(lambda: len(heard) > 3)

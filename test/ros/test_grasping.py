@@ -110,8 +110,7 @@ def test_a_device_in_contact_follows_the_twin_s_cables_and_poses(world, make_gra
     world.until(lambda: twin.loop.is_enabled)
     commands.publish(grip_message(world, position=[float(rest[0] - 0.004)]))
     poses.publish(pose_message(world, (0.0, 0.0, 0.02)))
-    world.until(lambda: measured and np.allclose(measured[-1].position, rest - 0.004, atol=1e-4),
-                20.0)
+    world.until(lambda: measured and np.allclose(measured[-1].position, rest - 0.004, atol=1e-4), 20.0)
     world.until(lambda: abs(height(palm) - 0.02) < 1e-4, 20.0)
     assert height(cube) == pytest.approx(-0.104, abs=1e-4)
     assert device.poses.refusals.total == 0

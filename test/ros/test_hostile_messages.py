@@ -52,8 +52,7 @@ Each run draws other ones.
 """
 _MANY = 40
 MOST, HALF = 2**32 - 1, 2**31
-NUMBERS = (0.0, -0.0, math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, 1e-12, 1e6, -1e6, 1.0,
-           -1.0)
+NUMBERS = (0.0, -0.0, math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, 1e-12, 1e6, -1e6, 1.0, -1.0)
 SIZES = (0, 1, 3, 15, 16, 17, 255, 65535, HALF - 1, HALF, HALF + 1, MOST - 15, MOST)
 SECONDS = (-HALF, -1, 0, 1, HALF - 1)
 FRAMES = ("", "map", "/base_link", "base_link ", "\0", "é" * 300, "x" * 5000)
@@ -136,8 +135,7 @@ class Hostile:
         reach = self._reach + [0.02] * _MANY
         if not is_honest:
             for _ in range(self.random.randrange(3)):
-                self.random.choice((self.random.shuffle, list.clear, self.double, self.rename))(
-                    names)
+                self.random.choice((self.random.shuffle, list.clear, self.double, self.rename))(names)
         message.name = names
         if self.random.random() < 0.8:
             count = len(names) if is_honest else self.random.choice((0, 1, len(names), _MANY))
@@ -335,8 +333,7 @@ def parameters(tmp_path, air_scene, posed_scene_file, /, robot):
     given = yaml.safe_load((ROOT / f"config/{robot}.yaml").read_text())["/**"]["ros__parameters"]
     mesh = MESHES.get(robot)
     for name in ("scene_file", "device_scene_file"):
-        text = (ROOT / "config" / given[name]).read_text().replace(
-            "../../meshes", str(ROOT / "meshes"))
+        text = (ROOT / "config" / given[name]).read_text().replace("../../meshes", str(ROOT / "meshes"))
         if mesh:
             text = re.sub(rf"{robot}_\d+\.vtk", f"{mesh}.vtk", text)
         file = tmp_path / f"{robot}_{name}.yaml"
@@ -514,9 +511,7 @@ def test_a_message_that_is_too_large_is_refused_unread_on_every_topic(
 
 
 @pytest.mark.parametrize("node_class", [TwinNode, TargetNode])
-def test_bytes_that_are_no_message_are_refused_on_every_topic(
-    world, parameters, monkeypatch, node_class
-):
+def test_bytes_that_are_no_message_are_refused_on_every_topic(world, parameters, monkeypatch, node_class):
     given = {} if node_class is TargetNode else parameters("diamond")
     known = {entry.name for entry in ALL_TABLES[NODES.index(node_class)]}
     node = world.add(node_class, **{key: given[key] for key in given.keys() & known})
@@ -578,8 +573,7 @@ def test_requests_that_rclpy_cannot_handle_are_refused_and_the_twin_continues(wo
             type=draw.choice((0, 1, 2, 3, 4, 5, 8, 9, 77, 255)), double_value=math.nan,
             integer_value=-(2**63), string_value="é" * 1000, double_array_value=[math.inf],
         )
-        client.call_async(SetParameters.Request(parameters=[
-            Parameter(name=draw.choice(names), value=value)]))
+        client.call_async(SetParameters.Request(parameters=[Parameter(name=draw.choice(names), value=value)]))
         before = twin.tick_clock.ticks
         spin(twin, world.executor, lambda before=before: twin.tick_clock.ticks > before)
     assert_no_tick_failed(twin)

@@ -35,9 +35,7 @@ def until(world, node, condition, timeout=20.0):
 def test_messages_requests_and_timers_are_served_and_destroyed_ones_are_not(world, node):
     heard, ticks = [], []
     subscription = node.create_subscription(Float64MultiArray, "/numbers", heard.append, 1)
-    node.create_subscription(
-        Float64MultiArray, "/numbers", lambda message, info: heard.append(info), 1
-    )
+    node.create_subscription(Float64MultiArray, "/numbers", lambda message, info: heard.append(info), 1)
     timer = node.create_timer(0.01, lambda: ticks.append(time.monotonic()))
     node.create_service(Trigger, "/ask", lambda request, response: Trigger.Response(success=True))
     publisher = world.probe.create_publisher(Float64MultiArray, "/numbers", 1)

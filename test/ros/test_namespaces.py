@@ -64,12 +64,10 @@ def test_two_robots_follow_their_own_targets(world, two_robots):
                 for side in SIDES}  # fmt: skip
     for side in SIDES:
         service = f"/lab/{side}/twin/enable"
-        world.until(lambda service=service: world.ask(
-            SetBool, service, SetBool.Request(data=True)).success)  # fmt: skip
+        world.until(lambda service=service: world.ask(SetBool, service, SetBool.Request(data=True)).success)
     rest = {side: two_robots[side, "twin"].loop.simulation.effector_positions()[0]
             for side in SIDES}  # fmt: skip
-    wanted = {"left": rest["left"] + [0.004, 0.0, 0.002],
-              "right": rest["right"] + [-0.004, 0.0, 0.002]}  # fmt: skip
+    wanted = {"left": rest["left"] + [0.004, 0.0, 0.002], "right": rest["right"] + [-0.004, 0.0, 0.002]}
 
     def have_moved():
         for side in SIDES:
@@ -85,8 +83,7 @@ def test_two_robots_follow_their_own_targets(world, two_robots):
         assert statuses[side][-1].name == f"lab/{side}/twin: status"
         # The device moved to where its own twin sent it.
         device = two_robots[side, "device"]
-        world.until(lambda device=device: np.ptp(device.device.read(device.monotonic()).setpoints)
-                    > 1e-3)  # fmt: skip
+        world.until(lambda device=device: np.ptp(device.device.read(device.monotonic()).setpoints) > 1e-3)
     assert not two_robots["left", "twin"].clashes
     world.until(lambda: {"lab/left/twin: solver", "lab/right/twin: solver"} <= {
         status.name for message in diagnostics for status in message.status})  # fmt: skip

@@ -24,8 +24,7 @@ def begin(ros_domain, small_scene_file, tmp_path_factory):
     started = []
 
     def begin(node, **parameters):
-        values = {"scene_file": small_scene_file, "device_scene_file": small_scene_file,
-                  **parameters}
+        values = {"scene_file": small_scene_file, "device_scene_file": small_scene_file, **parameters}
         command = [sys.executable, "-m", "softrobot_twin.ros.process", node, "--ros-args"]
         for name, value in values.items():
             command += ["-p", f"{name}:={value}"]
@@ -198,9 +197,7 @@ def answers(tmp_path_factory):
 
 
 @pytest.mark.parametrize(("node", "setting", "words"), IMPOSSIBLE)
-def test_an_impossible_setting_ends_a_node_with_one_line_and_exit_code_2(
-    node, setting, words, answers
-):
+def test_an_impossible_setting_ends_a_node_with_one_line_and_exit_code_2(node, setting, words, answers):
     done = answers[f"{node} {setting}"]
     assert done.returncode == 2
     told = [line for line in done.stderr.splitlines() if line.startswith(f"{node}: ")]

@@ -89,9 +89,7 @@ def test_the_pressure_of_sealed_gas_is_published_in_every_state(world, air_scene
     low, high, syringe = air_scene["cavities"]
     sealed = {"name": "gas", "walls": high["walls"], "pressure": 500.0}
     file = tmp_path / "sealed.yaml"
-    file.write_text(yaml.safe_dump(
-        {**air_scene, "cavities": [low, syringe], "sealed_cavities": [sealed]}
-    ))
+    file.write_text(yaml.safe_dump({**air_scene, "cavities": [low, syringe], "sealed_cavities": [sealed]}))
     world.add(TwinNode, scene_file=str(file), rate=50.0, mode="direct", use_device=True)
     gas = world.hear(FluidPressure, "/twin/pressures/gas")
     world.until(lambda: len(gas) > 2)

@@ -47,8 +47,7 @@ def test_a_commanded_angle_is_published_beside_the_length(world, wound_file):
 def test_a_device_measures_angles_and_the_twin_starts_from_them(world, wound_file):
     device = world.add(DeviceNode, device_scene_file=str(wound_file), device_rate=50.0)
     measured = world.hear(JointState, "/twin/measured_angles", 100)
-    twin = world.add(TwinNode, scene_file=str(wound_file), rate=50.0, mode="direct",
-                     use_device=True)  # fmt: skip
+    twin = world.add(TwinNode, scene_file=str(wound_file), rate=50.0, mode="direct", use_device=True)
     world.until(lambda: measured and twin.loop.device.setpoints is not None)
     names = twin.loop.simulation.actuator_names
     assert list(measured[-1].name) == list(names[:2])

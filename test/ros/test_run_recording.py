@@ -45,9 +45,7 @@ def enable(world, data=True):
 
 def set_gain(world, gain):
     value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=gain)
-    request = SetParameters.Request(
-        parameters=[ParameterMessage(name="correction_gain", value=value)]
-    )
+    request = SetParameters.Request(parameters=[ParameterMessage(name="correction_gain", value=value)])
     answer = world.ask(SetParameters, "/twin/set_parameters", request)
     assert answer.results[0].successful
 
@@ -97,8 +95,7 @@ def test_a_live_run_with_device_targets_and_hostile_messages_is_replayed_to_the_
     assert found.ticks > 50 and found.calls > 100
     entries = list(run.entries())
     to = [entry.content["to"] for entry in entries if entry.kind == CALL]
-    assert {"enable", "apply", "reset", "targets.accept_point", "device.accept",
-            "markers.accept"} <= set(to)  # fmt: skip
+    assert {"enable", "apply", "reset", "targets.accept_point", "device.accept", "markers.accept"} <= set(to)
     activities = {entry.content["values"]["activity"] for entry in entries if entry.kind == TICK}
     assert {"disabled", "following"} <= activities
     # A softer robot would have run otherwise.

@@ -27,8 +27,7 @@ def finger_file(tmp_path):
     }  # fmt: skip
     for cable in scene["cables"]:
         cable.pop("rate")
-    scene |= {"integration": "dynamic", "time_scheme": "generalized_alpha",
-              "control": {"inputs": "efforts"}}  # fmt: skip
+    scene |= {"integration": "dynamic", "time_scheme": "generalized_alpha", "control": {"inputs": "efforts"}}
     file = tmp_path / "finger.yaml"
     file.write_text(yaml.safe_dump(scene))
     return file

@@ -28,8 +28,7 @@ def direction(message):
 def angle(message):
     """Angle between where the tip points and where it is to [rad]."""
     wanted = np.array([0.0, -math.sin(TILT), math.cos(TILT)])
-    return math.atan2(np.linalg.norm(np.cross(direction(message), wanted)),
-                      direction(message) @ wanted)
+    return math.atan2(np.linalg.norm(np.cross(direction(message), wanted)), direction(message) @ wanted)
 
 
 def test_a_target_pose_moves_and_turns_the_effector(world, twin):
@@ -49,9 +48,7 @@ def test_diagnostics_tell_the_error_of_the_orientation(world, twin, diagnostics)
     targets = world.speaker(PoseStamped, "/twin/target_pose/tip")
     targets.publish(world.pose_target((0.0, 0.0, HEIGHT), TURN))
     world.until(lambda: twin.loop.targets.age(twin.monotonic()) < 10.0)
-    account = diagnostics(
-        "target", lambda account: float(account.values["orientation_error_deg"]) < 0.1
-    )
+    account = diagnostics("target", lambda account: float(account.values["orientation_error_deg"]) < 0.1)
     assert account.values["source"] == "pose"
 
 

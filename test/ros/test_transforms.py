@@ -141,17 +141,13 @@ def test_without_tf2_msgs_there_is_nothing_and_only_who_asks_is_told(without_tf2
     assert all("tf2_msgs is not installed" in sentence for sentence in node.warnings)
 
 
-def test_a_twin_that_is_asked_for_tf_tells_once_that_it_cannot(
-    world, make_twin, without_tf2, capfd
-):
+def test_a_twin_that_is_asked_for_tf_tells_once_that_it_cannot(world, make_twin, without_tf2, capfd):
     make_twin(tf="on")
     world.run(0.5)
     assert capfd.readouterr().err.count("tf2_msgs is not installed") == 1
 
 
-def test_a_twin_publishes_its_effectors_on_tf_also_where_yaml_reads_on_as_a_truth_value(
-    world, make_twin
-):
+def test_a_twin_publishes_its_effectors_on_tf_also_where_yaml_reads_on_as_a_truth_value(world, make_twin):
     messages = pytest.importorskip("tf2_msgs.msg")
     received = []
     world.probe.create_subscription(messages.TFMessage, "/tf", received.append, 10)

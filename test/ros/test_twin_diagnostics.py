@@ -36,9 +36,7 @@ def test_the_statuses_have_the_documented_keys(world, make_twin, diagnostics):
     make_twin()
     send_target(world, 0.004, 0.0, 0.132)
     solver = diagnostics("solver", lambda s: s.values["activity"] == "following")
-    assert {"status", "worst_status", "residual_n", "iterations", "nodes", "dof"} <= (
-        solver.values.keys()
-    )
+    assert {"status", "worst_status", "residual_n", "iterations", "nodes", "dof"} <= (solver.values.keys())
     counts = dict(word.split(":") for word in solver.values["statuses"].split())
     assert solver.values["status"] in counts and all(int(count) > 0 for count in counts.values())
     assert any(key.startswith("time_") for key in solver.values)
@@ -180,9 +178,7 @@ def test_a_new_rate_is_kept_from_the_next_tick_on(world, make_twin, set_paramete
     world.until(lambda: twin.tick_clock.ticks > before + 30, timeout=20.0)
 
 
-def test_a_rate_that_is_changed_again_and_again_does_not_stop_the_ticks(
-    world, make_twin, set_parameter
-):
+def test_a_rate_that_is_changed_again_and_again_does_not_stop_the_ticks(world, make_twin, set_parameter):
     """A timer that restarts at every change never fires when changes are more frequent than
     ticks.
     """
@@ -202,8 +198,7 @@ def test_a_rate_that_is_changed_again_and_again_does_not_stop_the_ticks(
 
 
 @pytest.mark.exhaustive
-def test_the_error_of_the_mesh_is_reported_once_it_is_estimated(
-        world, make_twin, diagnostics, monkeypatch):
+def test_the_error_of_the_mesh_is_reported_once_it_is_estimated(world, make_twin, diagnostics, monkeypatch):
     from softrobot_twin.control import idle_process
 
     # The estimating process has the lowest priority and might never run on a busy machine.
@@ -216,23 +211,18 @@ def test_the_error_of_the_mesh_is_reported_once_it_is_estimated(
     ).values
     assert solver["mesh_error"] == "estimated"
     assert 0.0 < float(solver["mesh_error_at_lengths_percent"]) < 100.0
-    assert float(solver["quadratic_error_at_forces_percent"]) < float(
-        solver["mesh_error_at_forces_percent"]
-    )
+    assert float(solver["quadratic_error_at_forces_percent"]) < float(solver["mesh_error_at_forces_percent"])
 
 
 @pytest.mark.exhaustive
-def test_the_errors_of_a_reduced_body_are_reported(
-        world, make_twin, diagnostics, monkeypatch, half_trained):
+def test_the_errors_of_a_reduced_body_are_reported(world, make_twin, diagnostics, monkeypatch, half_trained):
     from softrobot_twin.control import idle_process
 
     program = idle_process.PROGRAM.replace("{yields}", "False")
     monkeypatch.setattr(idle_process, "PROGRAM", program)
     make_twin(scene_file=str(half_trained))
     world.until(lambda: diagnostics.messages, 60.0)
-    solver = diagnostics(
-        "solver", lambda s: s.values["full_model"] == "compared", timeout=200.0
-    ).values
+    solver = diagnostics("solver", lambda s: s.values["full_model"] == "compared", timeout=200.0).values
     assert 0.0 <= float(solver["body_sampled_range"]) < 1.0
     for key in ("body_reduction_error_mm", "body_full_model_error_mm"):
         assert 0.0 < float(solver[key]) < 5.0
@@ -246,9 +236,7 @@ LEVELS = {
 
 
 @pytest.mark.parametrize("status", Status)
-def test_every_status_has_its_level_and_a_residual_above_the_tolerance_is_reported(
-    make_twin, status
-):
+def test_every_status_has_its_level_and_a_residual_above_the_tolerance_is_reported(make_twin, status):
     twin = make_twin()
     outcome = twin.loop.tick(0.0, 0)
     report = replace(outcome.result.report, residual=0.0125, active_limits=("east.shortening_max",))

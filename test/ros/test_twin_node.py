@@ -41,9 +41,7 @@ def test_a_target_moves_the_cables_and_the_effector(world, make_twin):
     effectors = world.hear(PointStamped, "/twin/effectors/tip")
     targets = world.speaker(PointStamped, "/twin/target/tip")
     world.until(lambda: cables and effectors)
-    assert list(cables[-1].position) == pytest.approx(
-        twin.loop.simulation.rest_setpoints.tolist(), abs=1e-6
-    )
+    assert list(cables[-1].position) == pytest.approx(twin.loop.simulation.rest_setpoints.tolist(), abs=1e-6)
     targets.publish(world.target_message(INSIDE))
 
     def arrived():
@@ -188,9 +186,7 @@ def test_in_direct_mode_cables_are_commanded_by_length_or_tension(world, make_tw
     world.until(lambda: twin.loop.direct.refusals.of(Refusal.WRONG_NAMES) == 1)
 
 
-def test_the_path_of_a_slack_cable_is_shorter_than_its_length_and_is_given_to_who_listens(
-    world, make_twin
-):
+def test_the_path_of_a_slack_cable_is_shorter_than_its_length_and_is_given_to_who_listens(world, make_twin):
     twin = make_twin(mode="direct", message_timeout=0.0)
     cables, paths = (world.hear(JointState, f"/twin/{topic}", 100) for topic in ("cables", "cable_paths"))
     names = twin.loop.simulation.actuator_names

@@ -99,12 +99,8 @@ def test_markers_are_the_state_of_the_twin_with_its_stamp_frame_and_colours(worl
     np.testing.assert_allclose(points_of(lines)[:2], north[:2], atol=1e-4)
     colours = tension_colours(simulation.state.efforts, (0.0, simulation.limits.effort_max.max()))
     ends = 2 * np.array([len(path) - 1 for path in simulation.actuator_paths().values()])
-    np.testing.assert_allclose(
-        colours_of(lines), np.repeat(colours, ends, axis=0) / 255.0, atol=0.02
-    )
-    np.testing.assert_allclose(
-        points_of(found["effectors", 0]), simulation.effector_positions(), atol=1e-4
-    )
+    np.testing.assert_allclose(colours_of(lines), np.repeat(colours, ends, axis=0) / 255.0, atol=0.02)
+    np.testing.assert_allclose(points_of(found["effectors", 0]), simulation.effector_positions(), atol=1e-4)
 
 
 def test_markers_come_at_the_rate_of_the_parameter(world, make_twin, made):

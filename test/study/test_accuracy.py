@@ -216,9 +216,7 @@ def as_written(rows):
     ("family", lambda rows: [replace(row, uncertainty_lengths=0.9) for row in rows],
      "chosen.yaml", "an uncertainty of 90 %"),
 ], ids=["other meshes", "another file", "no folder", "another mesh", "uncertain"])  # fmt: skip
-def test_what_cannot_be_chosen_from_is_refused_by_name(
-    request, study, tmp_path, scene, rows, output, words
-):
+def test_what_cannot_be_chosen_from_is_refused_by_name(request, study, tmp_path, scene, rows, output, words):
     if rows is None:
         (tmp_path / "rows.csv").write_text("a,b\n1,2\n")
     else:
@@ -320,8 +318,7 @@ def clock_of_reduced(scene, rate, iterations):
     return Measured(time, time, 1e-5)
 
 
-def test_choose_writes_a_scene_with_the_reduced_model_that_is_there(
-        family, trained, study, tmp_path, capsys):
+def test_choose_writes_a_scene_with_the_reduced_model_that_is_there(family, trained, study, tmp_path, capsys):
     write_rows(tmp_path / "rows.csv", study.rows)
     written = tmp_path / "made" / "chosen.yaml"
     written.parent.mkdir()
@@ -360,8 +357,7 @@ def test_choose_takes_the_error_of_a_reduced_model_from_the_file_of_errors(
 def test_choose_tells_what_a_training_costs_and_buys_and_trains_where_it_is_asked_to(
         family, study, tmp_path, capsys, monkeypatch, no_trial):
     monkeypatch.setattr(choice, "make_trial", no_trial)
-    few = replace(FEW, ranges=("a_shortening_m=0:0.006", "b_shortening_m=0:0.006",
-                               "c_shortening_m=0:0.006"))
+    few = replace(FEW, ranges=("a_shortening_m=0:0.006", "b_shortening_m=0:0.006", "c_shortening_m=0:0.006"))
     rows, written = tmp_path / "rows.csv", tmp_path / "chosen.yaml"
     write_rows(rows, study.rows)
     choose(family, 500.0, rows, written, clock_of_reduced, options=few)

@@ -108,8 +108,7 @@ def test_a_study_has_each_mesh_once_with_each_element_whatever_the_scene_has(pat
 
 @pytest.mark.parametrize("element", ["linear", "quadratic", "hexahedral"])
 def test_a_reduced_model_is_found_by_its_mesh_and_element(path, element):
-    levels = every_level(mesh_family(load_scene(path), path.parent),
-                         hexahedral_family(load_scene(path)))
+    levels = every_level(mesh_family(load_scene(path), path.parent), hexahedral_family(load_scene(path)))
     body = only_body(with_element(load_scene(path), element))
     cells = np.linspace(0, body.mesh.cell_count - 1, 5).astype(np.int64)
     points = SampledPoints(cells, np.zeros(5, np.int64), np.ones(5))

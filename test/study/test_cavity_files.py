@@ -74,8 +74,7 @@ def test_what_a_syringe_holds_is_written_with_its_pressure(simulation_of):
     simulation = simulation_of(control="volume")
     simulation.step(CommandSetpoints(simulation.rest_setpoints * [1.0, 1.1], 1.0))
     columns = [column(*one) for one in actuator_columns(simulation.actuators)]
-    assert columns[5:] == ["air_volume_m3", "air_pressure_Pa", "air_growth_m3",
-                           "air_rest_volume_m3"]
+    assert columns[5:] == ["air_volume_m3", "air_pressure_Pa", "air_growth_m3", "air_rest_volume_m3"]
     result = simulation.step(Hold(1.0))
     volume, pressure, growth, rest = actuator_cells(result, simulation.actuators)[5:]
     assert volume == pytest.approx(1.1 * rest) and pressure == result.efforts[1] > 0.0
@@ -100,9 +99,7 @@ def commands(tmp_path, /, simulation, text):
     return table_of(read_commands, tmp_path, simulation, text)
 
 
-def test_lengths_of_cables_and_pressures_of_cavities_stand_in_one_table(
-    simulation_of, targets, commands
-):
+def test_lengths_of_cables_and_pressures_of_cavities_stand_in_one_table(simulation_of, targets, commands):
     simulation = simulation_of()
     command = targets(simulation, "time_s,air_pressure_Pa,line_length_m\n0,300,0.05\n").command(0)
     assert isinstance(command, CommandSetpoints)
@@ -129,8 +126,7 @@ def test_volumes_and_growths_command_a_syringe(simulation_of, targets, commands)
     assert isinstance(command, CommandSetpoints)
     np.testing.assert_array_equal(command.setpoints, [0.05, 6e-6])
     table = commands(simulation, "time_s,line_length_m,air_growth_m3\n0,0.05,0\n1,0.05,1e-6\n")
-    np.testing.assert_allclose(
-        table.command(1.0, 0.1).setpoints, [0.05, simulation.rest_setpoints[1] + 1e-6])
+    np.testing.assert_allclose(table.command(1.0, 0.1).setpoints, [0.05, simulation.rest_setpoints[1] + 1e-6])
 
 
 VOLUME_BESIDE_LENGTH = ("cannot be combined with line_length_m.*setpoints of this scene are "
@@ -234,9 +230,7 @@ def test_a_picture_without_cavities_has_no_pressures(simulation_of):
     assert shot.of_kind("cavity") == [] and "mesh" in {solid.look for solid in shot.solids}
 
 
-def test_a_scene_without_effector_is_timed_while_its_actuators_move_over_their_limits(
-    simulation_of, springy
-):
+def test_a_scene_without_effector_is_timed_while_its_actuators_move_over_their_limits(simulation_of, springy):
     simulation = simulation_of(changed({"effectors": LEFT_OUT}))
     swept = swept_setpoints(simulation)
     setpoints = np.array([next(swept).setpoints for _ in range(500)])

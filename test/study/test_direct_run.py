@@ -44,8 +44,7 @@ def test_the_floor_carries_the_weight_and_the_pressing_force(stamped):
         row = row_at(rows, time)
         # The stamp's friction may push the cube to a side, and the floor's holds it: not unique.
         on_stamp, on_cube_by_floor = row.pair_resultants
-        np.testing.assert_allclose(on_cube_by_floor - on_stamp, [0.0, 0.0, WEIGHT],
-                                   atol=1e-3 * WEIGHT)
+        np.testing.assert_allclose(on_cube_by_floor - on_stamp, [0.0, 0.0, WEIGHT], atol=1e-3 * WEIGHT)
         assert on_cube_by_floor[2] == pytest.approx(weight, rel=1e-3)
         magnitudes = row.pair_magnitude_sums[1]
         assert (1.0 - 1e-3) * weight < magnitudes < (1.0 + 1e-3) * np.hypot(1.0, 0.5) * weight

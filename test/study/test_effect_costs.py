@@ -26,8 +26,7 @@ def write(tmp_path, /, **mapping):
 @builder
 def beam(write, /, law="neo_hookean", material=(), element="linear", cable=(), **entries):
     """Makes a cantilever with a cable along it."""
-    material = {"law": law, "young_modulus": 1e5, "poisson_ratio": 0.45, "density": 1000.0,
-                **dict(material)}  # fmt: skip
+    material = {"law": law, "young_modulus": 1e5, "poisson_ratio": 0.45, "density": 1000.0, **dict(material)}
     cable = {"name": "cable", "pull_point": [-0.01, 0.01, 0.02],
              "points": [[0.1, 0.01, 0.02]], "shortening": [0.0, 0.03], "rate": 0.1,
              **dict(cable)}  # fmt: skip

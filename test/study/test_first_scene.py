@@ -269,9 +269,7 @@ def test_a_cad_file_is_meshed_by_its_scene(tmp_path, monkeypatch):
     (["bar.msh", "--output", "bar.txt"], ".yaml"),
     (["none.msh"], "no such file"),
 ])  # fmt: skip
-def test_what_cannot_be_done_is_one_error_and_writes_nothing(
-    tmp_path, monkeypatch, capsys, arguments, word
-):
+def test_what_cannot_be_done_is_one_error_and_writes_nothing(tmp_path, monkeypatch, capsys, arguments, word):
     write_bar(tmp_path / "bar.msh")
     monkeypatch.chdir(tmp_path)
     assert main(["init", *arguments]) == 2

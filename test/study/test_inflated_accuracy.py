@@ -124,9 +124,7 @@ def test_errors_at_given_volumes_and_pressures_fall_with_the_mesh(study):
 
 
 @pytest.mark.exhaustive
-def test_choose_speaks_of_volumes_and_keeps_what_the_scene_controls(
-    inflated, study, tmp_path, capsys
-):
+def test_choose_speaks_of_volumes_and_keeps_what_the_scene_controls(inflated, study, tmp_path, capsys):
     write_rows(tmp_path / "rows.csv", study.rows)
     written = tmp_path / "chosen.yaml"
 

@@ -112,9 +112,7 @@ def test_steps_are_measured_in_a_process_of_their_own(tmp_path):
 
 
 @pytest.mark.parametrize("slowdown, is_told", [(1.0, False), (2.1, True)])
-def test_a_time_that_others_disturbed_is_told_as_such(
-    tmp_path, capsys, monkeypatch, slowdown, is_told
-):
+def test_a_time_that_others_disturbed_is_told_as_such(tmp_path, capsys, monkeypatch, slowdown, is_told):
     need_gmsh()
     monkeypatch.setattr(meshing, "measured_step", lambda scene: StepTime(0.01, slowdown))
     monkeypatch.setattr(meshing, "print_mesh_error", lambda scene, begin: None)

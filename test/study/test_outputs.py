@@ -54,9 +54,7 @@ def test_a_refused_run_does_not_change_an_existing_output(
 
 
 @pytest.mark.parametrize("command", ["targets", "steps"])
-def test_a_failed_run_does_not_change_an_existing_output(
-    column, targets, output, monkeypatch, command
-):
+def test_a_failed_run_does_not_change_an_existing_output(column, targets, output, monkeypatch, command):
     def break_off(*_):
         raise MemoryError
 
@@ -71,9 +69,7 @@ def test_a_failed_run_does_not_change_an_existing_output(
     assert rows and left_as_it_was(output)
 
 
-def test_an_interrupted_output_is_kept_beside_the_existing_one(
-    column, targets, output, monkeypatch
-):
+def test_an_interrupted_output_is_kept_beside_the_existing_one(column, targets, output, monkeypatch):
     whole_run = offline_run.run
 
     def stop(*arguments):
@@ -87,9 +83,7 @@ def test_an_interrupted_output_is_kept_beside_the_existing_one(
     assert len(rows_of(output.with_name("run.csv.part"))) == 1
 
 
-def test_a_picture_that_cannot_be_drawn_changes_neither_run_nor_picture(
-    column, targets, output, monkeypatch
-):
+def test_a_picture_that_cannot_be_drawn_changes_neither_run_nor_picture(column, targets, output, monkeypatch):
     pytest.importorskip("matplotlib")
     from matplotlib.figure import Figure
 

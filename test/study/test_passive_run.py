@@ -61,8 +61,7 @@ def test_a_hanging_body_stretches_under_its_weight(hung, tmp_path, call):
 
 
 def test_a_cube_falls_by_the_square_of_time_and_rests_on_the_floor(falling, tmp_path, call):
-    done = call("simulate", falling, "--seconds", 0.5, "--rate", 1000, "--output",
-                tmp_path / "run.csv")
+    done = call("simulate", falling, "--seconds", 0.5, "--rate", 1000, "--output", tmp_path / "run.csv")
     assert done.code == 0, done.errors
     rows = values_of(tmp_path / "run.csv")
     assert len(rows) == 500

@@ -278,9 +278,7 @@ def test_a_cluster_that_is_not_there_is_refused_by_name(column, call, tmp_path, 
 def cluster(squares):
     """A Dask cluster of two processes on this machine."""
     distributed = pytest.importorskip("distributed")
-    made = distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
-    )
+    made = distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None)
     yield made
     made.close(timeout=60)
 

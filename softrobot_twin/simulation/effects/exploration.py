@@ -72,9 +72,7 @@ class Exploration:
         factor_age: Age of its factor; see `Newton`.
     """
 
-    def __init__(
-        self, command: FollowTargets, result: StepResult, misses: np.ndarray, actuators: Actuators
-    ):
+    def __init__(self, command: FollowTargets, result: StepResult, misses: np.ndarray, actuators: Actuators):
         """Begin with the first trial.
 
         Args:

@@ -235,9 +235,7 @@ def shares_of_displacement(model: Model, moves: np.ndarray, state: State) -> np.
     return np.divide(moves, distances, out=np.full_like(moves, np.nan), where=distances > 0.0)
 
 
-def reduced_states(
-    model: Model, state: State, errors: ReductionErrors | None
-) -> dict[str, ReductionState]:
+def reduced_states(model: Model, state: State, errors: ReductionErrors | None) -> dict[str, ReductionState]:
     """How far each body in the coordinates of a basis can be believed at a state, by its name.
 
     Args:
@@ -309,8 +307,7 @@ class ReductionState(NamedTuple):
         reasons = ["outside of the range of its reduction"] if self.range > 1.0 else []
         if self.share > most and self.error > self.negligible:
             known = f" ({100.0 * most:.2g} % at the worst fresh state)" if is_measured else ""
-            reasons.append(f"{100.0 * self.share:.2g} % of the displacement off by its spare modes"
-                           + known)  # fmt: skip
+            reasons.append(f"{100.0 * self.share:.2g} % of the displacement off by its spare modes" + known)
         return " and ".join(reasons)
 
 
@@ -372,9 +369,7 @@ def _compliance(model: Model, blocks: np.ndarray) -> np.ndarray:
     return compliance.reshape(3 * len(blocks), -1)
 
 
-def _expected_residual(
-    z: np.ndarray, samples: np.ndarray, residuals: np.ndarray, degree: int
-) -> np.ndarray:
+def _expected_residual(z: np.ndarray, samples: np.ndarray, residuals: np.ndarray, degree: int) -> np.ndarray:
     """What the forces of a superelement are wrong by at z [N] and [N m], shape (6,)."""
     squares = ((samples - z) ** 2).sum(axis=1)
     nearest = np.argsort(squares)[:NEIGHBOURS]

@@ -54,9 +54,7 @@ class SampledRanges(StepPart):
 
     name = "sampled_ranges"
 
-    def __init__(
-        self, superelements: dict[str, Superelements], coordinates: tuple[CoordinateRange, ...]
-    ):
+    def __init__(self, superelements: dict[str, Superelements], coordinates: tuple[CoordinateRange, ...]):
         """Take what has a range.
 
         Args:

@@ -239,9 +239,7 @@ class Multifrontal:
         """Whether rows have their columns in Y."""
         if len(self._ranks) != len(node_index):
             self._ranks = np.empty(len(node_index), np.int64)
-        condensation.write_ranks(
-            self.elimination_rank, np.asarray(node_index, dtype=np.int64), self._ranks
-        )
+        condensation.write_ranks(self.elimination_rank, np.asarray(node_index, dtype=np.int64), self._ranks)
         return self._columns.are_placed(np.ascontiguousarray(row_index, dtype=np.int64), self._ranks)
 
     def _assign_columns(self, H: NodeRows) -> None:

@@ -157,9 +157,7 @@ def _runs(fronts: np.ndarray, elimination: Elimination) -> np.ndarray:
     source = np.arange(len(rows)) - elimination.row_start[front_of_row]
     in_panel = rows < elimination.first[parent + 1]
     begins = np.ones(len(rows), dtype=bool)
-    begins[1:] = (
-        (np.diff(front_of_row) != 0) | (np.diff(target) != 1) | (np.diff(in_panel) != 0)
-    )
+    begins[1:] = ((np.diff(front_of_row) != 0) | (np.diff(target) != 1) | (np.diff(in_panel) != 0))
     at = np.flatnonzero(begins)
     runs = np.zeros(len(at), dtype=RUN)
     runs["source"], runs["target"] = 3 * source[at], 3 * target[at]

@@ -39,9 +39,7 @@ SMALLEST_PART = 40
 # Least share of the nodes on either side of a cut.
 SMALLEST_SHARE = 0.2
 # Axes along which cuts are tried: principal axes of the part, and between them.
-_AXES = np.array([
-    [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [1, -1, 0], [1, 0, 1], [1, 0, -1],
-])  # fmt: skip
+_AXES = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [1, -1, 0], [1, 0, 1], [1, 0, -1]])
 PIVOTS = 12
 # A search takes half of the time to build a scene, and a scene is often built more than once: for
 # its error, its samples. So the last eliminations are kept; nobody writes to them.
