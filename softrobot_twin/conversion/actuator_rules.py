@@ -135,6 +135,8 @@ def force(conversion: Conversion, component: SceneComponent) -> str | None:
     carrier = conversion.needed_carrier(state)
     points = conversion.points(state)[indices_of(component, "indices", otherwise=[0])]
     direction = array_of(component, 3, "direction", otherwise=np.zeros((1, 3)))[0]
+    if not direction.any() and number_of(component, "initForce"):
+        raise NotConverted("a force that has no direction begins at zero here")
     entry = {"name": _name_of(conversion, component), "body": carrier, "points": rounded(points)}
     entry |= {"direction": rounded(direction)} if direction.any() else {}
     limits = _add_actuator(conversion, component, "forces", entry, len(points))

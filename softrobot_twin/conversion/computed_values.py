@@ -330,7 +330,7 @@ def mesh_of(component: SceneComponent) -> LoadedMesh:
     """
     if component.kind in KINDS["loaders"]:
         return loaded_mesh(component)
-    source = _grid_of(component) if component.kind in KINDS["grids"] else _source_of(component)
+    source = _grid_of(component) if component.kind.startswith("RegularGrid") else _source_of(component)
     given = (source or LoadedMesh())._asdict()
     for key, names in _MESH_FIELDS.items():
         width = given[key].shape[1]

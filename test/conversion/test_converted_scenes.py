@@ -222,8 +222,9 @@ def test_what_has_no_counterpart_is_listed_by_component_and_line(convert):
                             ("TetrahedronFEMForceField", 14, "plasticMaxThreshold"),
                             ("CableConstraint", 20, "pullPoint is not known"),
                             ("ConstantForceField", 17, "no counterpart"),
-                            ("IndexValueMapper", 22, "no counterpart"),
-                            ("UnilateralPlaneConstraint", 23, "no counterpart")):
+                            ("ForcePointActuator", 21, "no direction"),
+                            ("IndexValueMapper", 23, "no counterpart"),
+                            ("UnilateralPlaneConstraint", 24, "no counterpart")):
         assert re.search(rf"{kind} +foreign.py:{line} .*{why}", converted.told)
         assert re.search(rf"# Not converted: {kind}", converted.text)
     assert not converted.scene.cables and "GridTopology" not in converted.told

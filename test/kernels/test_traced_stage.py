@@ -15,9 +15,7 @@ from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Sim
 SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
 LARGE = {"fetch", "fast_pneunet_device"}  # Their steps take long.
 # Those of which all terms are traceable, and which the driver must therefore run.
-TRACED = {
-    "diamond", "diamond_reduced", "trunk", "flexo", "fetch_reduced", "octoleg", "grasper", "finger",
-}
+TRACED = {"diamond", "diamond_reduced", "trunk", "flexo", "fetch_reduced", "octoleg", "grasper", "finger"}
 
 
 @njit(**KERNEL)
@@ -80,9 +78,7 @@ def test_the_driver_gives_the_same_bits_as_python(path, monkeypatch, drawn_seed)
 def test_targets_that_move_do_not_send_stages_back_to_python(name, time_step, monkeypatch):
     traces = []
     trace = traced_stage.Trace
-    monkeypatch.setattr(
-        traced_stage, "Trace", lambda *given: traces.append(given[0]) or trace(*given)
-    )
+    monkeypatch.setattr(traced_stage, "Trace", lambda *given: traces.append(given[0]) or trace(*given))
     simulation = Simulation.from_scene_file(SCENES / f"{name}.yaml")
     here = simulation.effector_positions()
     for k in range(500):

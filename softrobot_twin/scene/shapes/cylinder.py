@@ -39,9 +39,7 @@ class Cylinder(AxialShape):
         upward = np.linspace(-half, half, 1 + max(1, int(np.ceil(self.length / resolution))))
         return revolve(
             np.concatenate([inward[:-1], np.full(len(upward), self.radius), inward[-2::-1]]),
-            np.concatenate(
-                [np.full(len(inward) - 1, -half), upward, np.full(len(inward) - 1, half)]
-            ),
+            np.concatenate([np.full(len(inward) - 1, -half), upward, np.full(len(inward) - 1, half)]),
             side_count(self.radius, resolution),
         )
 

@@ -18,6 +18,7 @@ def createScene(root):
     cable = bar.addChild("cable")
     cable.addObject("MechanicalObject", position=[[50, 10, 10]])
     cable.addObject("CableConstraint", pullPoint=a_module_that_nobody_has.winch)
+    cable.addObject("ForcePointActuator", initForce=2.0)
     cable.addObject("BarycentricMapping")
     bar.addObject("IndexValueMapper", name="layers", indices=[0], value=600)
     bar.addObject("UnilateralPlaneConstraint", indices=[0, 1, 2, 3])
