@@ -250,7 +250,7 @@ class ForceObserver:
         The simulation stands where it did.
 
         Args:
-            markers: Measured markers [m], NaN for hidden ones, shape (marker_count, 3).
+            markers: Measured markers in the frame of the robot [m], NaN for hidden ones, shape (marker_count, 3).
             model: The model of the same moment.
             noise: Standard deviation of each coordinate, where the scene gives none [m].
             stamp: Time of the measurement [ns]; an old one is not used again.

@@ -561,8 +561,8 @@ class Robot:
         ``observer`` says which forces are looked for; see `docs/observer.md`.
 
         Args:
-            markers: Measured places [m]: by marker id, or one of each marker in the scene's order,
-                shape (marker_count, 3), NaN for hidden ones.
+            markers: Measured places in the frame of the cameras [m]: by marker id, or one of each marker in
+                the scene's order, shape (marker_count, 3), NaN for hidden ones.
             noise: Standard deviation of each coordinate [m], where the scene gives none.
 
         Returns:
@@ -574,7 +574,7 @@ class Robot:
         observer, simulation = self._observer, self.simulation
         if observer is None:
             raise CommandError("observe", "the scene has no observer: load it with {\"observer\": {}}")
-        seen = self._reader.markers(markers)
+        seen = simulation.scene.marker_frame.of_robot(self._reader.markers(markers))
         simulation.finish_result()
         observer.look()
         model = observer.moment(simulation.marker_positions(), simulation.effector_positions())

@@ -148,7 +148,7 @@ def pushes(observed, pushed, rng, count, is_marred=True):
         hold(observed, setpoints, 40)
         observer = ForceObserver(observed)
         for frame in range(20):
-            markers = pushed.marker_positions() + rng.normal(0.0, NOISE, (8, 3))
+            markers = observed.scene.marker_frame.of_robot(pushed.marker_positions() + rng.normal(0.0, NOISE, (8, 3)))
             if is_marred:
                 markers[marred[0]] += rng.normal(0.0, 0.02, 3)
                 markers[marred[1:]] = np.nan

@@ -338,11 +338,11 @@ def test_other_numbers_keep_the_state():
 def test_a_push_is_found_from_markers():
     scene = ROOT / "config/scenes/diamond.yaml"
     mesh = {"body.mesh.file": str(ROOT / "meshes/diamond_200.vtk"), "body.element": "linear"}
-    touch = {"touches": [{"name": "hand", "points": [[0.0, 0.0, 0.125]]}]}
-    twin, real = st.load(scene, {"observer": {}, **mesh}), st.load(scene, {**touch, **mesh})
+    twin = st.load(scene, {"observer": {}, "marker_frame": {"rotation": [0.0, 0.02, 0.0]}, **mesh})
+    real = st.load(scene, {"touches": [{"name": "hand", "points": [[0.0, 0.0, 0.125]]}], **mesh})
     twin.settle()
     real.settle(touches={"hand_force_N": [0.3, 0.0, 0.1]})
-    markers = real.simulation.marker_positions()
+    markers = twin.simulation.scene.marker_frame.of_cameras(real.simulation.marker_positions())
     seen = {marker: place for marker, place in enumerate(markers) if marker != 2}  # One is hidden.
     for _ in range(8):
         found = twin.observe(seen)["tip"]
