@@ -14,6 +14,7 @@ from softrobot_twin.simulation.command import DEFAULT_TIME_STEP, Command
 from softrobot_twin.simulation.runs.input_tables import CommandTable, read_commands
 from softrobot_twin.simulation.runs.run_columns import RunColumns, RunRow
 from softrobot_twin.study.offline_run import (
+    MoreIterations,
     Picture,
     load_with_notes,
     run_and_report,
@@ -38,8 +39,9 @@ def step_times(table: CommandTable, rate: float) -> np.ndarray:
 
 
 def run_commands(
-    simulation: Simulation, table: CommandTable, rate: float, columns: RunColumns | None = None
-) -> Iterator[RunRow]:
+    simulation: Simulation, table: CommandTable, rate: float, columns: RunColumns | None = None,
+    again: MoreIterations | None = None,
+) -> Iterator[RunRow]:  # fmt: skip
     """Runs a table of commands from the simulation's present state.
 
     Args:
@@ -47,11 +49,15 @@ def run_commands(
         table: Commands; the run begins at its first row.
         rate: Steps per second [Hz].
         columns: Those of the file that is written; None for rows without error estimates.
+        again: Steps the simulation; None to make it.
 
     Yields:
         One row a step.
     """
     columns = columns or RunColumns(simulation, with_reduction_errors=False)
+    again = again or MoreIterations(simulation)
+    # What leads bodies is told before a step, and a restored state does not have it.
+    is_led = table.base is not None or bool(table.poses or table.grips)
     times = step_times(table, rate)
     time_step = float(times[-1] - table.times[0]) / len(times)
     if table.base is not None:
@@ -65,7 +71,7 @@ def run_commands(
             simulation.grip(name, holds)
         touched = table.touched(time, simulation) if table.touches else None
         command = table.command(time, time_step)
-        result = simulation.step(command, None, touched)
+        result = simulation.step(command, None, touched) if is_led else again.step(command, touched)
         yield columns.row(step, float(time), result, command)
 
 
@@ -138,7 +144,8 @@ def _run_and_report(simulation: Simulation, commanded: CommandTable, output: Pat
     """Runs all steps, and takes a snapshot at each wanted time."""
     wanted, seen = _wanted_times(picture, commanded), body_readouts
     columns = RunColumns(simulation, None, () if seen is None else seen.columns)
-    rows: Iterator[RunRow] = run_commands(simulation, commanded, rate, columns)
+    again = MoreIterations(simulation)
+    rows: Iterator[RunRow] = run_commands(simulation, commanded, rate, columns, again)
     if seen is not None:
         rows = (row._replace(observed=seen.read()) for row in rows)
 
@@ -152,7 +159,7 @@ def _run_and_report(simulation: Simulation, commanded: CommandTable, output: Pat
     return run_and_report(
         simulation, rows, columns, len(step_times(commanded, rate)),
         f"{'direct' if seen is None else 'no commands'}, {rate:g} Hz", output, summary, picture,
-        shots, list if seen is None else seen.lines)
+        shots, lambda: [*again.lines(), *(seen.lines() if seen else [])])
 
 
 def _wanted_times(picture: Picture | None, commanded: CommandTable) -> list[float]:

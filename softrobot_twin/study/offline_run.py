@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +17,7 @@ from softrobot_twin.simulation.runs.input_tables import TargetTable, read_target
 from softrobot_twin.simulation.runs.run_columns import RunColumns, RunRow
 from softrobot_twin.simulation.scene_warnings import unlikely_commands
 from softrobot_twin.simulation.step.step_report import ITERATIONS
+from softrobot_twin.simulation.step.time_budget import MOST_ITERATIONS
 from softrobot_twin.study.explain import print_mesh_error, print_reduction_errors
 from softrobot_twin.study.run_summary import BAD_END, RunSummary
 from softrobot_twin.study.scene_picture import (
@@ -24,10 +26,6 @@ from softrobot_twin.study.scene_picture import (
     draw_snapshots,
     take_snapshot,
 )
-
-
-MORE_ITERATIONS = 60
-"""Linearizations of a row that does not come into balance with those of the scene."""
 
 
 def run(simulation: Simulation, table: TargetTable, settle: int = 0, columns: RunColumns | None = None,
@@ -65,33 +63,30 @@ class MoreIterations:
             simulation: What is stepped.
         """
         self._simulation, self.repeated = simulation, 0
-        self._other: Simulation | None = None
 
-    def step(self, command: Command) -> StepResult:
+    def step(self, command: Command, measured: object | None = None) -> StepResult:
         """See `Simulation.step`; what a step that is repeated took is its second time.
 
         Args:
             command: The command.
+            measured: What is measured beside the state.
         """
         own, before = self._simulation, self._simulation.state
-        result = own.step(command)
+        result = own.step(command, None, measured)
         if result.status is not Status.NOT_CONVERGED or ITERATIONS not in result.report.active_limits:
             return result
-        if self._other is None:
-            more = max(MORE_ITERATIONS, 10 * own.scene.solver.newton_iterations)
-            self._other = Simulation(own.scene.changed(solver={"newton_iterations": more}), with_warnings=False,
-                                     mounted=own.mounted)  # fmt: skip
-        self._other.take_over(own, before)
-        better = self._other.step(command)
-        if better.status is Status.NOT_CONVERGED or better.status.is_failure:
+        after = own.state
+        own.restore(before)
+        better = own.step(command, math.inf, measured)
+        if better.status in (Status.NOT_CONVERGED, Status.LINEARIZED) or better.status.is_failure:
+            own.restore(after)
             return result
         self.repeated += 1
-        own.take_over(self._other)
         return better
 
     def lines(self) -> list[tuple[str, str]]:
         """How many steps were repeated, as names and values to print."""
-        told = ("repeated", f"{self.repeated} rows, with up to {MORE_ITERATIONS} linearizations")
+        told = ("repeated", f"{self.repeated} rows, with up to {MOST_ITERATIONS} linearizations")
         return [told] if self.repeated else []
 
 
