@@ -348,8 +348,8 @@ def test_a_push_is_found_from_markers():
         found = twin.observe(seen)["tip"]
         result = twin.step()
     assert found.force == pytest.approx([0.3, 0.0, 0.1], abs=0.02)
-    assert found.is_detected and not found.torque.any()
-    assert result["tip_force_x_N"] == found.force[0]
+    assert found.is_detected and not found.torque.any() and result["tip_force_x_N"] == found.force[0]
+    assert result["tip_by_cameras_x_m"] == pytest.approx(result.tip @ [np.cos(0.02), 0.0, -np.sin(0.02)])
     assert found.place == pytest.approx(result.tip, abs=1e-3)
     for markers, why in (({99: [0, 0, 0]}, "99"), (markers[:3], "shape"), ({0: [0.0]}, "3 numbers")):
         with pytest.raises(CommandError, match=why):

@@ -249,11 +249,12 @@ class RunColumns:
         return Cells(sum(poses, ()), lambda row: row.rigid_poses.ravel())
 
     def _of_markers(self) -> Cells:
-        """Where the cameras see the markers, as `calibrate` reads them."""
-        simulation = self._simulation
-        frame, names = simulation.scene.marker_frame, [f"marker_{one}" for one in simulation.marker_ids]
-        return Cells([axis for name in names for axis in position_columns(name)],
-                     lambda row: frame.of_cameras(simulation.marker_positions()).ravel())  # fmt: skip
+        """Where the cameras see the markers, as `calibrate` reads them, and the effectors if their frame is another."""
+        simulation, frame = self._simulation, self._simulation.scene.marker_frame
+        seen = [] if frame.is_usual else simulation.effector_names
+        names = [f"marker_{one}" for one in simulation.marker_ids] + [f"{one}_by_cameras" for one in seen]
+        return Cells([axis for name in names for axis in position_columns(name)], lambda row: frame.of_cameras(
+            np.vstack([simulation.marker_positions(), row.result.effector_positions[:len(seen)]])).ravel())  # fmt: skip
 
     def _of_contacts(self) -> Iterator[Cells]:
         if not self._pairs:
