@@ -26,6 +26,7 @@ os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ["RERUN_STRICT"] = "1"
 
 from numba.core.dispatcher import Dispatcher  # noqa: E402
+from test.scene_changes import yaml_file
 
 
 # Marks of a test (pytest.ini says what each is for): `exhaustive` is left to `make test-all`. Those
@@ -336,8 +337,7 @@ def half_trained(tmp_path_factory) -> Path:
     mapping = written_out(yaml.safe_load((root / "config/scenes/diamond.yaml").read_text()))
     mapping["body"]["mesh"]["file"] = str(root / "meshes/diamond_150.vtk")
     mapping["body"]["element"] = "linear"
-    scene = folder / "scene.yaml"
-    scene.write_text(yaml.safe_dump(mapping))
+    scene = yaml_file(folder / "scene.yaml", mapping)
     sampling = Sampling("body")
     finder = StateFinder(training_scene(load_scene(scene), sampling), "body")
     names = [cable["name"] for cable in mapping["cables"]]
@@ -349,8 +349,7 @@ def half_trained(tmp_path_factory) -> Path:
     reduction = reduction_of(body, trained, np.full(2, np.nan), {})
     write_body_reduction(folder / "body.npz", reduction, reduction_fingerprints(body))
     mapping["body"]["reduced"] = {"file": "body.npz"}
-    scene.write_text(yaml.safe_dump(mapping))
-    return scene
+    return yaml_file(scene, mapping)
 
 
 @pytest.fixture(autouse=True)

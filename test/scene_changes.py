@@ -1,7 +1,13 @@
-"""Changes of scenes, and many steps of one command, said in a line."""
+"""Changes of scenes, their files and simulations, and many steps of one command, said in a line."""
 
 import copy
 from collections.abc import Callable
+
+import numpy as np
+import yaml
+
+from softrobot_twin.scene import scene_from_mapping
+from softrobot_twin.simulation import CommandSetpoints, Simulation, Status
 
 LEFT_OUT = object()
 """In a change, in place of an entry: the scene is without it."""
@@ -47,6 +53,25 @@ def set_entry(place, path: list[str], entry) -> None:
 def changed(*changes) -> Callable[[dict], None]:
     """The changes as one function of a scene; see `change_scene`."""
     return lambda mapping: change_scene(mapping, *changes)
+
+
+def built(mapping: dict, *changes) -> Simulation:
+    """The simulation of a scene with changes; see `change_scene`."""
+    change_scene(mapping, *changes)
+    return Simulation(scene_from_mapping(mapping))
+
+
+def hold(simulation, *setpoints):
+    """The result of a step to setpoints in the unit of each actuator, without limits of time."""
+    result = simulation.step(CommandSetpoints(np.array(setpoints, float), 1.0))
+    assert result.status is Status.OK
+    return result
+
+
+def yaml_file(path, entries: dict):
+    """Writes entries to a file; returns its path."""
+    path.write_text(yaml.safe_dump(entries, sort_keys=False))
+    return path
 
 
 def repeat_step(simulation, command, count: int, **options):

@@ -32,6 +32,7 @@ from softrobot_twin.scene.loading import read_yaml, written_out
 from softrobot_twin.simulation.building.table_columns import is_output
 
 from .conftest import ROOT, START, TICKS, TIP, TOPIC, Live, drive
+from test.scene_changes import yaml_file
 
 SOFTER = "body.material.young_modulus=1.53e5"
 
@@ -78,8 +79,7 @@ def test_a_scene_with_other_actuators_is_refused_by_their_names(recorded, tmp_pa
     mapping = yaml.safe_load(recorded.scene.read_text())
     mapping["body"]["mesh"]["file"] = str(recorded.scene.parent / "mesh.vtk")
     mapping["cables"][0]["name"] = "nord"
-    other = tmp_path / "other.yaml"
-    other.write_text(yaml.safe_dump(mapping))
+    other = yaml_file(tmp_path / "other.yaml", mapping)
     with pytest.raises(RunFileError, match="actuators north.*has nord"):
         Replay(RunFile(recorded.path), other)
 

@@ -17,6 +17,7 @@ from softrobot_twin.reduction.reduction_basis import (
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation.building.scene_layout import lay_out
 from softrobot_twin.solvers import FACTORIZATIONS
+from test.scene_changes import yaml_file
 
 MATERIALS = {
     "linear": {"law": "corotational", "young_modulus": 2.0e5, "poisson_ratio": 0.4, "density": 1e3},
@@ -37,8 +38,7 @@ def body(request, column):
     mapping["body"]["materials"] = [
         {**stiff, "box": {"minimum": [-1, -1, 0.06], "maximum": [1, 1, 1]}}
     ]
-    scene = column.parent / f"two_{request.param}.yaml"
-    scene.write_text(yaml.safe_dump(mapping))
+    scene = yaml_file(column.parent / f"two_{request.param}.yaml", mapping)
     return lay_out(load_scene(scene), []).bodies[0]
 
 

@@ -27,7 +27,7 @@ from softrobot_twin.reduction.reduction_states import (
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import CommandSetpoints, Simulation
 from softrobot_twin.simulation.building.scene_layout import lay_out
-from test.scene_changes import repeat_step
+from test.scene_changes import repeat_step, yaml_file
 
 TIP = (0.01, 0.01, 0.10)
 SAMPLING = Sampling("body", 0.05, ((TIP,), ((0.0, 0.0, 0.06),)), math.radians(30.0))
@@ -212,8 +212,7 @@ def test_what_is_not_built_is_refused_by_name(column, key, value, told):
     else:
         mapping["body"]["material"] |= {key: value}
         mapping["integration"] = "dynamic"
-    scene = column.parent / f"{key}.yaml"
-    scene.write_text(yaml.safe_dump(mapping))
+    scene = yaml_file(column.parent / f"{key}.yaml", mapping)
     read = load_scene(scene)
     (body,) = lay_out(read, []).bodies
     with pytest.raises(SceneError, match=f"{told}.* is not built|{told}.*not built"):

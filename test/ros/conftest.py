@@ -23,6 +23,7 @@ from softrobot_twin.ros.messages import pose_message
 from softrobot_twin.ros.twin_node import TwinNode
 from softrobot_twin.scene.loading import written_out
 from test.builder import builder
+from test.scene_changes import yaml_file
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -33,9 +34,7 @@ def small_scene_file(tmp_path_factory):
     scene = written_out(yaml.safe_load((ROOT / "config/scenes/diamond.yaml").read_text()))
     scene["body"]["mesh"]["file"] = str(ROOT / "meshes/diamond_400.vtk")
     scene["body"]["element"] = "linear"
-    file = tmp_path_factory.mktemp("scenes") / "small_diamond.yaml"
-    file.write_text(yaml.safe_dump(scene))
-    return file
+    return yaml_file(tmp_path_factory.mktemp("scenes") / "small_diamond.yaml", scene)
 
 
 @pytest.fixture(scope="session")
@@ -47,9 +46,7 @@ def posed_scene_file(small_scene_file):
     scene["effectors"][0] |= {
         "orientation": {"pointing": [0.0, 0.0, 1.0], "points": patch}, "directions": ["z"],
     }  # fmt: skip
-    file = small_scene_file.with_name("posed_diamond.yaml")
-    file.write_text(yaml.safe_dump(scene))
-    return file
+    return yaml_file(small_scene_file.with_name("posed_diamond.yaml"), scene)
 
 
 class World:

@@ -37,6 +37,7 @@ from softrobot_twin.ros.target_node import TargetNode
 from softrobot_twin.ros.topics import largest_message
 from softrobot_twin.ros.twin_node import TwinNode
 from test.builder import builder
+from test.scene_changes import yaml_file
 
 UNNUMBERED = {"publication_sequence_number": None}
 """What rclpy tells of a message: by this, all are of one publisher."""
@@ -325,8 +326,7 @@ def parameters(tmp_path, air_scene, posed_scene_file, /, robot):
     the Diamond whose tip has an orientation, `posed`.
     """
     if robot == "air":
-        file = tmp_path / "air.yaml"
-        file.write_text(yaml.safe_dump(air_scene))
+        file = yaml_file(tmp_path / "air.yaml", air_scene)
         return {"scene_file": str(file), "device_scene_file": str(file)}
     if robot == "posed":
         return {"scene_file": str(posed_scene_file)}

@@ -11,6 +11,7 @@ from std_msgs.msg import Header
 
 from softrobot_twin.ros.messages import path_message, read_path
 from softrobot_twin.ros.target_node import TargetNode
+from test.scene_changes import yaml_file
 
 SCENES = FilePath(__file__).resolve().parents[2] / "config" / "scenes"
 
@@ -28,9 +29,7 @@ def finger_file(tmp_path):
     for cable in scene["cables"]:
         cable.pop("rate")
     scene |= {"integration": "dynamic", "time_scheme": "generalized_alpha", "control": {"inputs": "efforts"}}
-    file = tmp_path / "finger.yaml"
-    file.write_text(yaml.safe_dump(scene))
-    return file
+    return yaml_file(tmp_path / "finger.yaml", scene)
 
 
 def header(world, seconds_ago=0.0):

@@ -8,6 +8,7 @@ from geometry_msgs.msg import PointStamped, Vector3Stamped
 from std_msgs.msg import Header
 
 from softrobot_twin.ros.messages import vector_message
+from test.scene_changes import yaml_file
 
 FREE = math.nan
 
@@ -16,8 +17,7 @@ FREE = math.nan
 def twin(make_twin, small_scene_file):
     scene = yaml.safe_load(small_scene_file.read_text())
     scene["effectors"][0]["stiffness"] = {"weight": 1.0}
-    file = small_scene_file.with_name("stiff_diamond.yaml")
-    file.write_text(yaml.safe_dump(scene))
+    file = yaml_file(small_scene_file.with_name("stiff_diamond.yaml"), scene)
     return make_twin(scene_file=str(file))
 
 

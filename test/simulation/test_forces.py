@@ -8,7 +8,6 @@ from scipy.optimize import brentq
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import (
-    CommandSetpoints,
     FollowTargets,
     Hold,
     Simulation,
@@ -20,7 +19,7 @@ from softrobot_twin.simulation.runs.run_columns import RunColumns
 from softrobot_twin.study.explain import effects
 from test.builder import builder
 from test.finite_differences import assert_slopes_of_actuators
-from test.scene_changes import change_scene, repeat_step
+from test.scene_changes import built, hold, repeat_step
 
 LENGTH, SIDE, E = 0.1, 0.01, 3e5
 BENDING = E * SIDE**4 / 12.0
@@ -48,8 +47,7 @@ def column(*forces, change=None) -> Simulation:
         "effectors": [{"name": "tip", "points": TOP}],
         "solver": {"newton_iterations": 40, "residual_tolerance": 1e-9},
     }  # fmt: skip
-    change_scene(mapping, change)
-    return Simulation(scene_from_mapping(mapping, None))
+    return built(mapping, change)
 
 
 @builder
@@ -73,13 +71,6 @@ def on_frames(turns, modulus=1e7) -> Simulation:
         "solver": {"newton_iterations": 40, "residual_tolerance": 1e-9},
     }  # fmt: skip
     return Simulation(scene_from_mapping(mapping, None))
-
-
-def hold(simulation, *setpoints):
-    """The result of a step to setpoints, without limits of time."""
-    result = simulation.step(CommandSetpoints(np.array(setpoints, float), 1.0))
-    assert result.status is Status.OK
-    return result
 
 
 def test_a_small_force_bends_as_in_beam_theory_and_its_work_is_the_energy(column):
