@@ -69,8 +69,7 @@ class CableActuator(ActuatorKind):
         cables = _term(layout, tuple(paths), entries)
         _check_cables_move(cables, rest, layout.scene)
         ranges, rates = numbers_of(entries, "shortening"), numbers_of(entries, "rate")
-        pulleys = pulley_of_cable(layout.scene)
-        names = _limit_by_pulleys(entries, pulleys, ranges, rates) if pulleys else ()
+        names = _limit_by_pulleys(entries, pulley_of_cable(layout.scene), ranges, rates)
         ranges[:, 1] = np.where(np.isinf(ranges[:, 1]), cables.rest_lengths, ranges[:, 1])
         return group_of(
             self, entries, cables, cables.scales, numbers_of(entries, "tension"), np.ones(len(entries)),

@@ -27,6 +27,7 @@ from softrobot_twin.simulation.building.actuator_kinds import (
     ActuatorGroup,
     Quantity,
     actuator_kinds,
+    group_of,
     register_actuator,
     withdraw_actuator,
 )
@@ -139,10 +140,10 @@ class ChamberActuator:
             # Outside of the body is inside of the chamber.
             patches.append(triangles[inside][:, ::-1])
         term = Chambers(patches, [c.apex for c in entries], layout.nodes.free_index, rest)
-        return ActuatorGroup(
-            self, tuple(c.name for c in entries), term, None, term.rest_volumes, term.scales,
-            np.array([c.expansion for c in entries]), np.array([c.rate for c in entries]),
-            np.array([c.pressure for c in entries]), np.full(len(entries), 0.02 * 0.06),
+        return group_of(
+            self, entries, term, term.scales, np.array([c.pressure for c in entries]),
+            np.full(len(entries), 0.02 * 0.06), rest_setpoints=term.rest_volumes,
+            displacement_bounds=np.array([c.expansion for c in entries]),
         )  # fmt: skip
 
     def doubts(self, model, group):
