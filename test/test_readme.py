@@ -3,13 +3,12 @@
 import csv
 import re
 import shlex
-from pathlib import Path
 
 import pytest
 
 from softrobot_twin.__main__ import main
+from test.places import ROOT
 
-ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```$", TEXT, re.M | re.S)
 PYTHON = [code for language, code in BLOCKS if language == "python"]

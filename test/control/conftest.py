@@ -1,7 +1,6 @@
 """The Diamond on its coarsest mesh, built once: every test resets it first."""
 
 import copy
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,8 +13,8 @@ from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import Simulation
+from test.places import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 START = 1_000 * NANOSECONDS
 FRAME = "base_link"
 

@@ -2,15 +2,14 @@
 
 import copy
 import re
-from pathlib import Path
 
 import pytest
 
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.loading import read_yaml
 from softrobot_twin.scene.material_presets import MATERIAL_PRESETS, UNFITTED
+from test.places import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 PAGES = ROOT / "docs"
 
 

@@ -17,9 +17,9 @@ from softrobot_twin.record.run_file import Topic
 from softrobot_twin.record.run_recorder import RunRecorder
 from softrobot_twin.scene.loading import load_scene, read_yaml, written_out
 from softrobot_twin.simulation import Simulation
+from test.places import ROOT
 from test.scene_changes import yaml_file
 
-ROOT = Path(__file__).resolve().parents[2]
 MESH = ROOT / "meshes/diamond_200.vtk"
 START = 1_000 * NANOSECONDS
 TICKS = 30

@@ -1,7 +1,6 @@
 """Real rclpy without launch: nodes, publishers and clients in one context and one executor."""
 
 import time
-from pathlib import Path
 from typing import NamedTuple
 
 import pytest
@@ -23,9 +22,8 @@ from softrobot_twin.ros.messages import pose_message
 from softrobot_twin.ros.twin_node import TwinNode
 from softrobot_twin.scene.loading import written_out
 from test.builder import builder
+from test.places import ROOT
 from test.scene_changes import yaml_file
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="session")

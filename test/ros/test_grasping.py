@@ -1,7 +1,6 @@
 """The Grasper's twin and device as nodes: motor, poses, contacts."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,8 +14,8 @@ from softrobot_twin.ros.device_node import DeviceNode
 from softrobot_twin.ros.topics import STREAM
 from softrobot_twin.ros.twin_node import TwinNode
 from test.builder import builder
+from test.places import CONFIG
 
-CONFIG = Path(__file__).resolve().parents[2] / "config"
 GIVEN = yaml.safe_load((CONFIG / "grasper.yaml").read_text())["/**"]["ros__parameters"]
 GRIP = 0.015
 

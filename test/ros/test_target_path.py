@@ -1,7 +1,5 @@
 """Paths ahead as messages, to a twin whose scene has control: real rclpy, a finger that vibrates."""
 
-from pathlib import Path as FilePath
-
 import numpy as np
 import pytest
 import yaml
@@ -11,9 +9,8 @@ from std_msgs.msg import Header
 
 from softrobot_twin.ros.messages import path_message, read_path
 from softrobot_twin.ros.target_node import TargetNode
+from test.places import SCENES
 from test.scene_changes import yaml_file
-
-SCENES = FilePath(__file__).resolve().parents[2] / "config" / "scenes"
 
 
 @pytest.fixture

@@ -1,7 +1,5 @@
 """The Trunk's twin as a node: along the demo's path between the cylinders, leaning on them."""
 
-from pathlib import Path
-
 import pytest
 import yaml
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -12,9 +10,9 @@ from std_msgs.msg import Header
 from softrobot_twin.ros.twin_node import TwinNode
 from softrobot_twin.scene.loading import written_out
 from test.builder import builder
+from test.places import ROOT
 from test.scene_changes import yaml_file
 
-ROOT = Path(__file__).resolve().parents[2]
 GIVEN = yaml.safe_load((ROOT / "config/trunk.yaml").read_text())["/**"]["ros__parameters"]
 
 

@@ -1,7 +1,5 @@
 """What effectors yield to forces while actuators hold, against small pushes in statics."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -10,9 +8,8 @@ from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Hold, Simulation
 from softrobot_twin.simulation.apparent_compliance import EffectorCompliance, apparent_compliance
+from test.places import SCENES
 from test.scene_changes import LEFT_OUT, changed, repeat_step
-
-SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
 
 
 class Push(ForceTerm):

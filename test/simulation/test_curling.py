@@ -1,14 +1,12 @@
 """The Grasper's finger and the Octoleg curl to the side on which their notches open."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandSetpoints, Simulation, Status
+from test.places import MESHES
 
-MESHES = Path(__file__).resolve().parents[2] / "meshes"
 OUTWARD = [(-x, 12.5, 2.5) for x in (17.5, 32.5, 47.5, 62.5, 77.5)]
 TURN = [(-83.5, 12.5, 4.5), (-85.5, 12.5, 6.5), (-85.5, 12.5, 8.5), (-83.5, 12.5, 10.5)]
 BACK = [(x, y, 15.0 - z) for x, y, z in reversed(OUTWARD)]

@@ -1,7 +1,5 @@
 """A cable that holds on a patch."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -12,8 +10,8 @@ from softrobot_twin.simulation import CommandSetpoints, Simulation
 from softrobot_twin.simulation.building.deformable_body import spread_mapping
 from softrobot_twin.simulation.building.scene_layout import lay_out
 from softrobot_twin.study.accuracy_study import with_hold_radius
+from test.places import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 SCENE = ROOT / "config" / "scenes" / "diamond.yaml"
 
 

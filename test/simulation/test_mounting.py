@@ -1,7 +1,5 @@
 """Robots that rest as they are mounted: strips bent into place, turned by motors, pulled by cables."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import yaml
@@ -11,9 +9,9 @@ from softrobot_twin.scene import load_scene, scene_from_mapping
 from softrobot_twin.scene.scene_parameters import changed_scene
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
 from softrobot_twin.simulation.mounting import MountingError, prestress
+from test.places import SCENES
 from test.scene_changes import repeat_step
 
-SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
 LENGTH, EI = 0.2, 35.0e6 * 0.01 * 0.005**3 / 12.0
 
 STRIP = f"""

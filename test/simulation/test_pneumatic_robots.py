@@ -2,7 +2,6 @@
 
 import copy
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,9 +20,9 @@ from softrobot_twin.simulation import (
 )
 from softrobot_twin.simulation.runs.input_tables import read_commands, read_targets
 from softrobot_twin.study.direct_run import run_commands
+from test.places import CONFIG
 from test.scene_changes import LEFT_OUT, change_scene, changed, repeat_step
 
-CONFIG = Path(__file__).resolve().parents[2] / "config"
 SCENES = CONFIG / "scenes"
 GROWTH = 8.0e-6
 AT_REST = 5.47e-6

@@ -1,15 +1,13 @@
 """The parallel robot of beams: four strips, turned at their ends by motors, carry a platform."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
+from test.places import SCENES
 from test.scene_changes import repeat_step
 
-SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
 G = 9.81
 
 

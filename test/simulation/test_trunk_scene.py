@@ -1,7 +1,6 @@
 """The Trunk: how it hangs, where it reaches, and how it goes between the cylinders."""
 
 import copy
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,9 +9,9 @@ from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.loading import read_yaml, written_out
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
 from test.builder import builder
+from test.places import CONFIG
 from test.scene_changes import LEFT_OUT, change_scene, changed, repeat_step
 
-CONFIG = Path(__file__).resolve().parents[2] / "config"
 TIME_STEP = 0.02
 MAPPINGS = {
     name: written_out(read_yaml((CONFIG / "scenes" / f"{name}.yaml").read_text()))

@@ -14,9 +14,9 @@ import pytest
 
 from softrobot_twin.__main__ import main
 from test.builder import builder
+from test.places import ROOT
 from test.scene_changes import yaml_file
 
-ROOT = Path(__file__).parents[2]
 
 _PRESS_SCENE = """
 name: stamp

@@ -1,13 +1,10 @@
 """``explain``: the text about a scene."""
 
-from pathlib import Path
-
 import pytest
 
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.study.explain import rest_paths, sizes, thin_warnings
-
-SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
+from test.places import SCENES
 
 
 @pytest.mark.exhaustive

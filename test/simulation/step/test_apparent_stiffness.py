@@ -2,7 +2,6 @@
 
 import copy
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,9 +14,9 @@ from softrobot_twin.simulation import CommandSetpoints, Simulation, Status, Touc
 from softrobot_twin.simulation.step.apparent_stiffness import ApparentStiffness
 from softrobot_twin.simulation.step.augmented_tangent import HeldActuators
 from softrobot_twin.simulation.step.time_budget import StageClock
+from test.places import SCENES
 from test.scene_changes import changed
 
-SCENES = Path(__file__).resolve().parents[3] / "config" / "scenes"
 ALL_AXES = np.arange(3)
 
 
