@@ -63,9 +63,7 @@ def built(mapping: dict, *changes) -> Simulation:
 
 def hold(simulation, *setpoints):
     """The result of a step to setpoints in the unit of each actuator, without limits of time."""
-    result = simulation.step(CommandSetpoints(np.array(setpoints, float), 1.0))
-    assert result.status is Status.OK
-    return result
+    return solved(simulation, CommandSetpoints(np.array(setpoints, float), 1.0))
 
 
 def yaml_file(path, entries: dict):
@@ -78,4 +76,11 @@ def repeat_step(simulation, command, count: int, **options):
     """The result of the last of equal steps."""
     for _ in range(count):
         result = simulation.step(command, **options)
+    return result
+
+
+def solved(simulation, command, count: int = 1, **options):
+    """The result of the last of equal steps, which is solved; see `repeat_step`."""
+    result = repeat_step(simulation, command, count, **options)
+    assert result.status is Status.OK
     return result

@@ -30,7 +30,7 @@ from softrobot_twin.simulation.result import SAMPLED
 
 from test.study.conftest import ROOT
 from test.builder import builder
-from test.scene_changes import LEFT_OUT, change_scene, changed, repeat_step, yaml_file
+from test.scene_changes import LEFT_OUT, change_scene, changed, repeat_step, solved, yaml_file
 
 SCENE_FILE = ROOT / "config" / "scenes" / "fetch_reduced.yaml"
 SEED = 5
@@ -299,8 +299,7 @@ def test_targets_are_reached_by_pressures(reduced):
     for _ in range(3):
         start = simulation.step(Hold()).effector_positions
     target = start + [0.004, -0.003, -0.005]
-    result = repeat_step(simulation, FollowTargets(target, 0.02), 40)
-    assert result.status is Status.OK
+    result = solved(simulation, FollowTargets(target, 0.02), 40)
     assert result.effector_errors[0] < 1e-6
     full = Simulation(without_vertebrae(full_scene(simulation.scene)), with_warnings=False)
     assert brought_to(full, result.setpoints)

@@ -23,8 +23,7 @@ GRIP = 0.015
 @builder
 def make_grasper(world, /, **changes):
     """Makes the Grasper's twin from its parameter file, some of them replaced."""
-    twin = world.add(TwinNode, **{**GIVEN, **changes})
-    return twin
+    return world.add(TwinNode, **{**GIVEN, **changes})
 
 
 def pose_message(world, position, quaternion=(0.0, 0.0, 0.0, 1.0), **header):

@@ -11,7 +11,6 @@ from softrobot_twin.simulation import (
     FollowTargets,
     Hold,
     Simulation,
-    Status,
 )
 from softrobot_twin.scene.scene_parameters import parameters
 from softrobot_twin.simulation.sensitivities import Sensitivities
@@ -19,7 +18,7 @@ from softrobot_twin.simulation.runs.run_columns import RunColumns
 from softrobot_twin.study.explain import effects
 from test.builder import builder
 from test.finite_differences import assert_slopes_of_actuators
-from test.scene_changes import built, hold, repeat_step
+from test.scene_changes import built, hold, repeat_step, solved
 
 LENGTH, SIDE, E = 0.1, 0.01, 3e5
 BENDING = E * SIDE**4 / 12.0
@@ -109,8 +108,8 @@ def test_a_force_without_direction_is_three_that_follow_a_target(column):
     simulation = column(entry)
     assert simulation.actuators.names == ("push_x", "push_y", "push_z")
     target = simulation.effector_positions() + [0.02, -0.01, -0.001]
-    result = repeat_step(simulation, FollowTargets(target, 0.05), 30)
-    assert result.status is Status.OK and result.effector_errors[0] < 1e-5
+    result = solved(simulation, FollowTargets(target, 0.05), 30)
+    assert result.effector_errors[0] < 1e-5
     again = hold(column(entry), *result.efforts)
     np.testing.assert_allclose(again.effector_positions, target, atol=1e-5)
 

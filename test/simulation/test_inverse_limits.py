@@ -34,8 +34,7 @@ def trunk(with_rod=False, change=None) -> Simulation:
 
 
 def follow(simulation, target, steps, time_step=0.02):
-    result = repeat_step(simulation, FollowTargets(np.atleast_2d(target), time_step), steps)
-    return result
+    return repeat_step(simulation, FollowTargets(np.atleast_2d(target), time_step), steps)
 
 
 @pytest.mark.exhaustive

@@ -10,7 +10,7 @@ from softrobot_twin.scene.loading import read_yaml, written_out
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
 from test.builder import builder
 from test.places import CONFIG
-from test.scene_changes import LEFT_OUT, change_scene, changed, repeat_step
+from test.scene_changes import LEFT_OUT, change_scene, changed, repeat_step, solved
 
 TIME_STEP = 0.02
 MAPPINGS = {
@@ -41,8 +41,7 @@ def path():
 
 def sag(simulation):
     """How far the tip hangs down at rest lengths [m]."""
-    result = repeat_step(simulation, Hold(TIME_STEP), 20)
-    assert result.status is Status.OK
+    result = solved(simulation, Hold(TIME_STEP), 20)
     assert result.report.residual < 1e-6
     return -result.effector_positions[0, 1]
 
@@ -111,8 +110,7 @@ def test_the_platform_moves_the_trunk_without_deformation(trunk):
     platform = simulation.actuator_names.index("platform_z")
     for _ in range(20):
         lengths[platform] += 0.001
-        result = simulation.step(CommandSetpoints(lengths, TIME_STEP))
-        assert result.status is Status.OK
+        result = solved(simulation, CommandSetpoints(lengths, TIME_STEP))
     moved = result.state.positions - before
     np.testing.assert_allclose(moved, np.array([[0, 0, 0.020]]) * np.ones((len(moved), 1)),
                                atol=1e-7)

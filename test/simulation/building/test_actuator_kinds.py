@@ -35,7 +35,7 @@ from softrobot_twin.simulation.runs.input_tables import TableFileError, read_tar
 from softrobot_twin.simulation.runs.run_columns import RunColumns, actuator_cells
 from softrobot_twin.study.explain import effects
 from test.builder import builder
-from test.scene_changes import change_scene, changed, repeat_step
+from test.scene_changes import change_scene, changed, solved
 
 STEP = 0.02
 
@@ -295,8 +295,7 @@ def test_it_reaches_a_volume_and_the_same_pressure_holds_it_there(inflated, sett
 def test_it_brings_an_effector_to_its_target_together_with_cables(inflated):
     simulation = inflated()
     target = simulation.effector_positions() + [0.006, 0.001, -0.001]
-    result = repeat_step(simulation, FollowTargets(target, STEP), 60)
-    assert result.status is Status.OK
+    result = solved(simulation, FollowTargets(target, STEP), 60)
     assert result.effector_errors[0] < 1e-4
     assert np.abs(result.efforts[4:]).max() > 1.0
 
