@@ -81,9 +81,7 @@ class SuperelementCavities(ConstraintTerm):
         Args:
             positions: Node positions [m], shape (node_count, 3).
         """
-        growths = np.empty(self.row_count)
-        self.evaluate(positions, np.empty((len(self.entry_rows), 3)), growths)
-        return self.rest_volumes + growths
+        return self.rest_volumes + self.rows_at(positions)[1]
 
     def tell_efforts(self, efforts: np.ndarray) -> None:
         """Set the pressures of superelements and rows; see `ConstraintTerm.tell_efforts`."""

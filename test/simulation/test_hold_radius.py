@@ -40,8 +40,7 @@ def test_a_patch_is_the_same_on_every_mesh():
 def test_the_work_of_a_patch_is_that_of_its_cable():
     simulation = diamond(400, 0.004)
     cables, positions = simulation.model.actuators.terms[0], simulation.state.positions
-    blocks, values = np.empty((len(cables.entry_rows), 3)), np.empty(4)
-    cables.evaluate(positions, blocks, values)
+    blocks, values = cables.rows_at(positions)
     free = simulation.model.nodes.free_nodes
     move = np.random.default_rng(3).normal(size=positions.shape) * 1e-7
     moved = positions.copy()

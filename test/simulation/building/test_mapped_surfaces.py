@@ -98,9 +98,8 @@ def test_rows_of_a_split_chamber_are_the_slopes_of_its_volume(tmp_path, inflatab
     coarse = box_file(tmp_path / "coarse.stl", points.min(axis=0), points.max(axis=0))
     simulation = inflatable({"cavities.0.walls": [{"file": coarse}]})
     term, rest = simulation.actuators.terms[0], simulation.model.nodes.rest_positions
-    blocks, values = np.zeros((len(term.entry_rows), 3)), np.zeros(1)
     positions = rest + 1e-4 * drawn_rng.normal(size=rest.shape)
-    term.evaluate(positions, blocks, values)
+    blocks, values = term.rows_at(positions)
     move = np.zeros_like(rest)
     free = simulation.model.nodes.free_nodes
     move[free] = drawn_rng.normal(size=(len(free), 3))
