@@ -7,6 +7,7 @@ import numpy as np
 import yaml
 
 from softrobot_twin.scene import scene_from_mapping
+from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import CommandSetpoints, Simulation, Status
 
 LEFT_OUT = object()
@@ -53,6 +54,13 @@ def set_entry(place, path: list[str], entry) -> None:
 def changed(*changes) -> Callable[[dict], None]:
     """The changes as one function of a scene; see `change_scene`."""
     return lambda mapping: change_scene(mapping, *changes)
+
+
+def entries_of(file, *changes) -> dict:
+    """The entries of a scene file, its copies written out, with changes; see `change_scene`."""
+    entries = written_out(yaml.safe_load(file.read_text()))
+    change_scene(entries, *changes)
+    return entries
 
 
 def built(mapping: dict, *changes) -> Simulation:

@@ -10,7 +10,7 @@ from softrobot_twin.reduction import body_training
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Simulation
 from softrobot_twin.simulation.building.reduced_body import read_body_reduction
 from softrobot_twin.simulation.linear_model import ModalTangent
-from test.scene_changes import repeat_step, yaml_file
+from test.scene_changes import entries_of, repeat_step, yaml_file
 
 RANGE = ("--range", *(f"{name}_shortening_m=0:0.008" for name in "abcd"))
 SMALL = ("--snapshots", 48, "--modes", 17, "--spare-modes", 6, "--states", 8, *RANGE)
@@ -28,8 +28,7 @@ def trained(column, tmp_path_factory):
 
 def reduced(column, file):
     """The scene with its body reduced, as a user writes it."""
-    mapping = yaml.safe_load(column.read_text())
-    mapping["body"]["reduced"] = {"file": str(file)}
+    mapping = entries_of(column, {"body.reduced": {"file": str(file)}})
     return yaml_file(column.parent / "reduced.yaml", mapping)
 
 
@@ -111,8 +110,7 @@ def test_a_body_that_saw_loads_follows_them(trained, column, call, tmp_path):
          *RANGE)  # fmt: skip
     told = read_body_reduction(tmp_path / "r.npz")
     assert told.measured[1] < 0.05 and told.training["load [N]"] == 0.1
-    mapping = yaml.safe_load(column.read_text())
-    mapping["gravity"] = [0.0, 9.81, 0.0]
+    mapping = entries_of(column, {"gravity": [0.0, 9.81, 0.0]})
     moved = []
     for file in (None, tmp_path / "r.npz", trained):
         if file is not None:

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import yaml
 
 from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.stencil import stencil_pairs
@@ -17,7 +16,7 @@ from softrobot_twin.reduction.reduction_basis import (
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation.building.scene_layout import lay_out
 from softrobot_twin.solvers import FACTORIZATIONS
-from test.scene_changes import yaml_file
+from test.scene_changes import entries_of, yaml_file
 
 MATERIALS = {
     "linear": {"law": "corotational", "young_modulus": 2.0e5, "poisson_ratio": 0.4, "density": 1e3},
@@ -31,8 +30,7 @@ MATERIALS = {
 @pytest.fixture(scope="module", params=list(MATERIALS))
 def body(request, column):
     """A column of two materials: straight tetrahedra, quadratic or smoothed rubber."""
-    mapping = yaml.safe_load(column.read_text())
-    mapping["body"]["element"] = request.param
+    mapping = entries_of(column, {"body.element": request.param})
     mapping["body"] |= {"material": MATERIALS[request.param], "volume": "per_element"}
     stiff = {**MATERIALS["linear"], "young_modulus": 4.0e5}
     mapping["body"]["materials"] = [

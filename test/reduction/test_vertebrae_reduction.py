@@ -30,7 +30,7 @@ from softrobot_twin.simulation.result import SAMPLED
 
 from test.study.conftest import ROOT
 from test.builder import builder
-from test.scene_changes import LEFT_OUT, change_scene, changed, repeat_step, solved, yaml_file
+from test.scene_changes import LEFT_OUT, change_scene, changed, entries_of, repeat_step, solved, yaml_file
 
 SCENE_FILE = ROOT / "config" / "scenes" / "fetch_reduced.yaml"
 SEED = 5
@@ -376,8 +376,7 @@ def test_the_command_makes_only_what_has_changed(workshop, tmp_path, capsys):
     assert main(arguments) == 0
     assert "are current" in capsys.readouterr().out
     assert saved.read_bytes() == before
-    mapping = written_out(yaml.safe_load(scene_file.read_text()))
-    mapping["body"]["material"]["young_modulus"] = 120e3
+    mapping = entries_of(scene_file, {"body.material.young_modulus": 120e3})
     scene_file.write_text(yaml.safe_dump(mapping))
     assert main(arguments) == 0
     told = capsys.readouterr().out

@@ -20,18 +20,16 @@ from softrobot_twin.ros import twin_node
 from softrobot_twin.ros.device_node import DeviceNode
 from softrobot_twin.ros.messages import pose_message
 from softrobot_twin.ros.twin_node import TwinNode
-from softrobot_twin.scene.loading import written_out
 from test.builder import builder
 from test.places import ROOT
-from test.scene_changes import yaml_file
+from test.scene_changes import entries_of, yaml_file
 
 
 @pytest.fixture(scope="session")
 def small_scene_file(tmp_path_factory):
     """The Diamond on its coarsest mesh."""
-    scene = written_out(yaml.safe_load((ROOT / "config/scenes/diamond.yaml").read_text()))
-    scene["body"]["mesh"]["file"] = str(ROOT / "meshes/diamond_400.vtk")
-    scene["body"]["element"] = "linear"
+    scene = entries_of(ROOT / "config/scenes/diamond.yaml",
+                       {"body.mesh.file": str(ROOT / "meshes/diamond_400.vtk"), "body.element": "linear"})
     return yaml_file(tmp_path_factory.mktemp("scenes") / "small_diamond.yaml", scene)
 
 

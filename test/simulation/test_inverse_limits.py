@@ -5,18 +5,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 
 from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import CommandEfforts, FollowTargets, Hold, Simulation, Status
 from softrobot_twin.simulation.result import RATE
 from test.builder import builder
-from test.scene_changes import change_scene, repeat_step
+from test.scene_changes import change_scene, entries_of, repeat_step
 
 TRUNK_FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "trunk.yaml"
-TRUNK = written_out(yaml.safe_load(TRUNK_FILE.read_text()))
-TRUNK["body"]["element"] = "linear"
+TRUNK = entries_of(TRUNK_FILE, {"body.element": "linear"})
 
 
 @builder

@@ -13,6 +13,7 @@ from softrobot_twin.simulation.runs.run_columns import COMPUTE_TIME, TEXT_COLUMN
 from softrobot_twin.study.direct_run import run_commands
 from softrobot_twin.study.offline_run import run_file
 from test.run_files import TARGETS, rows_of
+from test.scene_changes import entries_of
 
 NAMES = "abcd"
 
@@ -115,8 +116,7 @@ def test_one_row_of_a_run_is_too_few_for_commands(tmp_path, robot):
 
 
 def test_active_limits_of_a_step_are_named_in_its_row(tmp_path, column, call):
-    content = yaml.safe_load(column.read_text())
-    content["body"]["mesh"]["file"] = str(column.parent / "column.vtk")
+    content = entries_of(column, {"body.mesh.file": str(column.parent / "column.vtk")})
     for cable in content["cables"]:
         cable["tension"] = [0.0, 0.05]
     (tmp_path / "weak.yaml").write_text(yaml.safe_dump(content))
