@@ -63,10 +63,10 @@ def entries_of(file, *changes) -> dict:
     return entries
 
 
-def built(mapping: dict, *changes) -> Simulation:
-    """The simulation of a scene with changes; see `change_scene`."""
+def built(mapping: dict, *changes, path=None) -> Simulation:
+    """The simulation of a scene, perhaps beside a file, with changes; see `change_scene`."""
     change_scene(mapping, *changes)
-    return Simulation(scene_from_mapping(mapping))
+    return Simulation(scene_from_mapping(mapping, path))
 
 
 def hold(simulation, *setpoints):

@@ -1,6 +1,5 @@
 """Files of ``simulate`` are written completely or not at all, and never replace an input."""
 
-
 import pytest
 
 from softrobot_twin.harness.output_file import OutputError, output_file
