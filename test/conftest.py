@@ -310,7 +310,6 @@ def half_trained(tmp_path_factory) -> Path:
     It has 24 modes in use and 24 spare ones, of 128 equilibria with each cable wound by up to 11 mm.
     """
     import numpy as np
-    import yaml
 
     from softrobot_twin.harness.sampled_axes import sampled_axes
     from softrobot_twin.reduction.body_training import reduction_of, train
@@ -326,18 +325,16 @@ def half_trained(tmp_path_factory) -> Path:
     )
     from softrobot_twin.reduction.training_options import TrainingOptions
     from softrobot_twin.scene import load_scene
-    from softrobot_twin.scene.loading import written_out
     from softrobot_twin.simulation.building.reduced_body import (
         reduction_fingerprints,
         write_body_reduction,
     )
+    from test.scene_changes import entries_of, yaml_file
 
     root, folder = Path(__file__).parents[1], tmp_path_factory.mktemp("half_trained")
-    mapping = written_out(yaml.safe_load((root / "config/scenes/diamond.yaml").read_text()))
-    mapping["body"]["mesh"]["file"] = str(root / "meshes/diamond_150.vtk")
-    mapping["body"]["element"] = "linear"
-    scene = folder / "scene.yaml"
-    scene.write_text(yaml.safe_dump(mapping))
+    mapping = entries_of(root / "config/scenes/diamond.yaml",
+                         {"body.mesh.file": str(root / "meshes/diamond_150.vtk"), "body.element": "linear"})
+    scene = yaml_file(folder / "scene.yaml", mapping)
     sampling = Sampling("body")
     finder = StateFinder(training_scene(load_scene(scene), sampling), "body")
     names = [cable["name"] for cable in mapping["cables"]]
@@ -349,8 +346,7 @@ def half_trained(tmp_path_factory) -> Path:
     reduction = reduction_of(body, trained, np.full(2, np.nan), {})
     write_body_reduction(folder / "body.npz", reduction, reduction_fingerprints(body))
     mapping["body"]["reduced"] = {"file": "body.npz"}
-    scene.write_text(yaml.safe_dump(mapping))
-    return scene
+    return yaml_file(scene, mapping)
 
 
 @pytest.fixture(autouse=True)

@@ -1,7 +1,14 @@
-"""Changes of scenes, and many steps of one command, said in a line."""
+"""Changes of scenes, their files and simulations, and many steps of one command, said in a line."""
 
 import copy
 from collections.abc import Callable
+
+import numpy as np
+import yaml
+
+from softrobot_twin.scene import scene_from_mapping
+from softrobot_twin.scene.loading import written_out
+from softrobot_twin.simulation import CommandSetpoints, Simulation, Status
 
 LEFT_OUT = object()
 """In a change, in place of an entry: the scene is without it."""
@@ -49,8 +56,39 @@ def changed(*changes) -> Callable[[dict], None]:
     return lambda mapping: change_scene(mapping, *changes)
 
 
+def entries_of(file, *changes) -> dict:
+    """The entries of a scene file, its copies written out, with changes; see `change_scene`."""
+    entries = written_out(yaml.safe_load(file.read_text()))
+    change_scene(entries, *changes)
+    return entries
+
+
+def built(mapping: dict, *changes, path=None) -> Simulation:
+    """The simulation of a scene, perhaps beside a file, with changes; see `change_scene`."""
+    change_scene(mapping, *changes)
+    return Simulation(scene_from_mapping(mapping, path))
+
+
+def hold(simulation, *setpoints):
+    """The result of a step to setpoints in the unit of each actuator, without limits of time."""
+    return solved(simulation, CommandSetpoints(np.array(setpoints, float), 1.0))
+
+
+def yaml_file(path, entries: dict):
+    """Writes entries to a file; returns its path."""
+    path.write_text(yaml.safe_dump(entries, sort_keys=False))
+    return path
+
+
 def repeat_step(simulation, command, count: int, **options):
     """The result of the last of equal steps."""
     for _ in range(count):
         result = simulation.step(command, **options)
+    return result
+
+
+def solved(simulation, command, count: int = 1, **options):
+    """The result of the last of equal steps, which is solved; see `repeat_step`."""
+    result = repeat_step(simulation, command, count, **options)
+    assert result.status is Status.OK
     return result

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from test.places import PACKAGE, ROOT
 
-ROOT = Path(__file__).resolve().parents[1]
+
 DOCUMENT = ROOT / "docs" / "architecture.md"
-PACKAGE = ROOT / "softrobot_twin"
 TEXT = DOCUMENT.read_text()
 ELEMENTS = (ROOT / "docs" / "elements.md").read_text()
 LINKS = re.findall(r"\[`([\w./]+)`\]\(([\w./]+)\)", TEXT + ELEMENTS)

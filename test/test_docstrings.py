@@ -10,7 +10,8 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
-PACKAGE = Path(__file__).resolve().parents[1] / "softrobot_twin"
+from test.places import PACKAGE
+
 SEE = re.compile(r"\b[Ss]ee `([\w.]+)`|\b[Aa]s (?:of|in|with|for) `([\w.]+)`")
 ENTRY = re.compile(r"^ {4}(\w+(?:, \w+)*): ", re.MULTILINE)
 ELSEWHERE = re.compile(r"are as in `(\w+)`")

@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
+from test.places import ROOT
+
 DOCUMENT = ROOT / "docs" / "equations.md"
 EQUATIONS = range(1, 23)
 """Numbers of the equations of Coevoet et al., 2017."""

@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
-PACKAGE = ROOT / "softrobot_twin"
+from test.places import PACKAGE, ROOT
+
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
 CORE = {"geometry", "mechanics", "constraints", "solvers", "scene", "simulation"}

@@ -18,9 +18,8 @@ import yaml
 
 from softrobot_twin.command_line.commands import NODES
 from softrobot_twin.ros import process
+from test.places import PACKAGE, ROOT
 
-ROOT = Path(__file__).resolve().parents[1]
-PACKAGE = ROOT / "softrobot_twin"
 # Distributions whose names differ from the modules that they install.
 DISTRIBUTIONS = {"PIL": "pillow", "mpl_toolkits": "matplotlib", "pydantic_core": "pydantic",
                  "rerun": "rerun-sdk", "yaml": "pyyaml"}

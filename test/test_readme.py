@@ -3,13 +3,12 @@
 import csv
 import re
 import shlex
-from pathlib import Path
 
 import pytest
 
 from softrobot_twin.__main__ import main
+from test.places import ROOT
 
-ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```$", TEXT, re.M | re.S)
 PYTHON = [code for language, code in BLOCKS if language == "python"]
@@ -69,15 +68,3 @@ def test_its_times_of_steps_are_those_of_the_bench():
     for robot, time in shown:
         if robot in measured:
             assert float(time) == pytest.approx(measured[robot], rel=0.04), robot
-
-
-def test_its_make_targets_and_parameter_files_exist():
-    makefile = (ROOT / "Makefile").read_text()
-    for line in SHELL:
-        words = line.split()
-        if words and words[0] == "make":
-            assert re.search(rf"^{words[1]}:", makefile, re.M)
-            assert all((ROOT / f"config/{word[6:]}.yaml").is_file()
-                       for word in words if word.startswith("ROBOT="))
-    files = re.findall(r"\$SHARE/(\S+)", TEXT)
-    assert files and all((ROOT / file).is_file() for file in files)

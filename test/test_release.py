@@ -12,7 +12,8 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
+from test.places import ROOT
+
 # Files that a build must not use.
 LEFT_OUT = shutil.ignore_patterns(
     ".git", ".venv*", ".pytest_cache", "__pycache__", "build", "dist", "*.egg-info", "install",

@@ -6,8 +6,8 @@ import pytest
 
 from softrobot_twin.scene import load_scene
 from softrobot_twin.shared_files import given_file, shared_folders
+from test.places import ROOT
 
-ROOT = Path(__file__).resolve().parents[1]
 SCENE = "config/scenes/finger.yaml"
 
 

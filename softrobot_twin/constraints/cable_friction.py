@@ -484,7 +484,7 @@ class CableMaterials(NamedTuple):
 
 
 class FrictionCables(ElasticCables):
-    """Constraint term of cables of which some rub on the points of their paths; an `EffortTerm`.
+    """Constraint term of cables of which some rub on the points of their paths; it takes efforts.
 
     Attributes:
         shares: z at the point where each segment begins, 0 for those at pull points, in the state
@@ -590,7 +590,7 @@ class FrictionCables(ElasticCables):
     def evaluate(self, positions: np.ndarray, blocks: np.ndarray, values: np.ndarray) -> None:
         """Write H, what a change of the tensions at the winches adds, and the shortenings there [m].
 
-        See `EffortTerm`.
+        See `ConstraintTerm.takes_efforts`.
         """
         self._measure_base(positions, values)
         self.solve(positions)

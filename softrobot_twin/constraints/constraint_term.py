@@ -32,8 +32,17 @@ class ConstraintTerm(Protocol):
             see `traced_stage.py`.
         conserves: Whether equilibria at held values of its rows are minima of an energy.
         loss: What it does that conserves no energy, in words; else empty.
-        yields: Whether its rows yield by themselves: then the term is a `YieldingTerm`.
-        takes_efforts: Whether its rows depend on its efforts: then the term is an `EffortTerm`.
+        yields: Whether its rows yield to their efforts, as cables that stretch. Then its values δ(q) are
+            those without efforts, with them they are δ(q) + C λ, and its forces are Hᵀ λ as of other
+            terms. It has `stretch_ratios`, shape (k,): by how much more the path moves than its winch,
+            exactly: where the winch turns by dδ, H dq + C dλ is this many times dδ.
+        takes_efforts: Whether its rows depend on its efforts, as of cavities with walls of their own.
+            Then a force term holds the forces of its efforts, and its rows only what a change of them
+            adds. Where friction makes ∂δ/∂q another matrix than H, it has a method
+            `displacement_entries` that gives its entries: their rows, unknowns and blocks.
+        compliance: C = ∂δ/∂λ at held unknowns, at the state evaluated last and the told efforts
+            [unit of δ / unit of λ], shape (k, k), symmetric; of terms that yield diagonal, so that C λ
+            is exact. Only terms that yield or take efforts have it.
         dense_rows: The part of the geometric stiffness that is not assembled, at the state where it
             was added last; None where there is never any.
         memory_name: Under which name a state holds what it remembers, see `step_part`; else empty.
@@ -52,6 +61,7 @@ class ConstraintTerm(Protocol):
     loss: ClassVar[str] = ""
     yields: ClassVar[bool] = False
     takes_efforts: ClassVar[bool] = False
+    compliance: np.ndarray
     dense_rows: DenseRows | None = None
     memory_name: ClassVar[str] = ""
     row_count: int
@@ -165,6 +175,13 @@ class ConstraintTerm(Protocol):
         """
         raise NotImplementedError
 
+    def tell_efforts(self, efforts: np.ndarray) -> None:
+        """Set the efforts at which the rows and the compliance are evaluated from now on.
+
+        Args:
+            efforts: λ of its rows, shape (k,).
+        """
+
     def largest_share(self, positions: np.ndarray, move: np.ndarray) -> float:
         """Share of a move for which the linearization of these rows is valid.
 
@@ -176,56 +193,6 @@ class ConstraintTerm(Protocol):
             A share of the move, at most one.
         """
         return 1.0
-
-
-class EffortTerm(ConstraintTerm, Protocol):
-    """A constraint term whose rows depend on its efforts, such as cavities with walls of their own.
-
-    A force term holds the forces of its efforts, and its rows only what a change of them adds. Other
-    terms need not have these members. Where friction makes ∂δ/∂q another matrix than H, a term has a
-    method `displacement_entries` that gives its entries: their rows, unknowns and blocks.
-
-    Attributes:
-        takes_efforts: True.
-        compliance: C = ∂δ/∂λ at held unknowns, at the state evaluated last [unit of δ / unit of λ],
-            shape (k, k), symmetric.
-    """
-
-    takes_efforts: ClassVar[bool]
-    compliance: np.ndarray
-
-    def tell_efforts(self, efforts: np.ndarray) -> None:
-        """Set the efforts at which the term is evaluated from now on.
-
-        Args:
-            efforts: λ of its rows, shape (k,).
-        """
-
-
-class YieldingTerm(ConstraintTerm, Protocol):
-    """A constraint term whose rows yield to their efforts, such as cables that stretch.
-
-    Its values δ(q) are those without efforts, with them they are δ(q) + C λ; its forces are Hᵀ λ as
-    of other terms. Other terms need not have these members.
-
-    Attributes:
-        yields: True.
-        compliance: C at the state evaluated last and the told efforts, so that C λ is exact there
-            [unit of δ / unit of λ], shape (k, k), diagonal.
-        stretch_ratios: By how much more the path moves than its winch, exactly: where the winch
-            turns by dδ, H dq + C dλ is this many times dδ, shape (k,).
-    """
-
-    yields: ClassVar[bool]
-    compliance: np.ndarray
-    stretch_ratios: np.ndarray
-
-    def tell_efforts(self, efforts: np.ndarray) -> None:
-        """Set the efforts at which the compliance is evaluated from now on.
-
-        Args:
-            efforts: λ of its rows, shape (k,).
-        """
 
 
 class VaryingTerm(ConstraintTerm, Protocol):

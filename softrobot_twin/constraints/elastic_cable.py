@@ -20,7 +20,7 @@ from softrobot_twin.mechanics.kinematics import CarriedPoints
 
 
 class ElasticCables(Cables):
-    """Constraint term of cables of which some stretch; a `YieldingTerm`.
+    """Constraint term of cables of which some stretch; see `ConstraintTerm.yields`.
 
     Attributes:
         axial_stiffness: EA of each cable, infinite for one that does not stretch [N],
@@ -59,11 +59,11 @@ class ElasticCables(Cables):
         return 1.0 + self._told / self.axial_stiffness
 
     def tell_efforts(self, efforts: np.ndarray) -> None:
-        """Set the tensions [N], shape (row_count,); see `YieldingTerm.tell_efforts`."""
+        """Set the tensions [N], shape (row_count,); see `ConstraintTerm.tell_efforts`."""
         self._told = np.array(efforts, float)
 
     def evaluate(self, positions: np.ndarray, blocks: np.ndarray, values: np.ndarray) -> None:
-        """Write H and the shortenings of the paths [m], and the compliance; see `YieldingTerm`."""
+        """Write H and the shortenings of the paths [m], and the compliance."""
         self._evaluate(positions, blocks, values)
         self._set_compliance(values)
         np.subtract(self.rest_lengths, values, out=values)

@@ -92,7 +92,7 @@ class HingeAngles(ConstraintTerm):
 
 
 class YieldingHingeAngles(HingeAngles):
-    """Hinges of which some have motors that yield; a `YieldingTerm`.
+    """Hinges of which some have motors that yield; see `ConstraintTerm.yields`.
 
     The motor turns by δ = α + λ / k, where the hinge turns by α under the torque λ.
 
@@ -116,6 +116,3 @@ class YieldingHingeAngles(HingeAngles):
         super().__init__(frames, hinges, limits, stiffness)
         self.compliance = np.diag(1.0 / np.array(yielding, float))
         self.stretch_ratios = np.ones(self.row_count)
-
-    def tell_efforts(self, efforts: np.ndarray) -> None:
-        """Nothing: the compliance is constant; see `YieldingTerm.tell_efforts`."""

@@ -62,10 +62,10 @@ class RowStack:
         node_index: Unknown of each entry, shape (entry_count,).
         blocks: Entries of H, shape (entry_count, 3).
         values: δ of every row at the state evaluated last, shape (row_count,).
-        told: Efforts of the actuators of an `EffortTerm`, whose forces are part of the force terms;
+        told: Efforts of the actuators of terms that take efforts, whose forces are part of the force terms;
             zero for other actuators, shape (actuator_row_count,). None without such a term.
         may_know: Whether rows follow from the positions alone; then `knows` tells of which.
-        is_told: Whether each actuator belongs to an `EffortTerm`, shape (actuator_row_count,). None
+        is_told: Whether each actuator is of a term that takes efforts, shape (actuator_row_count,). None
             without such a term.
         reached_nodes: Unknowns with entries in the rows, in any state.
     """
@@ -290,8 +290,7 @@ class RowStack:
         return int(np.count_nonzero(self.row_index < self.groups.actuators.stop))
 
     def tell_efforts(self, efforts: np.ndarray) -> None:
-        """Set the efforts at which an `EffortTerm` or a `YieldingTerm` is evaluated; does nothing
-        without any.
+        """Set the efforts at which terms that take efforts or yield are evaluated.
 
         Args:
             efforts: λ of all rows, or of the actuators, each in its unit.
@@ -306,8 +305,7 @@ class RowStack:
         """∂δ/∂λ of the actuators at held unknowns, shape (actuator_row_count, same).
 
         Returns:
-            The compliance at the state evaluated last; None without an `EffortTerm` or a
-            `YieldingTerm`.
+            The compliance at the state evaluated last; None where no term takes efforts or yields.
         """
         parts = (*self._told_parts, *self._yielding)
         if not parts:
@@ -319,7 +317,7 @@ class RowStack:
         return compliance
 
     def stretch_compliance(self) -> np.ndarray | None:
-        """Compliance of each actuator row that a `YieldingTerm` has, zero for the others.
+        """Compliance of each actuator row of a term that yields, zero for the others.
 
         Returns:
             Of the state evaluated last, shape (actuator_row_count,); None without such a term.
@@ -344,7 +342,7 @@ class RowStack:
         return paths if stretch is None else paths + stretch * efforts
 
     def stretch_ratios(self) -> np.ndarray:
-        """By how much more the path of each actuator moves than its winch; see `YieldingTerm`.
+        """By how much more the path of each actuator moves than its winch; see `ConstraintTerm.yields`.
 
         Returns:
             At the told efforts, one without stretch, shape (actuator_row_count,).
@@ -432,7 +430,7 @@ class RowStack:
     def add_forces(self, multipliers: np.ndarray, forces: np.ndarray) -> None:
         """Add Hᵀ λ of the rows evaluated last to the forces on the unknowns.
 
-        Of an `EffortTerm`, what its efforts exceed the told ones by.
+        Of a term that takes efforts, what its efforts exceed the told ones by.
 
         Args:
             multipliers: λ of every row [N], shape (row_count,).

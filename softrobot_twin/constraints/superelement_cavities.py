@@ -2,7 +2,7 @@
 
 The walls of such a cavity are inside a superelement (`mechanics/superelements.py`). They yield to
 the pressure p even where the vertebrae are held, so the growth δ = -∂Π/∂p depends on p as well as
-on q. This term is an `EffortTerm`: it is told the efforts at which it is evaluated, and has a
+on q. This term takes efforts: it is told the efforts at which it is evaluated, and has a
 compliance C = -∂²Π/∂p² of its own. Around efforts p₀
 
     δ(q + dq, p) = δ(q, p₀) + H dq + C (p - p₀),       forces(p) = forces(p₀) + Hᵀ (p - p₀).
@@ -81,12 +81,10 @@ class SuperelementCavities(ConstraintTerm):
         Args:
             positions: Node positions [m], shape (node_count, 3).
         """
-        growths = np.empty(self.row_count)
-        self.evaluate(positions, np.empty((len(self.entry_rows), 3)), growths)
-        return self.rest_volumes + growths
+        return self.rest_volumes + self.rows_at(positions)[1]
 
     def tell_efforts(self, efforts: np.ndarray) -> None:
-        """Set the pressures of superelements and rows; see `EffortTerm.tell_efforts`."""
+        """Set the pressures of superelements and rows; see `ConstraintTerm.tell_efforts`."""
         for superelements, _, _ in self._parts:
             superelements.tell_pressures(efforts)
 

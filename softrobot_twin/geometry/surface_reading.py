@@ -399,24 +399,11 @@ def _by_trimesh(path: Path) -> tuple[np.ndarray, list[np.ndarray]]:
         text = text.replace("\r\n", "\n").replace("\r", "\n")
         # Names, and with them words of another alphabet or of the format.
         text = re.sub(r"(?im)^(\s*(?:end)?solid)\b.*$", r"\1", text) if suffix == ".stl" else text
-        raw = (_off_as_obj(text) if suffix == ".off" else text).encode("ascii", "replace")
-    kind = ".obj" if suffix == ".off" else suffix
-    found = trimesh.load_mesh(io.BytesIO(raw), file_type=kind[1:], process=False)
+        if suffix == ".off" and not re.match(r"\s*(#.*\s+)*C?OFF\b", text):
+            raise ValueError("it does not begin with OFF")
+        raw = text.encode("ascii", "replace")
+    found = trimesh.load_mesh(io.BytesIO(raw), file_type=suffix[1:], process=False)
     return found.vertices, [np.asarray(found.faces)]
-
-
-def _off_as_obj(text: str) -> str:
-    """An OFF file as OBJ, of which trimesh reads polygons too."""
-    lines = [line.partition("#")[0].split() for line in text.splitlines()]
-    words = [row for row in lines if row]
-    if not words or words[0][0].upper() not in ("OFF", "COFF"):
-        raise ValueError("it does not begin with OFF")
-    words = words[1:] if len(words[0]) == 1 else [words[0][1:], *words[1:]]
-    first = int(words[0][0]) + 1
-    rows = ["v " + " ".join(row[:3]) for row in words[1:first]]
-    for row in words[first : first + int(words[0][1])]:
-        rows.append("f " + " ".join(str(int(word) + 1) for word in row[1 : int(row[0]) + 1]))
-    return "\n".join(rows) + "\n"
 
 
 def _flat_cells(content: meshio.Mesh) -> tuple[np.ndarray, list[np.ndarray]]:

@@ -340,13 +340,7 @@ DEVICE_TOPICS = _by_name(
              "position`: the touched point, NaN without a touch"),
     _of_twin("touch_force/<touch>", OUT, NEWEST, "with `device_touch` and `device_touch_sends: "
              "force`: the force on the robot, zero without a touch"),
-    Topic("~/touch/<touch>", OUT, JointState, NEWEST, "m, N",
-          "names x, y, z: `position` = displacement since the touch began [m], `effort` = force "
-          "on the robot [N]"),
-    Topic("~/effectors/<effector>", OUT, PointStamped, NEWEST, "m",
-          "predicted position"),
-    Topic("~/bodies/<rigid body>", OUT, PoseStamped, NEWEST, "m",
-          "predicted pose; on demand"),
+    *(TWIN_TOPICS[name] for name in ("~/touch/<touch>", "~/effectors/<effector>", "~/bodies/<rigid body>")),
 )  # fmt: skip
 """Topics of the device, by name."""
 

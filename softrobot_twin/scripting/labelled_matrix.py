@@ -35,8 +35,7 @@ class LabelledMatrix:
         return len(self.rows), len(self.columns)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
-        array = np.array(self.values, dtype) if dtype is not None or copy else self.values
-        return array
+        return np.array(self.values, dtype) if dtype is not None or copy else self.values
 
     def __getitem__(self, column: str) -> np.ndarray:
         """A column, shape (row_count,).

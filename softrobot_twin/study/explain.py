@@ -101,7 +101,7 @@ def describe_actuator(group: ActuatorGroup, index: int, entry) -> str:
         index: Number of the actuator among them.
         entry: Its entry.
     """
-    kind = group.kinds[index] if group.kinds else group.kind
+    kind = group.kinds[index]
     parts = [kind.details(entry, group, index)]
     rest = group.effort_zeros[index] if group.has_rest_efforts else 0.0
     for quantity, bounds in ((kind.displacement, group.displacement_bounds[index]),

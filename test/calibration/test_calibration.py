@@ -2,7 +2,6 @@
 
 import re
 from copy import deepcopy
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -28,8 +27,8 @@ from softrobot_twin.scene import load_scene, scene_from_mapping
 from softrobot_twin.scene.loading import read_changes
 from softrobot_twin.scene.scene_parameters import changed_scene, parameters, tied, value_at
 from softrobot_twin.scripting import build
+from test.places import SCENES
 
-SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
 BAR = {
     "name": "bar",
     "gravity": [0.0, 0.0, -9.81],

@@ -2,7 +2,6 @@
 
 import re
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,8 +9,8 @@ import pytest
 import softrobot_twin as st
 from softrobot_twin.calibration.design import DesignError, DesignSearch, Equilibria, hull_volume
 from softrobot_twin.scene import load_scene
+from test.places import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 FINGER = ROOT / "config" / "scenes" / "finger.yaml"
 PULLS = [(0.006, 0.0), (0.014, -0.004), (-0.004, 0.009)]
 VARIABLES = {

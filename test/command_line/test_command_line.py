@@ -4,7 +4,6 @@ import os
 import shlex
 import subprocess
 import sys
-from pathlib import Path
 from typing import NamedTuple
 
 import pytest
@@ -12,8 +11,7 @@ import pytest
 from softrobot_twin.__main__ import main
 from softrobot_twin.command_line.commands import COMMANDS, program
 from test.builder import builder
-
-ROOT = Path(__file__).parents[2]
+from test.places import ROOT
 
 
 def examples() -> list[str]:

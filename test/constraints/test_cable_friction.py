@@ -29,8 +29,7 @@ def make(points, friction=MU, stiffness=np.inf, presliding=1e-4, pull=(-0.05, 0.
 
 def solved(term, positions, tension):
     term.tell_efforts(np.array([tension]))
-    blocks, values = np.zeros((len(term.entry_rows), 3)), np.zeros(1)
-    term.evaluate(positions, blocks, values)
+    blocks, values = term.rows_at(positions)
     return values[0]
 
 
@@ -146,9 +145,8 @@ def test_rows_are_how_forces_change_with_the_tension_at_the_winch(stiffness):
     for side, change in enumerate((step, -step)):
         term.tell_efforts(np.array([tension + change]))
         term.held_forces.add_forces(x, forces[side])
-    blocks, values = np.zeros((len(term.entry_rows), 3)), np.zeros(1)
     term.tell_efforts(np.array([tension]))
-    term.evaluate(x, blocks, values)
+    blocks, values = term.rows_at(x)
     assert 0 < np.count_nonzero(np.abs(term.shares) < 1.0)
     row = np.zeros((len(x), 3))
     np.add.at(row, term.entry_nodes, blocks)

@@ -1,7 +1,6 @@
 """The Diamond on its coarsest mesh, built once: every test resets it first."""
 
 import copy
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,19 +11,18 @@ from softrobot_twin.control.loop_settings import LoopSettings, Mode
 from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import Simulation
+from test.places import ROOT
+from test.scene_changes import entries_of
 
-ROOT = Path(__file__).resolve().parents[2]
 START = 1_000 * NANOSECONDS
 FRAME = "base_link"
 
 
 def coarse(scene, mesh):
     """The mapping of a scene on a coarse mesh of linear elements."""
-    mapping = written_out(yaml.safe_load((ROOT / f"config/scenes/{scene}.yaml").read_text()))
-    mapping["body"]["mesh"]["file"] = str(ROOT / f"meshes/{mesh}.vtk")
-    mapping["body"]["element"] = "linear"
+    mapping = entries_of(ROOT / f"config/scenes/{scene}.yaml",
+                         {"body.mesh.file": str(ROOT / f"meshes/{mesh}.vtk"), "body.element": "linear"})
     return mapping
 
 

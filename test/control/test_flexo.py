@@ -1,7 +1,5 @@
 """The Flexo's demo in simulated time: its tip is led while its hand opens and closes."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import yaml
@@ -13,8 +11,8 @@ from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
 from softrobot_twin.control.target_path import Circle, RampedIn, ToAndFro
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.simulation import Simulation
+from test.places import CONFIG
 
-CONFIG = Path(__file__).resolve().parents[2] / "config"
 GIVEN = yaml.safe_load((CONFIG / "flexo.yaml").read_text())["/**"]["ros__parameters"]
 PERIOD, START = 1.0 / GIVEN["rate"], 1_000 * NANOSECONDS
 

@@ -1,7 +1,6 @@
 """The loop on a scene that moves in time, with contact and a guided body."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,8 +13,8 @@ from softrobot_twin.control.loop_settings import LoopSettings, Mode
 from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.simulation import Hold, Simulation, Status
+from test.places import SCENES
 
-SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
 PERIOD = 0.01
 SPEED, TURN_RATE = 0.05, 1.0
 GRIP = 0.015

@@ -1,7 +1,5 @@
 """Angles of motors in the control loop: a simulated device, and the last check of commands."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -15,8 +13,7 @@ from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import Simulation
-
-SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
+from test.places import SCENES
 
 
 @pytest.fixture

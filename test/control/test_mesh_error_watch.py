@@ -14,8 +14,8 @@ from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandSetpoints, Simulation
 from softrobot_twin.simulation.mesh_error import ActuatorLoads, MeshErrorEstimator
 from test.builder import builder
+from test.places import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 PATIENCE = 120.0
 
 

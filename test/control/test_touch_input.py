@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-import yaml
 
 from softrobot_twin.control.arrival import Arrival, Refusal
 from softrobot_twin.control.inputs import TouchInput
@@ -15,6 +14,7 @@ from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import Simulation
+from test.scene_changes import entries_of
 
 FRAME = "base_link"
 SETTINGS = LoopSettings(rate=20.0, touch_timeout=0.2)
@@ -23,9 +23,8 @@ PLACE = (0.012, 0.01, 0.10)
 
 @pytest.fixture(scope="module")
 def built(column):
-    mapping = yaml.safe_load(column.read_text())
-    mapping["body"]["mesh"]["file"] = str(column.parent / "column.vtk")
-    mapping["effectors"][0]["directions"] = ["x", "y"]
+    mapping = entries_of(
+        column, {"body.mesh.file": str(column.parent / "column.vtk"), "effectors.0.directions": ["x", "y"]})
     mapping["touches"] = [
         {"name": "finger", "points": [[0.01, 0.01, 0.10]], "directions": ["x", "y"], "force_limit": 2.0}
     ]

@@ -1,7 +1,5 @@
 """The loop on the inverse in contact: slides, single actuators commanded beside targets."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -12,8 +10,8 @@ from softrobot_twin.control.loop_settings import Mode
 from softrobot_twin.control.target_path import read_waypoints
 from softrobot_twin.simulation import Status
 from test.builder import builder
+from test.places import CONFIG
 
-CONFIG = Path(__file__).resolve().parents[2] / "config"
 PLATFORM = "platform_z"
 SLOWEST = 0.05
 PERIOD = 0.02

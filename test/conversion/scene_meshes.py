@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 from softrobot_twin.geometry.box_mesh import read_box
 from softrobot_twin.geometry.surface import boundary_triangles
 from test.cad_parts import box
-
-ROOT = Path(__file__).parents[2]
+from test.places import ROOT
 
 
 def write_meshes(folder: Path) -> None:

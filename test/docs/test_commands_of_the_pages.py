@@ -3,7 +3,6 @@
 import ast
 import re
 import shlex
-from pathlib import Path
 from typing import NamedTuple
 
 import pytest
@@ -11,8 +10,8 @@ import pytest
 from softrobot_twin.command_line.commands import NODES, program
 from softrobot_twin.ros.demo import demo_robots
 from softrobot_twin.ros.parameters import ALL_TABLES
+from test.places import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 PARAMETERS = {entry.name for table in ALL_TABLES for entry in table} | {"use_sim_time"}
 TARGETS = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.M))
 

@@ -3,11 +3,11 @@
 import ast
 import re
 from functools import cache
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
+from test.places import ROOT
+
 ROWS = [line for line in (ROOT / "docs" / "hard_cases.md").read_text().splitlines()
         if re.match(r"\d+\. ", line)]  # fmt: skip
 # Cases that later versions are to master; the page says so.

@@ -3,12 +3,12 @@
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import write_reference
 
+from test.places import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
+
 TOOL = ROOT / "tools" / "write_reference.py"
 
 

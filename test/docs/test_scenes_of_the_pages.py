@@ -2,15 +2,14 @@
 
 import copy
 import re
-from pathlib import Path
 
 import pytest
 
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.loading import read_yaml
 from softrobot_twin.scene.material_presets import MATERIAL_PRESETS, UNFITTED
+from test.places import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 PAGES = ROOT / "docs"
 
 
@@ -66,26 +65,21 @@ def test_the_robot_with_symmetry_of_the_pages_is_valid(shown):
     assert [marker.id for marker in scene.markers] == [0, 1, 2]
 
 
-def test_the_laws_of_the_pages_fit_the_robot_and_all_laws_of_the_package_are_in_its_table(shown):
-    (part,) = (part for part in shown if list(part) == ["materials"])
-    body = {**shown[1]["body"], **part}
-    laws = [entry.law for entry in scene_from_mapping({**shown[1], "body": body}).body.materials]
-    assert laws == ["mooney_rivlin", "yeoh", "ogden"]
+@pytest.mark.parametrize("keys", [["effectors"], ["touches"], ["materials"], ["material"]], ids="".join)
+def test_the_parts_of_the_pages_fit_the_robot(shown, keys):
+    parts = [part for part in shown if list(part) == keys]
+    assert parts
+    for part in parts:
+        body = {key: entry for key, entry in shown[1]["body"].items() if key != "materials"}
+        inside = {"body": body | part} if keys[0].startswith("material") else part
+        scene_from_mapping(shown[1] | inside)
+
+
+def test_all_laws_of_the_package_are_in_the_table_of_the_page():
     table = text_of("materials").split("## Laws of materials")[1].split("```")[0]
     files = (ROOT / "softrobot_twin" / "mechanics" / "laws").glob("[a-z]*.py")
     for name in {file.stem for file in files}:
         assert f"| `{'linear' if name == 'small_displacement' else name}`" in table
-
-
-def test_the_orientation_and_the_stiffness_of_the_pages_fit_the_robot(shown):
-    place, orientation, stiffness = (
-        scene_from_mapping({**shown[1], **part}).effectors[0]
-        for part in shown if list(part) == ["effectors"]
-    )  # fmt: skip
-    assert place.points == ((0.0, 0.0, 0.125),) and place.directions == ("x", "y", "z")
-    assert stiffness.stiffness.target == (None, None, 300.0)
-    orientation = orientation.orientation
-    assert orientation.pointing == (0.0, 0.0, 1.0) and len(orientation.points) == 4
 
 
 def test_the_beams_of_the_pages_are_valid(shown):
@@ -112,19 +106,7 @@ def test_the_motor_of_a_hinge_of_the_pages_fits_the_beams(shown):
     assert scene.hinge_motors[0].rate == 1.5 and scene.beams[0].joined[1].by == "hinge"
 
 
-def test_the_touch_of_the_pages_fits_the_robot(shown):
-    (part,) = (part for part in shown if list(part) == ["touches"])
-    touch = scene_from_mapping({**shown[1], **part}).touches[0]
-    assert len(touch.points) == 2 and touch.while_touched == "hold_actuators"
-
-
-def test_the_rubber_of_the_pages_is_valid_and_its_table_is_that_of_the_presets(shown):
-    (part,) = [part for part in shown if "viscosity" in part.get("material", {})]
-    robot = copy.deepcopy(shown[1])
-    robot["body"]["material"] = part["material"]
-    robot["body"].pop("materials", None)
-    material = scene_from_mapping(robot).body.material
-    assert len(material.viscosity) == 2 and material.softening.m == 5.0e3
+def test_the_table_of_presets_is_that_of_the_package():
     text = text_of("materials")
     rows = dict(re.findall(r"^\| `(\w+)` \| (.*\d+) \|$", text, re.M))
     for name, preset in MATERIAL_PRESETS.items():

@@ -1,7 +1,6 @@
 """docs/statuses.md names each word that a run or a node may show."""
 
 import re
-from pathlib import Path
 
 import pytest
 
@@ -9,8 +8,8 @@ from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.control.engagement import Activity
 from softrobot_twin.control.twin_loop import DEVICE_LOST
 from softrobot_twin.simulation import Status
+from test.places import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 TEXT = (ROOT / "docs" / "statuses.md").read_text()
 NAMED = set(re.findall(r"`([^`\n]+)`", TEXT))
 

@@ -1,12 +1,12 @@
 """The scripts and the notebook of `examples/`: each runs as it is and shows what it promises."""
 
 import runpy
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
+from test.places import ROOT
+
 EXAMPLES = ROOT / "examples"
 
 

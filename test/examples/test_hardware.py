@@ -35,7 +35,7 @@ from servos import (  # noqa: E402
     read_servos,
 )
 from simulated_servos import MODEL, SimulatedBus, SimulatedServo, Terminal  # noqa: E402
-from test.scene_changes import change_scene
+from test.scene_changes import change_scene, yaml_file
 
 REST = 0.1
 
@@ -193,8 +193,7 @@ OF_HINGES = [
 def test_a_file_or_a_servo_that_cannot_be_is_refused_by_key_and_value(tmp_path, example, change, key):
     given = yaml.safe_load((FOLDER / f"{example}.yaml").read_text())
     change_scene(given, change)
-    file = tmp_path / "servos.yaml"
-    file.write_text(yaml.safe_dump(given))
+    file = yaml_file(tmp_path / "servos.yaml", given)
     with pytest.raises(DeviceFileError) as raised:
         read_servos(file)
     assert raised.value.key == key and str(file) in str(raised.value)

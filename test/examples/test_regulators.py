@@ -18,7 +18,7 @@ from servo_bus import BusError, BusTimeout, HardwareAlert  # noqa: E402
 from simulated_regulators import SimulatedRegulators  # noqa: E402
 
 from softrobot_twin.control.device import PressurisedDevice  # noqa: E402
-from test.scene_changes import change_scene
+from test.scene_changes import change_scene, yaml_file
 
 COUNT = 50e3 / 4.0 * 10.0 / 32767
 """Pressure of a count of a monitor [Pa]."""
@@ -215,8 +215,7 @@ def test_any_answers_end_a_measurement_as_an_error_of_the_bus(piped, drawn_rng):
 def test_a_file_that_cannot_be_is_refused_by_key_and_value(tmp_path, change, key):
     given = yaml.safe_load((FOLDER / "regulators.yaml").read_text())
     change_scene(given, change)
-    file = tmp_path / "regulators.yaml"
-    file.write_text(yaml.safe_dump(given))
+    file = yaml_file(tmp_path / "regulators.yaml", given)
     with pytest.raises(DeviceFileError) as raised:
         read_regulators(file)
     assert raised.value.key == key and str(file) in str(raised.value)

@@ -2,13 +2,12 @@
 
 import sys
 from functools import cache
-from pathlib import Path
 
 import pytest
 
 from softrobot_twin.geometry.mesh_reading import read_solid_mesh
+from test.places import MESHES
 
-MESHES = Path(__file__).resolve().parents[2] / "meshes"
 # What the scripts share is no part of the package.
 sys.path.append(str(MESHES.parent))
 

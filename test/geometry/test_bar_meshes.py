@@ -1,14 +1,12 @@
 """The slim bar's meshes: the script makes the committed files, of both kinds the same body."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from softrobot_twin.geometry.hexahedral_mesh import scaled_jacobians
 from softrobot_twin.geometry.mesh_reading import read_solid_mesh
+from test.places import MESHES
 
-MESHES = Path(__file__).resolve().parents[2] / "meshes"
 KEPT = sorted(path.name for path in MESHES.glob("bar_*.msh"))
 
 

@@ -1,14 +1,12 @@
 """Facts of every mesh that is kept, whatever robot it is of."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from softrobot_twin.geometry.quality import radius_ratios
 from softrobot_twin.geometry.surface import boundary_triangles
+from test.places import MESHES
 
-MESHES = Path(__file__).resolve().parents[2] / "meshes"
 # Lowest and highest number of nodes, and lowest radius ratio.
 KEPT = {
     "diamond_150": (130, 170, 0.13), "diamond_200": (180, 220, 0.13),

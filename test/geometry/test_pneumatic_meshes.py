@@ -1,6 +1,5 @@
 """Facts of the kept meshes of pneumatic robots: their regions, their cavities, their symmetry."""
 
-from pathlib import Path
 from typing import NamedTuple
 
 import meshio
@@ -11,8 +10,7 @@ from meshes.mesh_making import PneumaticMesh
 from softrobot_twin.geometry.closed_surface import closed_surface
 from softrobot_twin.geometry.quality import radius_ratios
 from softrobot_twin.geometry.tet_mesh import TetMesh
-
-MESHES = Path(__file__).resolve().parents[2] / "meshes"
+from test.places import MESHES
 
 
 class Kept(NamedTuple):

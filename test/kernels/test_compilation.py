@@ -9,7 +9,6 @@ import subprocess
 import sys
 from collections import Counter
 from functools import cache
-from pathlib import Path
 
 import numba
 import numpy as np
@@ -21,8 +20,8 @@ from softrobot_twin.kernels.compilation import INNER, KERNEL, Kernel, njit
 from softrobot_twin.kernels.traced_stage import clear
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import Simulation
+from test.places import PACKAGE
 
-PACKAGE = Path(__file__).resolve().parents[2] / "softrobot_twin"
 UNCACHED = {"cache": False}
 
 
@@ -192,7 +191,6 @@ def test_a_kernel_that_is_read_where_it_is_called_is_called_at_one_place(nodes):
 # What the scenes of this package compile, as it would be kept on disk.
 COMPILED = """
 import json, logging, sys
-from pathlib import Path
 from softrobot_twin.kernels.kernel_cache import KernelCache
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import Simulation

@@ -16,8 +16,8 @@ import pytest
 from compile_kernels import run_scene
 
 from softrobot_twin.kernels import kernel_cache, kernels_ahead
+from test.places import PACKAGE
 
-PACKAGE = Path(__file__).resolve().parents[2] / "softrobot_twin"
 MODULES = sorted(
     ".".join((PACKAGE.name, *path.relative_to(PACKAGE).with_suffix("").parts))
     for path in PACKAGE.rglob("*.py") if path.stem not in ("__init__", "__main__")

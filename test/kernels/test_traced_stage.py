@@ -1,7 +1,5 @@
 """Stages that one driver runs: the same bits as in Python, and only what may be traced."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -11,8 +9,8 @@ from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.kernels.traced_stage import TracedStages, clear
 from softrobot_twin.mechanics.gravity import Gravity
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation
+from test.places import SCENES
 
-SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
 LARGE = {"fetch", "fast_pneunet_device"}  # Their steps take long.
 # Those of which all terms are traceable, and which the driver must therefore run.
 TRACED = {"diamond", "diamond_reduced", "trunk", "flexo", "fetch_reduced", "octoleg", "grasper", "finger"}

@@ -109,8 +109,7 @@ def test_rows_of_effectors_on_rigid_bodies_are_their_derivative(frames, position
     effector = EffectorPoints("tip", frames.points(2, POINTS), (0, 1, 2), 1.0)
     term = Effectors((effector,), free_index, 1.0)
     rows = CarriedRows(carried(frames), len(term.entry_rows))
-    blocks, values = np.empty((len(term.entry_rows), 3)), np.empty(term.row_count)
-    term.evaluate(positions, blocks, values)
+    blocks, values = term.rows_at(positions)
     rows.reduce(positions, term.entry_rows, term.entry_nodes, blocks)
     H, step = dense(rows, term.row_count), 1e-6
     for unknown in (4, 5):
@@ -129,8 +128,7 @@ def test_a_cable_from_soft_to_rigid_bodies_has_rows_that_are_its_derivative(fram
     path = CablePath("c", points, np.array([0.5, 0.5, 0.5]))
     term = Cables((path,), free_index, positions)
     rows = CarriedRows(carried(frames), len(term.entry_rows))
-    blocks, values = np.empty((len(term.entry_rows), 3)), np.empty(1)
-    term.evaluate(positions, blocks, values)
+    blocks, values = term.rows_at(positions)
     rows.reduce(positions, term.entry_rows, term.entry_nodes, blocks)
     H, step = dense(rows, 1), 1e-6
     for unknown in range(UNKNOWNS):

@@ -7,10 +7,9 @@ from scipy.spatial.transform import Rotation
 from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.laws.orthotropic import of_constants
 from softrobot_twin.mechanics.point_law import law_of
-from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.simulation import CommandEfforts, Simulation, Status
+from softrobot_twin.simulation import CommandEfforts, Simulation
 from test.builder import builder
-from test.scene_changes import change_scene
+from test.scene_changes import built, solved
 
 MODULI, SHEARS, RATIOS = (3e6, 1e6, 2e6), (0.6e6, 0.9e6, 0.4e6), (0.3, 0.25, 0.2)
 CONSTANTS = {"young_moduli": MODULI, "shear_moduli": SHEARS, "poisson_ratios": RATIOS,
@@ -80,8 +79,7 @@ def bar(change=None, **constants) -> Simulation:
         "effectors": [{"name": "a", "points": [[0, 0, 0]]}, {"name": "b", "points": [[0, 0, 0]]}],
         "solver": {"newton_iterations": 40, "residual_tolerance": 1e-9},
     }  # fmt: skip
-    change_scene(mapping, change)
-    return Simulation(scene_from_mapping(mapping, None))
+    return built(mapping, change)
 
 
 @pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0), (0.4, -0.7, 1.1)])
@@ -100,8 +98,7 @@ def test_a_bar_stretches_by_the_modulus_along_it_however_it_is_turned(bar, axes,
     )  # fmt: skip
     before = simulation.effector_positions()
     force = 1e-3 * modulus * SIDE**2
-    result = simulation.step(CommandEfforts(np.array([force]), 1.0))
-    assert result.status is Status.OK
+    result = solved(simulation, CommandEfforts(np.array([force]), 1.0))
     longer = np.diff(result.effector_positions - before, axis=0)[0] @ R[:, 0]
     assert longer == pytest.approx(1e-3 * 4 * SIDE, rel=0.01)
 

@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-import yaml
 
 from softrobot_twin.control.arrival import Arrival
 from softrobot_twin.control.loop_settings import LoopSettings
@@ -18,8 +17,9 @@ from softrobot_twin.record.run_file import Topic
 from softrobot_twin.record.run_recorder import RunRecorder
 from softrobot_twin.scene.loading import load_scene, read_yaml, written_out
 from softrobot_twin.simulation import Simulation
+from test.places import ROOT
+from test.scene_changes import yaml_file
 
-ROOT = Path(__file__).resolve().parents[2]
 MESH = ROOT / "meshes/diamond_200.vtk"
 START = 1_000 * NANOSECONDS
 TICKS = 30
@@ -134,9 +134,7 @@ def scene_file(tmp_path_factory):
     (folder / "mesh.vtk").write_bytes(MESH.read_bytes())
     mapping["body"]["mesh"]["file"] = "mesh.vtk"
     mapping["body"]["element"] = "linear"
-    file = folder / "diamond.yaml"
-    file.write_text(yaml.safe_dump(mapping))
-    return file
+    return yaml_file(folder / "diamond.yaml", mapping)
 
 
 @pytest.fixture(scope="session")

@@ -32,6 +32,7 @@ from softrobot_twin.scene.loading import read_yaml, written_out
 from softrobot_twin.simulation.building.table_columns import is_output
 
 from .conftest import ROOT, START, TICKS, TIP, TOPIC, Live, drive
+from test.scene_changes import entries_of, yaml_file
 
 SOFTER = "body.material.young_modulus=1.53e5"
 
@@ -64,8 +65,7 @@ def test_a_softer_body_differs_and_the_largest_differences_are_told(recorded, ca
 
 
 def test_another_scene_file_is_compared_with_the_recorded_one(recorded, tmp_path):
-    mapping = yaml.safe_load(recorded.scene.read_text())
-    mapping["body"]["mesh"]["file"] = str(recorded.scene.parent / "mesh.vtk")
+    mapping = entries_of(recorded.scene, {"body.mesh.file": str(recorded.scene.parent / "mesh.vtk")})
     same, other = tmp_path / "same.yaml", tmp_path / "other.yaml"
     same.write_text(yaml.safe_dump(mapping))
     mapping["body"]["material"]["young_modulus"] = 153e3
@@ -75,11 +75,9 @@ def test_another_scene_file_is_compared_with_the_recorded_one(recorded, tmp_path
 
 
 def test_a_scene_with_other_actuators_is_refused_by_their_names(recorded, tmp_path):
-    mapping = yaml.safe_load(recorded.scene.read_text())
-    mapping["body"]["mesh"]["file"] = str(recorded.scene.parent / "mesh.vtk")
-    mapping["cables"][0]["name"] = "nord"
-    other = tmp_path / "other.yaml"
-    other.write_text(yaml.safe_dump(mapping))
+    mapping = entries_of(recorded.scene,
+                         {"body.mesh.file": str(recorded.scene.parent / "mesh.vtk"), "cables.0.name": "nord"})
+    other = yaml_file(tmp_path / "other.yaml", mapping)
     with pytest.raises(RunFileError, match="actuators north.*has nord"):
         Replay(RunFile(recorded.path), other)
 

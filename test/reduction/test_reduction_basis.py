@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import yaml
 
 from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.stencil import stencil_pairs
@@ -17,6 +16,7 @@ from softrobot_twin.reduction.reduction_basis import (
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation.building.scene_layout import lay_out
 from softrobot_twin.solvers import FACTORIZATIONS
+from test.scene_changes import entries_of, yaml_file
 
 MATERIALS = {
     "linear": {"law": "corotational", "young_modulus": 2.0e5, "poisson_ratio": 0.4, "density": 1e3},
@@ -30,15 +30,13 @@ MATERIALS = {
 @pytest.fixture(scope="module", params=list(MATERIALS))
 def body(request, column):
     """A column of two materials: straight tetrahedra, quadratic or smoothed rubber."""
-    mapping = yaml.safe_load(column.read_text())
-    mapping["body"]["element"] = request.param
+    mapping = entries_of(column, {"body.element": request.param})
     mapping["body"] |= {"material": MATERIALS[request.param], "volume": "per_element"}
     stiff = {**MATERIALS["linear"], "young_modulus": 4.0e5}
     mapping["body"]["materials"] = [
         {**stiff, "box": {"minimum": [-1, -1, 0.06], "maximum": [1, 1, 1]}}
     ]
-    scene = column.parent / f"two_{request.param}.yaml"
-    scene.write_text(yaml.safe_dump(mapping))
+    scene = yaml_file(column.parent / f"two_{request.param}.yaml", mapping)
     return lay_out(load_scene(scene), []).bodies[0]
 
 

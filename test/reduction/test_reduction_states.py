@@ -5,7 +5,6 @@ import shutil
 
 import numpy as np
 import pytest
-import yaml
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.harness.sample_workers import RunError, SampleOutcome, scene_fingerprint
@@ -27,7 +26,7 @@ from softrobot_twin.reduction.reduction_states import (
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import CommandSetpoints, Simulation
 from softrobot_twin.simulation.building.scene_layout import lay_out
-from test.scene_changes import repeat_step
+from test.scene_changes import entries_of, repeat_step, yaml_file
 
 TIP = (0.01, 0.01, 0.10)
 SAMPLING = Sampling("body", 0.05, ((TIP,), ((0.0, 0.0, 0.06),)), math.radians(30.0))
@@ -205,15 +204,13 @@ def test_a_worker_refuses_another_scene(column, tmp_path):
                                            "body.material.viscosity"),
 ])  # fmt: skip
 def test_what_is_not_built_is_refused_by_name(column, key, value, told):
-    mapping = yaml.safe_load(column.read_text())
-    mapping["body"]["material"]["law"] = "neo_hookean"
+    mapping = entries_of(column, {"body.material.law": "neo_hookean"})
     if key == "volume":
         mapping["body"]["volume"] = value
     else:
         mapping["body"]["material"] |= {key: value}
         mapping["integration"] = "dynamic"
-    scene = column.parent / f"{key}.yaml"
-    scene.write_text(yaml.safe_dump(mapping))
+    scene = yaml_file(column.parent / f"{key}.yaml", mapping)
     read = load_scene(scene)
     (body,) = lay_out(read, []).bodies
     with pytest.raises(SceneError, match=f"{told}.* is not built|{told}.*not built"):

@@ -30,7 +30,7 @@ from softrobot_twin.simulation.result import SAMPLED
 
 from test.study.conftest import ROOT
 from test.builder import builder
-from test.scene_changes import LEFT_OUT, change_scene, changed, repeat_step
+from test.scene_changes import LEFT_OUT, change_scene, changed, entries_of, repeat_step, solved, yaml_file
 
 SCENE_FILE = ROOT / "config" / "scenes" / "fetch_reduced.yaml"
 SEED = 5
@@ -48,8 +48,7 @@ def workshop(tmp_path_factory):
     for cavity in mapping["cavities"]:
         cavity["pressure"] = [0.0, 5e3]
     mapping["solver"]["newton_iterations"] = 20
-    path = folder / "fetch.yaml"
-    path.write_text(yaml.safe_dump(mapping))
+    path = yaml_file(folder / "fetch.yaml", mapping)
     assert main(["reduce-vertebrae", str(path), "--states", "0", "--seed", str(SEED)]) == 0
     return path
 
@@ -300,8 +299,7 @@ def test_targets_are_reached_by_pressures(reduced):
     for _ in range(3):
         start = simulation.step(Hold()).effector_positions
     target = start + [0.004, -0.003, -0.005]
-    result = repeat_step(simulation, FollowTargets(target, 0.02), 40)
-    assert result.status is Status.OK
+    result = solved(simulation, FollowTargets(target, 0.02), 40)
     assert result.effector_errors[0] < 1e-6
     full = Simulation(without_vertebrae(full_scene(simulation.scene)), with_warnings=False)
     assert brought_to(full, result.setpoints)
@@ -378,8 +376,7 @@ def test_the_command_makes_only_what_has_changed(workshop, tmp_path, capsys):
     assert main(arguments) == 0
     assert "are current" in capsys.readouterr().out
     assert saved.read_bytes() == before
-    mapping = written_out(yaml.safe_load(scene_file.read_text()))
-    mapping["body"]["material"]["young_modulus"] = 120e3
+    mapping = entries_of(scene_file, {"body.material.young_modulus": 120e3})
     scene_file.write_text(yaml.safe_dump(mapping))
     assert main(arguments) == 0
     told = capsys.readouterr().out
@@ -395,8 +392,7 @@ def test_actuators_without_limits_are_refused(workshop, tmp_path, capsys):
     shutil.copy(workshop.parent / "fetch_1500.msh", tmp_path)
     mapping = written_out(yaml.safe_load(workshop.read_text()))
     mapping["cavities"][2].pop("pressure")
-    scene_file = tmp_path / "fetch.yaml"
-    scene_file.write_text(yaml.safe_dump(mapping))
+    scene_file = yaml_file(tmp_path / "fetch.yaml", mapping)
     assert main(["reduce-vertebrae", str(scene_file)]) == 2
     assert "lower_c has no limits" in capsys.readouterr().err
 
@@ -425,8 +421,7 @@ def test_cables_run_through_vertebrae(tmp_path):
         cable.pop("rate", None)
         cable["shortening"] = [0.0, 0.006 if cable["name"].startswith("L") else 0.003]
     mapping["effectors"][0].pop("measured_by")
-    path = tmp_path / "trunk.yaml"
-    path.write_text(yaml.safe_dump(mapping))
+    path = yaml_file(tmp_path / "trunk.yaml", mapping)
     assert main(["reduce-vertebrae", str(path), "--states", "0", "--seed", str(SEED)]) == 0
     assert (tmp_path / "trunk.npz").is_file()
     scene = load_scene(path)

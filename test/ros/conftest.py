@@ -1,7 +1,6 @@
 """Real rclpy without launch: nodes, publishers and clients in one context and one executor."""
 
 import time
-from pathlib import Path
 from typing import NamedTuple
 
 import pytest
@@ -21,21 +20,17 @@ from softrobot_twin.ros import twin_node
 from softrobot_twin.ros.device_node import DeviceNode
 from softrobot_twin.ros.messages import pose_message
 from softrobot_twin.ros.twin_node import TwinNode
-from softrobot_twin.scene.loading import written_out
 from test.builder import builder
-
-ROOT = Path(__file__).resolve().parents[2]
+from test.places import ROOT
+from test.scene_changes import entries_of, yaml_file
 
 
 @pytest.fixture(scope="session")
 def small_scene_file(tmp_path_factory):
     """The Diamond on its coarsest mesh."""
-    scene = written_out(yaml.safe_load((ROOT / "config/scenes/diamond.yaml").read_text()))
-    scene["body"]["mesh"]["file"] = str(ROOT / "meshes/diamond_400.vtk")
-    scene["body"]["element"] = "linear"
-    file = tmp_path_factory.mktemp("scenes") / "small_diamond.yaml"
-    file.write_text(yaml.safe_dump(scene))
-    return file
+    scene = entries_of(ROOT / "config/scenes/diamond.yaml",
+                       {"body.mesh.file": str(ROOT / "meshes/diamond_400.vtk"), "body.element": "linear"})
+    return yaml_file(tmp_path_factory.mktemp("scenes") / "small_diamond.yaml", scene)
 
 
 @pytest.fixture(scope="session")
@@ -47,9 +42,7 @@ def posed_scene_file(small_scene_file):
     scene["effectors"][0] |= {
         "orientation": {"pointing": [0.0, 0.0, 1.0], "points": patch}, "directions": ["z"],
     }  # fmt: skip
-    file = small_scene_file.with_name("posed_diamond.yaml")
-    file.write_text(yaml.safe_dump(scene))
-    return file
+    return yaml_file(small_scene_file.with_name("posed_diamond.yaml"), scene)
 
 
 class World:

@@ -20,12 +20,12 @@ from std_msgs.msg import Header
 
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.transforms import BaseFollower
+from test.scene_changes import yaml_file
 
 
 @pytest.fixture
 def carried(small_scene_file, tmp_path):
-    path = tmp_path / "carried.yaml"
-    path.write_text(yaml.safe_dump({**yaml.safe_load(small_scene_file.read_text()), "moving_base": {}}))
+    path = yaml_file(tmp_path / "carried.yaml", {**yaml.safe_load(small_scene_file.read_text()), "moving_base": {}})
     return str(path)
 
 

@@ -12,6 +12,7 @@ from softrobot_twin.command_line.commands import program
 from softrobot_twin.control.rest_watch import RestPose
 from softrobot_twin.ros.device_node import DeviceNode
 from softrobot_twin.scene import load_scene
+from test.scene_changes import entries_of
 
 TRUE_MODULUS, TRUE_ZERO = 1.5e5, 8.0e-4
 E, ZERO = "body.material.young_modulus", "cables.*.offset"
@@ -106,8 +107,7 @@ def test_without_rests_or_markers_the_service_says_so_and_writes_nothing(
 
 
 def test_a_scene_without_markers_has_nothing_to_calibrate_by(world, make_twin, own_scene_file):
-    scene = yaml.safe_load(own_scene_file.read_text())
-    scene["markers"] = []
+    scene = entries_of(own_scene_file, {"markers": []})
     scene["effectors"][0].pop("measured_by", None)
     own_scene_file.write_text(yaml.safe_dump(scene))
     twin = make_twin(scene_file=str(own_scene_file))

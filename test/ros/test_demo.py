@@ -28,8 +28,8 @@ from softrobot_twin.ros.demo import (
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation.building.table_columns import position_columns, target_name
 from softrobot_twin.study.run_plot import read_series
+from test.places import ROOT
 
-ROOT = Path(__file__).parents[2]
 NODES = ("twin", "device", "target")
 FIGURES = {"mean_error_mm", "max_error_mm", "mean_twin_misfit_mm", "samples", "seconds"}
 

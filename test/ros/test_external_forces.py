@@ -10,6 +10,7 @@ from std_msgs.msg import Header
 from softrobot_twin.errors import SceneError
 from softrobot_twin.ros.messages import markers_message
 from softrobot_twin.ros.twin_node import TwinNode
+from test.scene_changes import yaml_file
 
 TIP = [0.0, 0.0, 0.125]
 
@@ -18,8 +19,7 @@ TIP = [0.0, 0.0, 0.125]
 def twin(world, small_scene_file, diagnostics):
     scene = yaml.safe_load(small_scene_file.read_text())
     scene["observer"] = {"forces": [{"name": "push", "points": [TIP]}], "marker_noise": 2e-5}
-    file = small_scene_file.with_name("observed_diamond.yaml")
-    file.write_text(yaml.safe_dump(scene))
+    file = yaml_file(small_scene_file.with_name("observed_diamond.yaml"), scene)
     return world.add(TwinNode, scene_file=str(file), rate=50.0, priority="normal")
 
 
@@ -63,7 +63,6 @@ def test_with_the_parameter_a_scene_without_observer_has_one(world, small_scene_
 def test_the_parameter_is_refused_where_nothing_can_be_observed(world, small_scene_file):
     scene = yaml.safe_load(small_scene_file.read_text())
     scene["markers"], scene["effectors"][0]["measured_by"] = scene["markers"][:2], []
-    file = small_scene_file.with_name("two_markers.yaml")
-    file.write_text(yaml.safe_dump(scene))
+    file = yaml_file(small_scene_file.with_name("two_markers.yaml"), scene)
     with pytest.raises(SceneError, match="an observer needs three markers or more"):
         world.add(TwinNode, scene_file=str(file), observer=True, priority="normal")

@@ -1,7 +1,6 @@
 """The Grasper's twin and device as nodes: motor, poses, contacts."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,8 +14,8 @@ from softrobot_twin.ros.device_node import DeviceNode
 from softrobot_twin.ros.topics import STREAM
 from softrobot_twin.ros.twin_node import TwinNode
 from test.builder import builder
+from test.places import CONFIG
 
-CONFIG = Path(__file__).resolve().parents[2] / "config"
 GIVEN = yaml.safe_load((CONFIG / "grasper.yaml").read_text())["/**"]["ros__parameters"]
 GRIP = 0.015
 
@@ -24,8 +23,7 @@ GRIP = 0.015
 @builder
 def make_grasper(world, /, **changes):
     """Makes the Grasper's twin from its parameter file, some of them replaced."""
-    twin = world.add(TwinNode, **{**GIVEN, **changes})
-    return twin
+    return world.add(TwinNode, **{**GIVEN, **changes})
 
 
 def pose_message(world, position, quaternion=(0.0, 0.0, 0.0, 1.0), **header):

@@ -8,7 +8,6 @@ import math
 import random
 import re
 import time
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -37,6 +36,8 @@ from softrobot_twin.ros.target_node import TargetNode
 from softrobot_twin.ros.topics import largest_message
 from softrobot_twin.ros.twin_node import TwinNode
 from test.builder import builder
+from test.places import ROOT
+from test.scene_changes import yaml_file
 
 UNNUMBERED = {"publication_sequence_number": None}
 """What rclpy tells of a message: by this, all are of one publisher."""
@@ -44,7 +45,6 @@ UNNUMBERED = {"publication_sequence_number": None}
 NODES = (TwinNode, DeviceNode, TargetNode)
 """In the order of `ALL_TABLES`."""
 AIR = 101325.0
-ROOT = Path(__file__).resolve().parents[2]
 MESHES = {"diamond": "diamond_200", "trunk": "trunk_700"}
 COUNTS, EVERY = [1_000, pytest.param(6_000, marks=pytest.mark.exhaustive)], 40
 """Number of messages of each of 18 cases, more than a hundred thousand in all, and number per tick.
@@ -325,8 +325,7 @@ def parameters(tmp_path, air_scene, posed_scene_file, /, robot):
     the Diamond whose tip has an orientation, `posed`.
     """
     if robot == "air":
-        file = tmp_path / "air.yaml"
-        file.write_text(yaml.safe_dump(air_scene))
+        file = yaml_file(tmp_path / "air.yaml", air_scene)
         return {"scene_file": str(file), "device_scene_file": str(file)}
     if robot == "posed":
         return {"scene_file": str(posed_scene_file)}

@@ -12,8 +12,8 @@ import yaml
 
 from softrobot_twin.command_line.commands import NODES
 from softrobot_twin.ros.parameters import ALL_TABLES
+from test.places import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 FILE = ROOT / "launch" / "robot.launch.py"
 ROBOTS = sorted(path.stem for path in (ROOT / "config").glob("*.yaml"))
 

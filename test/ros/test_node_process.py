@@ -13,8 +13,8 @@ from typing import NamedTuple
 import pytest
 
 from softrobot_twin.ros.parameters import DEVICE, TARGET, TWIN
+from test.places import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 NODES = ("twin", "device", "target")
 
 

@@ -3,7 +3,6 @@
 import math
 
 import pytest
-import yaml
 from rcl_interfaces.msg import Log
 from sensor_msgs.msg import FluidPressure, JointState
 from std_msgs.msg import Header
@@ -11,6 +10,7 @@ from std_msgs.msg import Header
 from softrobot_twin.ros.device_node import DeviceNode
 from softrobot_twin.ros.twin_node import TwinNode
 from test.builder import builder
+from test.scene_changes import yaml_file
 
 
 AIR = 101325.0
@@ -21,9 +21,7 @@ LOW, HIGH = 1, 2
 
 @pytest.fixture(scope="session")
 def air_file(air_scene, tmp_path_factory):
-    file = tmp_path_factory.mktemp("scenes") / "air.yaml"
-    file.write_text(yaml.safe_dump(air_scene))
-    return file
+    return yaml_file(tmp_path_factory.mktemp("scenes") / "air.yaml", air_scene)
 
 
 @builder
@@ -88,8 +86,7 @@ def test_a_volume_is_not_commanded_by_a_pressure_and_the_log_says_what_does(worl
 def test_the_pressure_of_sealed_gas_is_published_in_every_state(world, air_scene, tmp_path):
     low, high, syringe = air_scene["cavities"]
     sealed = {"name": "gas", "walls": high["walls"], "pressure": 500.0}
-    file = tmp_path / "sealed.yaml"
-    file.write_text(yaml.safe_dump({**air_scene, "cavities": [low, syringe], "sealed_cavities": [sealed]}))
+    file = yaml_file(tmp_path / "sealed.yaml", {**air_scene, "cavities": [low, syringe], "sealed_cavities": [sealed]})
     world.add(TwinNode, scene_file=str(file), rate=50.0, mode="direct", use_device=True)
     gas = world.hear(FluidPressure, "/twin/pressures/gas")
     world.until(lambda: len(gas) > 2)

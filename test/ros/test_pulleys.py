@@ -9,6 +9,7 @@ from std_srvs.srv import SetBool
 
 from softrobot_twin.ros.device_node import DeviceNode
 from softrobot_twin.ros.twin_node import TwinNode
+from test.scene_changes import yaml_file
 
 RADIUS = 0.01
 
@@ -18,9 +19,7 @@ def wound_file(small_scene_file):
     scene = yaml.safe_load(small_scene_file.read_text())
     for cable, winds in zip(scene["cables"], ("positive", "negative")):
         cable["pulley"] = {"radius": RADIUS, "winds": winds, "angle": [-1.5, 1.5]}
-    file = small_scene_file.with_name("wound.yaml")
-    file.write_text(yaml.safe_dump(scene))
-    return file
+    return yaml_file(small_scene_file.with_name("wound.yaml"), scene)
 
 
 def angles_of(world, names, angles, torques=()):

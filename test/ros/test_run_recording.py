@@ -33,10 +33,10 @@ from softrobot_twin.ros.topics import NODES
 
 from .test_hostile_messages import begin, draw_seed, hostile_to, inputs, parameters  # noqa: F401
 
+from test.places import ROOT
+
 UNNUMBERED = {"publication_sequence_number": None}
 """What rclpy tells of a message: by this, all are of one publisher."""
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 def enable(world, data=True):

@@ -6,6 +6,7 @@ import yaml
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool
+from test.scene_changes import yaml_file
 
 
 @pytest.fixture
@@ -14,9 +15,7 @@ def with_sensors(small_scene_file, tmp_path):
     content["sensors"] = [
         {"name": "rope", "cable": "north", "weight": 1.0}, {"name": "other", "cable": "south"}]
     content["reactions"] = [{"name": "base", "of": content["body"].get("name", "body")}]
-    path = tmp_path / "sensing.yaml"
-    path.write_text(yaml.safe_dump(content))
-    return path
+    return yaml_file(tmp_path / "sensing.yaml", content)
 
 
 def test_what_sensors_show_is_published_and_their_targets_are_followed(world, make_twin, with_sensors):
@@ -45,8 +44,7 @@ def test_what_sensors_show_is_published_and_their_targets_are_followed(world, ma
 def test_a_service_tells_a_grip_to_hold(world, make_twin, with_sensors, tmp_path):
     content = yaml.safe_load(with_sensors.read_text())
     content["grips"] = [{"name": "hook", "points": [[0.0, 0.0, 0.125]], "holds": "world"}]
-    path = tmp_path / "gripping.yaml"
-    path.write_text(yaml.safe_dump(content))
+    path = yaml_file(tmp_path / "gripping.yaml", content)
     twin = make_twin(scene_file=str(path))
     held = world.hear(JointState, "/twin/grip_holds/hook", 10)
     client = world.probe.create_client(SetBool, "/twin/grip/hook")

@@ -1,7 +1,6 @@
 """The target as a node."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,8 +13,8 @@ from softrobot_twin.ros.target_node import TargetNode
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.runs.input_tables import TableFileError
 from test.builder import builder
+from test.places import CONFIG
 
-CONFIG = Path(__file__).resolve().parents[2] / "config"
 CENTRE = [0.0, 0.0, 0.13]
 
 

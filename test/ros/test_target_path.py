@@ -1,7 +1,5 @@
 """Paths ahead as messages, to a twin whose scene has control: real rclpy, a finger that vibrates."""
 
-from pathlib import Path as FilePath
-
 import numpy as np
 import pytest
 import yaml
@@ -11,8 +9,8 @@ from std_msgs.msg import Header
 
 from softrobot_twin.ros.messages import path_message, read_path
 from softrobot_twin.ros.target_node import TargetNode
-
-SCENES = FilePath(__file__).resolve().parents[2] / "config" / "scenes"
+from test.places import SCENES
+from test.scene_changes import yaml_file
 
 
 @pytest.fixture
@@ -28,9 +26,7 @@ def finger_file(tmp_path):
     for cable in scene["cables"]:
         cable.pop("rate")
     scene |= {"integration": "dynamic", "time_scheme": "generalized_alpha", "control": {"inputs": "efforts"}}
-    file = tmp_path / "finger.yaml"
-    file.write_text(yaml.safe_dump(scene))
-    return file
+    return yaml_file(tmp_path / "finger.yaml", scene)
 
 
 def header(world, seconds_ago=0.0):

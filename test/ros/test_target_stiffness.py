@@ -3,21 +3,19 @@
 import math
 
 import pytest
-import yaml
 from geometry_msgs.msg import PointStamped, Vector3Stamped
 from std_msgs.msg import Header
 
 from softrobot_twin.ros.messages import vector_message
+from test.scene_changes import entries_of, yaml_file
 
 FREE = math.nan
 
 
 @pytest.fixture
 def twin(make_twin, small_scene_file):
-    scene = yaml.safe_load(small_scene_file.read_text())
-    scene["effectors"][0]["stiffness"] = {"weight": 1.0}
-    file = small_scene_file.with_name("stiff_diamond.yaml")
-    file.write_text(yaml.safe_dump(scene))
+    scene = entries_of(small_scene_file, {"effectors.0.stiffness": {"weight": 1.0}})
+    file = yaml_file(small_scene_file.with_name("stiff_diamond.yaml"), scene)
     return make_twin(scene_file=str(file))
 
 

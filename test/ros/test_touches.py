@@ -9,6 +9,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
 from softrobot_twin.ros.twin_node import TwinNode
+from test.scene_changes import yaml_file
 
 
 @pytest.fixture(scope="module")
@@ -16,9 +17,7 @@ def touched_scene_file(column):
     scene = yaml.safe_load(column.read_text())
     scene["effectors"][0]["directions"] = ["x", "y"]
     scene["touches"] = [{"name": "finger", "points": [[0.01, 0.01, 0.10]], "force_limit": 1.0}]
-    file = column.with_name("touched_column.yaml")
-    file.write_text(yaml.safe_dump(scene))
-    return file
+    return yaml_file(column.with_name("touched_column.yaml"), scene)
 
 
 @pytest.fixture

@@ -1,7 +1,5 @@
 """The Trunk's twin as a node: along the demo's path between the cylinders, leaning on them."""
 
-from pathlib import Path
-
 import pytest
 import yaml
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -12,8 +10,9 @@ from std_msgs.msg import Header
 from softrobot_twin.ros.twin_node import TwinNode
 from softrobot_twin.scene.loading import written_out
 from test.builder import builder
+from test.places import ROOT
+from test.scene_changes import yaml_file
 
-ROOT = Path(__file__).resolve().parents[2]
 GIVEN = yaml.safe_load((ROOT / "config/trunk.yaml").read_text())["/**"]["ros__parameters"]
 
 
@@ -29,8 +28,7 @@ def mapping():
 def make_trunk(world, mapping, tmp_path, /, contact=None, **changes):
     """Makes the Trunk's twin from its parameter file, some of them and of the scene replaced."""
     scene = {**mapping, "contact": {**mapping["contact"], **(contact or {})}}
-    file = tmp_path / "trunk.yaml"
-    file.write_text(yaml.safe_dump(scene))
+    file = yaml_file(tmp_path / "trunk.yaml", scene)
     given = {"scene_file": str(file), "use_device": False, "message_timeout": 20.0}
     return world.add(TwinNode, **{**GIVEN, **given, **changes})
 

@@ -12,10 +12,10 @@ import yaml
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene import load_scene, scene_from_mapping
 from softrobot_twin.scene.loading import read_yaml, written_out
+from test.places import CONFIG
 
 pytestmark = pytest.mark.libraries
 
-CONFIG = Path(__file__).resolve().parents[2] / "config"
 GOOD = written_out(yaml.safe_load((CONFIG / "scenes" / "diamond.yaml").read_text()))
 
 

@@ -15,10 +15,10 @@ from softrobot_twin.errors import MeshError, SceneError
 from softrobot_twin.scene import load_scene, scene_from_mapping
 from softrobot_twin.scene.loading import read_yaml
 from softrobot_twin.simulation import Hold, Simulation
+from test.places import CONFIG
 
 pytestmark = pytest.mark.sampled
 
-CONFIG = Path(__file__).resolve().parents[2] / "config"
 SCENES = sorted((CONFIG / "scenes").glob("*.yaml"))
 # The same robots on meshes that build fast.
 COARSE = {"diamond": "diamond_150", "trunk": "trunk_700", "grasper": "grasper_finger_158",

@@ -18,8 +18,8 @@ from softrobot_twin.scene.entry import Entry, is_entry, item_of_list, plain
 from softrobot_twin.scene.loading import read_yaml, written_out
 from softrobot_twin.scene.patterns import MOST_COPIES, Pattern
 from softrobot_twin.simulation import Hold, Simulation
+from test.places import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 ROBOT = read_yaml(f"""
 name: robot
 body:

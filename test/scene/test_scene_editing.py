@@ -1,14 +1,11 @@
 """Numbers in the text of a scene file are changed, and nothing else."""
 
-from pathlib import Path
-
 import pytest
 
 from softrobot_twin.scene import load_scene, scene_from_mapping
 from softrobot_twin.scene.loading import read_yaml
 from softrobot_twin.scene.scene_editing import EditedValue, edited_text
-
-SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
+from test.places import SCENES
 
 
 def edited(name, numbers):

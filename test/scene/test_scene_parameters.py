@@ -1,7 +1,5 @@
 """Numbers of a scene by their keys."""
 
-from pathlib import Path
-
 import pytest
 
 from softrobot_twin.errors import SceneError
@@ -9,8 +7,8 @@ from softrobot_twin.scene import load_scene
 from softrobot_twin.scene.loading import read_changes
 from softrobot_twin.scene.scene_parameters import changed_scene, parameters, tied, value_at
 from softrobot_twin.shared_files import ScenePath
+from test.places import CONFIG
 
-CONFIG = Path(__file__).resolve().parents[2] / "config"
 
 SCENES = sorted((CONFIG / "scenes").glob("*.yaml"))
 

@@ -5,14 +5,13 @@ from pathlib import Path
 import meshio
 import numpy as np
 import pytest
-import yaml
 
 import softrobot_twin as st
+from test.scene_changes import yaml_file
 
 
 def test_a_scene_in_python_is_the_same_as_its_file_to_the_bit(entries, tmp_path):
-    path = tmp_path / "finger.yaml"
-    path.write_text(yaml.safe_dump(entries))
+    path = yaml_file(tmp_path / "finger.yaml", entries)
     command = st.targets(tip=[0.1, 0.01, 0.012])
     first, second = st.build(**entries).step(command), st.load(str(path)).step(command)
     assert np.array_equal(first.positions, second.positions)

@@ -4,7 +4,6 @@ import importlib
 import sys
 import types
 import warnings
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,8 +18,8 @@ gymnasium = pytest.importorskip("gymnasium")
 from softrobot_twin.harness.figure import MissingExtraError  # noqa: E402
 from softrobot_twin.scripting import gym_environment  # noqa: E402
 from softrobot_twin.scripting.gym_environment import ENVIRONMENT_ID, ReachingEnvironment  # noqa: E402
+from test.places import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 FINGER = ROOT / "config" / "scenes" / "finger.yaml"
 LENGTH_RATE, TIME_STEP = 0.05, 0.1  # m/s as in the scene, s
 

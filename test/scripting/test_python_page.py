@@ -2,13 +2,12 @@
 
 import re
 import warnings
-from pathlib import Path
 
 import pytest
 
 import softrobot_twin as st
+from test.places import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 TEXT = (ROOT / "docs" / "python.md").read_text()
 
 

@@ -6,7 +6,6 @@ import pickle
 import subprocess
 import sys
 import warnings
-from pathlib import Path
 
 import meshio
 import numpy as np
@@ -19,10 +18,9 @@ from softrobot_twin.scene.scene_parameters import changed_scene
 from softrobot_twin.simulation.apparent_compliance import apparent_compliance
 from softrobot_twin.study.direct_run import DEFAULT_RATE
 from softrobot_twin.view import ViewError
+from test.places import ROOT
 
 pytestmark = pytest.mark.libraries
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_a_result_gives_effectors_and_columns_by_name(finger):

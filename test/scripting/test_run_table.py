@@ -5,11 +5,11 @@ import sys
 
 import numpy as np
 import pytest
-import yaml
 
 import softrobot_twin as st
 from softrobot_twin.study.direct_run import simulate_alone, simulate_commands
 from softrobot_twin.study.offline_run import simulate
+from test.scene_changes import yaml_file
 
 pytestmark = pytest.mark.libraries
 
@@ -22,9 +22,7 @@ TARGETS = "time_s,tip_x_m,tip_y_m,tip_z_m\n" + "".join(
 @pytest.fixture
 def scene(entries, tmp_path):
     """The finger as a file."""
-    path = tmp_path / "finger.yaml"
-    path.write_text(yaml.safe_dump(entries))
-    return path
+    return yaml_file(tmp_path / "finger.yaml", entries)
 
 
 def columns_of(path) -> dict[str, list[str]]:

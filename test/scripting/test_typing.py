@@ -2,11 +2,11 @@
 
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
+from test.places import ROOT
+
 SCRIPT = """
 import numpy as np
 import softrobot_twin as st

@@ -20,9 +20,8 @@ from softrobot_twin.scene import load_scene
 gymnasium = pytest.importorskip("gymnasium")
 
 from softrobot_twin.scripting.gym_environment import ReachingEnvironment  # noqa: E402
+from test.places import ROOT, SCENES
 
-ROOT = Path(__file__).resolve().parents[2]
-SCENES = ROOT / "config" / "scenes"
 COUNT, STEPS = 3, 7
 OPTIONS = dict(most_steps=3, states=4, randomize={"cables.*.pull_point[2]": (0.002, 0.018)})
 

@@ -9,25 +9,19 @@ from pathlib import Path
 import meshio
 import numpy as np
 import pytest
-import yaml
 
 from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.mechanics.reduced_points import ReducedPoints
 from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import Hold, Simulation, State, Status
 from test.builder import builder
-from test.scene_changes import change_scene, repeat_step
+from test.scene_changes import change_scene, entries_of, repeat_step
 from test.spheres import cut_on_sphere
 
 SCENE_FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "diamond.yaml"
-MAPPING = written_out(yaml.safe_load(SCENE_FILE.read_text()))
-MAPPING["body"]["mesh"]["file"] = "../../meshes/diamond_400.vtk"
-MAPPING["body"]["element"] = "linear"
+MAPPING = entries_of(SCENE_FILE, {"body.mesh.file": "../../meshes/diamond_400.vtk", "body.element": "linear"})
 TRUNK_FILE = SCENE_FILE.with_name("trunk_cylinders.yaml")
-TRUNK = written_out(yaml.safe_load(TRUNK_FILE.read_text()))
-TRUNK["body"]["mesh"]["file"] = "../../meshes/trunk_1600.vtk"
-TRUNK["body"]["element"] = "linear"
+TRUNK = entries_of(TRUNK_FILE, {"body.mesh.file": "../../meshes/trunk_1600.vtk", "body.element": "linear"})
 
 
 @builder

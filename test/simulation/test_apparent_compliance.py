@@ -1,7 +1,5 @@
 """What effectors yield to forces while actuators hold, against small pushes in statics."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -10,9 +8,8 @@ from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Hold, Simulation
 from softrobot_twin.simulation.apparent_compliance import EffectorCompliance, apparent_compliance
+from test.places import SCENES
 from test.scene_changes import LEFT_OUT, changed, repeat_step
-
-SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
 
 
 class Push(ForceTerm):
@@ -185,8 +182,7 @@ def test_a_contact_that_presses_holds_its_gap(beam, rod):
 
 def test_a_cable_that_stretches_holds_less(beam):
     def stretch(stiffness):
-        change = changed(exact, {"cables.*.axial_stiffness": stiffness})
-        return change
+        return changed(exact, {"cables.*.axial_stiffness": stiffness})
 
     soft, stiff = beam(stretch(30.0)), beam(stretch(1e7))
     for simulation in (soft, stiff):

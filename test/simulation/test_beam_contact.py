@@ -8,8 +8,8 @@ import pytest
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene.schema import Scene
-from softrobot_twin.simulation import CommandEfforts, Hold, Simulation, Status
-from test.scene_changes import repeat_step
+from softrobot_twin.simulation import CommandEfforts, Hold, Simulation
+from test.scene_changes import repeat_step, solved
 
 YOUNG, DENSITY, RADIUS, LENGTH = 1.0e8, 1100.0, 0.004, 0.2
 INERTIA = 0.25 * np.pi * RADIUS**4
@@ -53,8 +53,7 @@ def test_a_beam_that_is_dropped_rests_on_a_floor_that_bears_its_weight(section, 
              section=section, thickness_direction=[0.0, 0.0, 1.0]),
         integration="dynamic", obstacles=[FLOOR],
     )  # fmt: skip
-    result = repeat_step(sim, Hold(0.005), 40)
-    assert result.status is Status.OK
+    result = solved(sim, Hold(0.005), 40)
     weight = 9.81 * sim.model.beams[0].mass
     np.testing.assert_allclose(result.contacts.forces.sum(axis=0), [0.0, 0.0, weight], atol=1e-3 * weight)
     np.testing.assert_allclose(nodes(sim)[:, 2], half, atol=1e-6)
@@ -150,8 +149,7 @@ def test_a_beam_that_lies_on_a_soft_block_is_borne_by_it(tmp_path):
     rod = beam(points=[[-0.05, 0.03, 0.0245], [0.11, 0.03, 0.0245]], elements=8,
                material=MATERIAL | {"young_modulus": 2.0e6, "density": 3000.0})  # fmt: skip
     sim = touching(rod, pair=("rod", "block"), body=block)
-    result = repeat_step(sim, Hold(0.01), 3)
-    assert result.status is Status.OK
+    result = solved(sim, Hold(0.01), 3)
     assert result.contacts.forces.sum(axis=0)[2] > 0.05
     assert overlap(sim) < 1e-6
     top = sim.surface_positions()[:, 2]

@@ -21,7 +21,7 @@ from softrobot_twin.simulation import (
     Status,
 )
 from softrobot_twin.simulation.building.beam_bodies import build_section, swept_surface
-from test.scene_changes import repeat_step
+from test.scene_changes import repeat_step, solved
 
 YOUNG, RADIUS = 1.0e6, 0.002
 INERTIA, AREA = np.pi * RADIUS**4 / 4.0, np.pi * RADIUS**2
@@ -151,8 +151,7 @@ def column(simulate, share, push):
         solver={"newton_iterations": 100, "residual_tolerance": 1e-12},
     )  # fmt: skip
     simulation.step(CommandEfforts(np.array([push * euler]), 1.0))
-    result = repeat_step(simulation, CommandEfforts(np.zeros(1), 1.0), 4)
-    assert result.status is Status.OK
+    solved(simulation, CommandEfforts(np.zeros(1), 1.0), 4)
     return tip_of(simulation)
 
 
@@ -187,8 +186,7 @@ def test_at_prescribed_lengths_a_toggle_is_followed_through_its_limit_point(simu
     simulation = toggle(simulate, beam={"section": STRIP, "thickness_direction": [0, 0, 1]})
     rest, tensions, heights = simulation.state.setpoints[0], [], []
     for travel in np.linspace(0.0, 0.0072, 13):
-        result = simulation.step(CommandSetpoints(np.array([rest - travel]), 1.0))
-        assert result.status is Status.OK
+        result = solved(simulation, CommandSetpoints(np.array([rest - travel]), 1.0))
         tensions.append(result.efforts[0])
         heights.append(nodes_of(simulation)[8, 2])
     assert np.allclose(heights, 0.006 - np.linspace(0.0, 0.0072, 13), atol=1e-6)
@@ -201,8 +199,7 @@ def test_a_toggle_of_round_rods_buckles_to_the_side_in_a_few_steps(simulate):
     # Flat, its middle is pressed by 1.8 times Euler's load of a clamped rod.
     simulation = toggle(simulate, aside=1e-6)
     rest = simulation.state.setpoints[0]
-    result = repeat_step(simulation, CommandSetpoints(np.array([rest - 0.006]), 1.0), 20)
-    assert result.status is Status.OK
+    solved(simulation, CommandSetpoints(np.array([rest - 0.006]), 1.0), 20)
     assert abs(nodes_of(simulation)[8, 1]) > 1e-3
 
 
@@ -287,8 +284,7 @@ def test_a_line_stretches_by_its_load_over_its_axial_stiffness(simulate, size, e
         solver={"newton_iterations": 40},
     )  # fmt: skip
     for tension in (0.3 * force, 0.0):
-        result = repeat_step(simulation, CommandEfforts(np.array([tension]), 1.0), 2)
-        assert result.status is Status.OK
+        solved(simulation, CommandEfforts(np.array([tension]), 1.0), 2)
     strain = (5.0 / (np.pi * 5e-4**2) + 0.5 * 10.0 * 1100.0 * 0.2 * size) / 2.0e9
     stretch = np.linalg.norm(tip_of(simulation)) / (0.2 * size) - 1.0
     assert stretch == pytest.approx(strain, rel=1e-2)
@@ -301,8 +297,7 @@ def test_a_line_that_is_clamped_across_its_pull_is_as_long_as_one_that_hangs(sim
                     damping={"mass": 10.0, "stiffness": 0.0})],
         solver={"newton_iterations": 40},
     )  # fmt: skip
-    result = repeat_step(simulation, Hold(0.05), 60)
-    assert result.status is Status.OK
+    solved(simulation, Hold(0.05), 60)
     # The elastica leads √(2EI/N) aside and is (2 - √2) √(EI/N) shorter: a third of an element.
     layer = np.sqrt(2.0e9 * np.pi * 5e-4**4 / 4.0 / 5.0)
     expected = [np.sqrt(2.0) * layer, 0.0, -0.2 * (1.0 + 5.0 / (2.0e9 * np.pi * 5e-4**2))
@@ -318,8 +313,7 @@ def test_a_rope_between_two_walls_hangs_in_a_catenary(simulate, elements):
         {"at": at, "to": "world", "by": "ball"} for at in ("start", "end")
     ])  # fmt: skip
     simulation = simulate(gravity=[0, 0, -10.0], beams=[rope], solver={"newton_iterations": 40})
-    result = repeat_step(simulation, Hold(1.0), 10)
-    assert result.status is Status.OK
+    solved(simulation, Hold(1.0), 10)
     length = simulation.model.beams[0].lengths.sum()
     a = brentq(lambda a: 2.0 * a * np.sinh(0.2 / a) - length, 0.02, 10.0)
     places = nodes_of(simulation)
@@ -391,8 +385,7 @@ def test_a_rod_twisted_by_two_turns_holds_a_torque_in_proportion(simulate):
     for angle in np.arange(0.25, 4.0 * np.pi + 0.1, 0.25):
         quaternion = quaternion_from_rotation(rotation_from_vector([angle, 0, 0]))
         simulation.model.guides.aim("grip", [0.2, 0, 0], quaternion)
-        result = simulation.step(Hold(1.0))
-        assert result.status is Status.OK
+        solved(simulation, Hold(1.0))
     twists = simulation.model.forces[0].deformations(simulation.state.positions)[:, 3]
     assert twists.sum() == pytest.approx(angle, rel=1e-9)
     energy = simulation.model.forces[0].energy(simulation.state.positions)
@@ -481,8 +474,7 @@ def test_points_on_a_beam_move_with_it(simulate):
                  "points": [[0.3, 0, 0.01], [0.6, 0, 0.01], [1, 0, 0.01]]}],
     )  # fmt: skip
     rest = simulation.state.setpoints[0]
-    result = simulation.step(CommandSetpoints(np.array([rest - 0.004]), 1.0))
-    assert result.status is Status.OK
+    result = solved(simulation, CommandSetpoints(np.array([rest - 0.004]), 1.0))
     x, nodes = simulation.state.positions, nodes_of(simulation)
     offset = np.linalg.norm(result.effector_positions[0] - nodes[-1])
     assert offset == pytest.approx(0.01, rel=1e-9)

@@ -13,6 +13,7 @@ from scipy.integrate import solve_bvp, trapezoid
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Hold, Status
 from softrobot_twin.simulation.result import UNSTABLE
 from test.builder import builder
+from test.scene_changes import solved
 
 LENGTH, THIN, WIDE, DENSITY, YOUNG = 0.15, 0.010, 0.014, 1000.0, 5.07e5
 GREENHILL = 7.8373
@@ -84,8 +85,7 @@ def test_below_the_critical_weight_the_column_returns_upright(column, integratio
     simulation = column(0.9, integration)
     pushed(simulation, side * 0.01)
     for _ in range(400):
-        result = simulation.step(Hold(0.1))
-        assert result.status is Status.OK
+        solved(simulation, Hold(0.1))
         if np.abs(leaning(simulation)).max() < 1e-5:
             return
     raise AssertionError(f"still {leaning(simulation)} m aside")
@@ -99,8 +99,7 @@ def test_above_the_critical_weight_the_column_settles_on_the_elastica(column, in
     pushed(simulation, side * (0.01 if integration == "quasi_static" else 1e-5))
     before = np.full(2, np.inf)
     for _ in range(400):
-        result = simulation.step(Hold(0.1))
-        assert result.status is Status.OK
+        solved(simulation, Hold(0.1))
         if abs(before[0]) > 0.01 and np.abs(leaning(simulation) - before).max() < 1e-7:
             break
         before = leaning(simulation)

@@ -2,15 +2,13 @@
 
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from softrobot_twin.mechanics.laws import law_named
 from softrobot_twin.simulation import Hold
-
-ROOT = Path(__file__).resolve().parents[2]
+from test.places import ROOT
 
 
 def test_a_cable_point_just_outside_is_snapped_to_the_surface_with_a_warning(diamond):

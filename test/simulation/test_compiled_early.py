@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,8 +10,8 @@ from numba.core.dispatcher import Dispatcher
 from softrobot_twin.scene import load_scene, scene_from_mapping
 from softrobot_twin.scene.loading import read_yaml, written_out
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation
+from test.places import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 LEG = str(ROOT / "meshes" / "octoleg_120.vtk")
 MIDDLE = np.array([0.1034, 0.0, -0.0325])
 

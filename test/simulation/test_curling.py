@@ -1,14 +1,13 @@
 """The Grasper's finger and the Octoleg curl to the side on which their notches open."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.simulation import CommandSetpoints, Simulation, Status
+from softrobot_twin.simulation import CommandSetpoints, Simulation
+from test.places import MESHES
+from test.scene_changes import solved
 
-MESHES = Path(__file__).resolve().parents[2] / "meshes"
 OUTWARD = [(-x, 12.5, 2.5) for x in (17.5, 32.5, 47.5, 62.5, 77.5)]
 TURN = [(-83.5, 12.5, 4.5), (-85.5, 12.5, 6.5), (-85.5, 12.5, 8.5), (-83.5, 12.5, 10.5)]
 BACK = [(x, y, 15.0 - z) for x, y, z in reversed(OUTWARD)]
@@ -45,8 +44,7 @@ def tips(simulation, shortenings) -> np.ndarray:
     """Places of the tip [mm] at each shortening [mm], in order."""
     places = []
     for shortening in shortenings:
-        result = simulation.step(CommandSetpoints(simulation.rest_setpoints - 1e-3 * shortening, 1.0))
-        assert result.status is Status.OK
+        solved(simulation, CommandSetpoints(simulation.rest_setpoints - 1e-3 * shortening, 1.0))
         places.append(1e3 * simulation.effector_positions()[0])
     return np.array(places)
 

@@ -79,8 +79,7 @@ def test_targets_in_the_workspace_are_met(diamond, circle, change):
 
 def test_quadratic_elements_are_softer_and_both_laws_agree_for_small_displacements(diamond, settle):
     def light(change):
-        weigh = changed(change, {"gravity": [0.0, 0.0, -0.01]})
-        return weigh
+        return changed(change, {"gravity": [0.0, 0.0, -0.01]})
 
     def sag(change):
         simulation = diamond(light(change))

@@ -68,8 +68,7 @@ def steps(request, beam, rod):
         target = simulation.effector_positions() + [0.004, 0.002, -0.001]
         wound = simulation.rest_setpoints - [0.004, 0.0, 0.0, 0.0]
         command = CommandSetpoints(wound, 0.1) if setpoints else FollowTargets(target, 0.1)
-        result = repeat_step(simulation, command, 5)
-        return result
+        return repeat_step(simulation, command, 5)
 
     return run
 

@@ -1,7 +1,6 @@
 """The PneuNet with gaps between its chambers."""
 
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,8 +9,8 @@ from meshes import make_fast_pneunet
 from softrobot_twin.geometry.mesh_reading import read_solid_mesh
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import CommandSetpoints, Simulation, Status
+from test.places import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 SCENE = ROOT / "config" / "scenes" / "fast_pneunet.yaml"
 GREATEST = 30.0e3
 

@@ -1,13 +1,11 @@
 """The Flexo: an arm of beams and hubs with soft fingers, driven by cables over all of them."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation
+from test.places import SCENES
 
-SCENES = Path(__file__).resolve().parents[2] / "config/scenes"
 HEIGHT, CLOSING, STEP = -0.82, 0.010, 0.05
 ARM, HAND = slice(0, 9), slice(9, 12)
 

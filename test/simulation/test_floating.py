@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from softrobot_twin.errors import SceneError
-from softrobot_twin.simulation import Hold, Status
-from test.scene_changes import repeat_step
+from softrobot_twin.simulation import Hold
+from test.scene_changes import solved
 
 
 @pytest.fixture
@@ -29,8 +29,7 @@ def test_a_point_mass_held_by_a_spring_to_ground_is_not_floating(simulate):
         springs=[{"name": "string", "stiffness": 100.0,
                   "ends": [{"on": "bob", "point": [0, 0, 0]}, {"point": [0.05, 0, 0]}]}],
     )  # fmt: skip
-    result = repeat_step(scene, Hold(), 100)
-    assert result.status is Status.OK
+    result = solved(scene, Hold(), 100)
     # Let go beside the point it hangs on, it ends below it.
     np.testing.assert_allclose(
         result.state.positions, [[0.05, 0.0, -0.05 - 0.1 * 9.81 / 100.0]], atol=1e-7
@@ -43,8 +42,7 @@ def test_an_unheld_soft_body_falls_undeformed_in_dynamics(simulate, soft, integr
     scene = simulate(body={**soft, "damping": {"mass": 5.0}}, integration=integration)
     shape = scene.model.nodes.rest_positions - scene.model.nodes.rest_positions[0]
     for _ in range(60):
-        result = scene.step(Hold(0.05))
-        assert result.status is Status.OK
+        result = solved(scene, Hold(0.05))
         positions = result.state.positions
         np.testing.assert_allclose(positions - positions[0], shape, atol=1e-9)
     np.testing.assert_allclose(

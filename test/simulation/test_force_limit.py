@@ -10,8 +10,7 @@ LIMITS = (2.0, 0.8, 0.5, 0.3, 0.1, 0.03, 0.01)
 
 
 def lean(simulation, target, steps=80):
-    result = repeat_step(simulation, FollowTargets(target, 0.05), steps)
-    return result
+    return repeat_step(simulation, FollowTargets(target, 0.05), steps)
 
 
 def pushes(result) -> np.ndarray:

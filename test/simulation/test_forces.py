@@ -8,11 +8,9 @@ from scipy.optimize import brentq
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import (
-    CommandSetpoints,
     FollowTargets,
     Hold,
     Simulation,
-    Status,
 )
 from softrobot_twin.scene.scene_parameters import parameters
 from softrobot_twin.simulation.sensitivities import Sensitivities
@@ -20,7 +18,7 @@ from softrobot_twin.simulation.runs.run_columns import RunColumns
 from softrobot_twin.study.explain import effects
 from test.builder import builder
 from test.finite_differences import assert_slopes_of_actuators
-from test.scene_changes import change_scene, repeat_step
+from test.scene_changes import built, hold, repeat_step, solved
 
 LENGTH, SIDE, E = 0.1, 0.01, 3e5
 BENDING = E * SIDE**4 / 12.0
@@ -48,8 +46,7 @@ def column(*forces, change=None) -> Simulation:
         "effectors": [{"name": "tip", "points": TOP}],
         "solver": {"newton_iterations": 40, "residual_tolerance": 1e-9},
     }  # fmt: skip
-    change_scene(mapping, change)
-    return Simulation(scene_from_mapping(mapping, None))
+    return built(mapping, change)
 
 
 @builder
@@ -73,13 +70,6 @@ def on_frames(turns, modulus=1e7) -> Simulation:
         "solver": {"newton_iterations": 40, "residual_tolerance": 1e-9},
     }  # fmt: skip
     return Simulation(scene_from_mapping(mapping, None))
-
-
-def hold(simulation, *setpoints):
-    """The result of a step to setpoints, without limits of time."""
-    result = simulation.step(CommandSetpoints(np.array(setpoints, float), 1.0))
-    assert result.status is Status.OK
-    return result
 
 
 def test_a_small_force_bends_as_in_beam_theory_and_its_work_is_the_energy(column):
@@ -118,8 +108,8 @@ def test_a_force_without_direction_is_three_that_follow_a_target(column):
     simulation = column(entry)
     assert simulation.actuators.names == ("push_x", "push_y", "push_z")
     target = simulation.effector_positions() + [0.02, -0.01, -0.001]
-    result = repeat_step(simulation, FollowTargets(target, 0.05), 30)
-    assert result.status is Status.OK and result.effector_errors[0] < 1e-5
+    result = solved(simulation, FollowTargets(target, 0.05), 30)
+    assert result.effector_errors[0] < 1e-5
     again = hold(column(entry), *result.efforts)
     np.testing.assert_allclose(again.effector_positions, target, atol=1e-5)
 

@@ -7,9 +7,9 @@ import pytest
 
 from softrobot_twin.errors import CommandError
 from softrobot_twin.mechanics.rotation import quaternion_from_rotation, rotation_from_vector
-from softrobot_twin.simulation import FollowTargets, Hold, Status
+from softrobot_twin.simulation import FollowTargets, Hold
 from test.builder import builder
-from test.scene_changes import repeat_step
+from test.scene_changes import repeat_step, solved
 
 SPEED, TURN_RATE = 0.1, 2.0
 _Pose = namedtuple("_Pose", "position quaternion")
@@ -44,8 +44,7 @@ def test_a_palm_moves_at_its_speed_limit_and_stops_at_its_command(finger, integr
     scene.model.guides.aim("palm", target)
     gone = []
     for _ in range(int(way / SPEED / 0.01) + 3):
-        result = scene.step(Hold(0.01))
-        assert result.status is Status.OK
+        result = solved(scene, Hold(0.01))
         moves = result.state.positions - rest
         gone.append(np.linalg.norm(moves[frame]))
         alike = np.tile(moves[frame], (4, 1))
@@ -81,8 +80,7 @@ def test_a_moved_finger_has_the_equilibrium_of_one_built_there(finger, simulate,
     scene = finger("quasi_static")
     half_turn = rotation_from_vector(np.array([np.pi * 0.999999, 0.0, 0.0]))
     scene.model.guides.aim("palm", [0.2, 0.1, 0.3], quaternion_from_rotation(half_turn))
-    result = repeat_step(scene, Hold(0.01), 400)
-    assert result.status is Status.OK
+    result = solved(scene, Hold(0.01), 400)
     count = scene.model.bodies[0].mesh.node_count
     carried = result.state.positions[:count] - [0.2, 0.1, 0.3]
     mesh = block(size=(0.02, 0.02, 0.06), cells=(1, 1, 3))
@@ -197,5 +195,5 @@ def test_a_tip_stays_at_its_target_while_a_palm_carries_its_foot(beam, speed):
     repeat_step(simulation, FollowTargets(target, 0.02), 5)
     simulation.model.guides.aim("palm", np.array(PALM["position"]) + [0.02, 0.0, 0.0])
     for _ in range(int(0.02 / speed / 0.02) + 5):
-        result = simulation.step(FollowTargets(target, 0.02))
-        assert result.status is Status.OK and result.effector_errors[0] < 1e-4
+        result = solved(simulation, FollowTargets(target, 0.02))
+        assert result.effector_errors[0] < 1e-4

@@ -14,7 +14,7 @@ from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandEfforts, FollowTargets, Hold, Simulation, Status
 from softrobot_twin.simulation.mesh_error import MeshErrorEstimator, MeshErrorUnknown
 from test.builder import builder
-from test.scene_changes import change_scene, changed, repeat_step
+from test.scene_changes import change_scene, changed, repeat_step, solved
 
 FOOT = [{"box": {"minimum": [-1, -1, -1e-6], "maximum": [1, 1, 1e-6]}}]
 
@@ -76,8 +76,7 @@ def test_a_coarse_bar_bends_as_a_fine_one(bar, poisson):
             poisson_ratio=poisson,
         )
         rest = simulation.effector_positions()
-        result = simulation.step(Hold())
-        assert result.status is Status.OK
+        result = solved(simulation, Hold())
         return result.effector_positions[0] - rest[0]
 
     coarse = tip(read_box((0.02, 0.02, 0.1), (1, 1, 5), of_hexahedra=True).mesh)
@@ -149,8 +148,7 @@ def test_a_block_rests_on_a_plane_with_its_weight(simulate, body_of_hexahedra):
         obstacles=[{"name": "floor", "plane": {}}],
         contact={"between": [{"pair": ["soft", "floor"]}], "friction": 0.5},
     )  # fmt: skip
-    result = repeat_step(simulation, Hold(0.005), 120)
-    assert result.status is Status.OK
+    result = solved(simulation, Hold(0.005), 120)
     lowest = result.state.positions[:, 2].min()
     assert -1e-4 < lowest < 2e-4
     assert np.abs(result.state.velocities).max() < 1e-3
@@ -182,8 +180,7 @@ def chamber(tmp_path, simulate, body_of_hexahedra, /, cells=(4, 4, 6),
 def test_a_cavity_in_hexahedra_is_inflated(chamber):
     simulation = chamber()
     rest = simulation.effector_positions()[0, 2]
-    result = simulation.step(CommandEfforts(np.array([2e3]), 0.1))
-    assert result.status is Status.OK
+    result = solved(simulation, CommandEfforts(np.array([2e3]), 0.1))
     assert 2e-5 < result.effector_positions[0, 2] - rest < 2e-3
 
 

@@ -20,7 +20,7 @@ from softrobot_twin.simulation import (
     Status,
 )
 from test.builder import builder
-from test.scene_changes import repeat_step
+from test.scene_changes import repeat_step, solved
 
 E, DENSITY = 35e6, 1220.0
 THICKNESS, WIDTH, LENGTH = 0.005, 0.01, 0.2
@@ -217,8 +217,7 @@ def test_a_commanded_torque_turns_the_beam_to_the_angle_that_needs_it(scene):
 
     by_angle, by_torque = made(), made()
     torque = turn(by_angle, 0.8).efforts
-    result = by_torque.step(CommandEfforts(torque, 1.0))
-    assert result.status is Status.OK
+    result = solved(by_torque, CommandEfforts(torque, 1.0))
     assert result.setpoints[0] == pytest.approx(0.8, abs=1e-6)
     np.testing.assert_allclose(nodes(by_torque), nodes(by_angle), atol=1e-7)
 

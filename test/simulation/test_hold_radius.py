@@ -1,7 +1,5 @@
 """A cable that holds on a patch."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -12,8 +10,8 @@ from softrobot_twin.simulation import CommandSetpoints, Simulation
 from softrobot_twin.simulation.building.deformable_body import spread_mapping
 from softrobot_twin.simulation.building.scene_layout import lay_out
 from softrobot_twin.study.accuracy_study import with_hold_radius
+from test.places import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 SCENE = ROOT / "config" / "scenes" / "diamond.yaml"
 
 
@@ -42,8 +40,7 @@ def test_a_patch_is_the_same_on_every_mesh():
 def test_the_work_of_a_patch_is_that_of_its_cable():
     simulation = diamond(400, 0.004)
     cables, positions = simulation.model.actuators.terms[0], simulation.state.positions
-    blocks, values = np.empty((len(cables.entry_rows), 3)), np.empty(4)
-    cables.evaluate(positions, blocks, values)
+    blocks, values = cables.rows_at(positions)
     free = simulation.model.nodes.free_nodes
     move = np.random.default_rng(3).normal(size=positions.shape) * 1e-7
     moved = positions.copy()

@@ -5,11 +5,10 @@ The Grasper without its motor, so that three cables move its cube in three direc
 
 import numpy as np
 import pytest
-import yaml
 
-from softrobot_twin.scene.loading import scene_from_mapping
-from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation, Status
+from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Status
 from test.grasped_cube import LIFT, SCENE_FILE, STEP, hand, lifted
+from test.scene_changes import built, entries_of
 
 GRIP = 0.018
 AWAY, HELD = 2.0e-3, 0.2e-3
@@ -72,9 +71,7 @@ def test_the_palm_carries_the_cube_along_a_path_while_targets_lead_it_in_the_fin
 
 def carried(mass):
     """How far the cube lags behind a carry of 60 mm up and 30 mm aside at 50 mm/s, in its end [m]."""
-    entries = yaml.safe_load(SCENE_FILE.read_text())
-    entries["rigid_bodies"][1]["mass"] = mass
-    simulation, step = Simulation(scene_from_mapping(entries, SCENE_FILE)), 0.01
+    simulation, step = built(entries_of(SCENE_FILE), {"rigid_bodies.1.mass": mass}, path=SCENE_FILE), 0.01
     closed = CommandSetpoints(simulation.rest_setpoints - GRIP, step)
     for _ in range(150):
         simulation.step(closed)

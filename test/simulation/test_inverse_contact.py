@@ -81,8 +81,7 @@ def circling(simulation, turns, per_turn):
 
 
 def follow(simulation, target, steps=60, time_step=0.05):
-    result = repeat_step(simulation, FollowTargets(np.atleast_2d(target), time_step), steps)
-    return result
+    return repeat_step(simulation, FollowTargets(np.atleast_2d(target), time_step), steps)
 
 
 @pytest.mark.parametrize("height", [0.05, 0.08])

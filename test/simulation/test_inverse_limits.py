@@ -5,18 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 
-from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import CommandEfforts, FollowTargets, Hold, Simulation, Status
 from softrobot_twin.simulation.result import RATE
 from test.builder import builder
-from test.scene_changes import change_scene, repeat_step
+from test.scene_changes import built, entries_of, repeat_step
 
 TRUNK_FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "trunk.yaml"
-TRUNK = written_out(yaml.safe_load(TRUNK_FILE.read_text()))
-TRUNK["body"]["element"] = "linear"
+TRUNK = entries_of(TRUNK_FILE, {"body.element": "linear"})
 
 
 @builder
@@ -29,13 +25,11 @@ def trunk(with_rod=False, change=None) -> Simulation:
         ends = [[-0.1, 0.03, 0.15], [0.1, 0.03, 0.15]]
         mapping["obstacles"] = [{"name": "rod", "cylinder": {"ends": ends, "radius": 0.008}}]
         mapping["contact"] = {"between": [{"pair": ["trunk", "rod"]}]}
-    change_scene(mapping, change)
-    return Simulation(scene_from_mapping(mapping, TRUNK_FILE))
+    return built(mapping, change, path=TRUNK_FILE)
 
 
 def follow(simulation, target, steps, time_step=0.02):
-    result = repeat_step(simulation, FollowTargets(np.atleast_2d(target), time_step), steps)
-    return result
+    return repeat_step(simulation, FollowTargets(np.atleast_2d(target), time_step), steps)
 
 
 @pytest.mark.exhaustive

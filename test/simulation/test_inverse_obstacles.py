@@ -8,8 +8,7 @@ from test.scene_changes import repeat_step
 
 
 def follow(simulation, target, steps, time_step=0.05):
-    result = repeat_step(simulation, FollowTargets(np.atleast_2d(target), time_step), steps)
-    return result
+    return repeat_step(simulation, FollowTargets(np.atleast_2d(target), time_step), steps)
 
 
 def gap(simulation, x, z, radius) -> float:

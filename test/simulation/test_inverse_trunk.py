@@ -1,19 +1,14 @@
 """Facts of the coarse Trunk in the inverse: between two cylinders."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-import yaml
 
-from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import FollowTargets
-from test.scene_changes import LEFT_OUT, changed
+from test.places import CONFIG
+from test.scene_changes import LEFT_OUT, changed, entries_of
 
-CONFIG = Path(__file__).resolve().parents[2] / "config"
-SCENE = written_out(yaml.safe_load((CONFIG / "scenes" / "trunk_cylinders.yaml").read_text()))
-SCENE["body"]["mesh"]["file"] = "../../meshes/trunk_1600.vtk"
-SCENE["body"]["element"] = "linear"
+SCENE = entries_of(CONFIG / "scenes" / "trunk_cylinders.yaml",
+                   {"body.mesh.file": "../../meshes/trunk_1600.vtk", "body.element": "linear"})
 PATH = np.genfromtxt(CONFIG / "targets" / "trunk_path.csv", delimiter=",", skip_header=1)[:, 1:4]
 CYLINDERS = [entry["cylinder"] for entry in SCENE["obstacles"]]
 

@@ -8,7 +8,6 @@ import pytest
 import yaml
 
 from softrobot_twin.constraints.cable_friction import FrictionCables
-from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation, Status
 from softrobot_twin.simulation.step.inverse_with_friction import tied_by_contacts
@@ -17,7 +16,7 @@ from softrobot_twin.solvers.inverse_problem import Bounds
 from test.builder import builder
 from test.edge_of_touch import check_rest_at_the_edge
 from test.grasped_cube import hand, lifted
-from test.scene_changes import LEFT_OUT, change_scene, repeat_step
+from test.scene_changes import LEFT_OUT, built, entries_of, repeat_step, solved
 
 FINGER = Path(__file__).resolve().parents[2] / "config" / "scenes" / "finger.yaml"
 OCTOLEG, TRUNK = FINGER.with_name("octoleg.yaml"), FINGER.with_name("trunk_cylinders.yaml")
@@ -50,8 +49,7 @@ def finger(friction=MU, *changes) -> Simulation:
     mapping["contact"] = {
         "friction": friction, "alarm_distance": 0.003, "between": [{"pair": ["body", "rod"]}],
     }  # fmt: skip
-    change_scene(mapping, *changes)
-    return Simulation(scene_from_mapping(mapping, FINGER))
+    return built(mapping, *changes, path=FINGER)
 
 
 def pull(simulation, shortenings, longest=1e-3):
@@ -131,8 +129,8 @@ def test_all_that_targets_may_ask_for_is_asked_with_friction(finger, change):
         targets = FollowTargets(
             reached.effector_positions, TICK, None, reached.effector_orientations,
         )
-        result = repeat_step(simulation, targets, 40)
-        assert result.status is Status.OK and result.report.contact_count
+        result = solved(simulation, targets, 40)
+        assert result.report.contact_count
         assert np.nanmax(result.effector_errors) < 2e-5
         if result.orientation_errors is not None:
             assert result.orientation_errors[0] < 1e-3
@@ -489,8 +487,8 @@ def test_the_octoleg_curls_to_where_its_tip_shall_be():
     assert curled.report.contact_count == 7
     simulation.reset()
     assert np.linalg.norm(simulation.effector_positions() - target) > 0.15
-    result = repeat_step(simulation, FollowTargets(target, step), 140)
-    assert result.status is Status.OK and result.effector_errors[0] < 1e-4
+    result = solved(simulation, FollowTargets(target, step), 140)
+    assert result.effector_errors[0] < 1e-4
     assert result.report.contact_count == 7
 
 
@@ -501,9 +499,8 @@ def test_the_octoleg_curls_to_where_its_tip_shall_be():
 ])  # fmt: skip
 def test_the_trunk_goes_between_cylinders_that_rub(friction, along_cables):
     """Its platform is at its rate on the way in; without friction it lags by up to 1.6 mm in contact."""
-    mapping = written_out(yaml.safe_load(TRUNK.read_text()))
-    change_scene(mapping, {"contact.friction": friction, "cables.*.friction": along_cables})
-    simulation = Simulation(scene_from_mapping(mapping, TRUNK))
+    simulation = built(entries_of(TRUNK), {"contact.friction": friction, "cables.*.friction": along_cables},
+                       path=TRUNK)
     targets = np.loadtxt(TRUNK.parents[1] / "targets" / "trunk_path.csv", delimiter=",", skiprows=1)
     missed = []
     for target in targets[:, 1:]:

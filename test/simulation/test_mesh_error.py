@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.simulation import CommandSetpoints, Hold, Simulation, Status
+from softrobot_twin.simulation import CommandSetpoints, Hold, Simulation
 from softrobot_twin.simulation.mesh_error import (
     ActuatorLoads,
     MeshErrorEstimator,
@@ -18,7 +18,7 @@ from softrobot_twin.simulation.mesh_error import (
     load_errors,
 )
 from test.builder import builder
-from test.scene_changes import repeat_step
+from test.scene_changes import repeat_step, solved
 
 FACTOR = 1.5
 """An estimate is trusted when it is within this factor of the true error."""
@@ -299,8 +299,7 @@ def test_the_error_at_given_pressures_and_volumes_is_near_that_against_a_finer_m
 def test_the_error_of_an_inflated_state_is_estimated(inflated_column, control):
     simulation = inflated_column(1, control)
     asked = 2.0e3 if control == "pressure" else 1.05 * simulation.rest_setpoints[0]
-    result = repeat_step(simulation, CommandSetpoints([asked], 1.0), 3)
-    assert result.status is Status.OK
+    solved(simulation, CommandSetpoints([asked], 1.0), 3)
     kept = discretization_error(simulation)
     by_pressure = discretization_error(simulation, forces_given=True)
     assert 1e-5 < by_pressure < 5e-3

@@ -1,7 +1,5 @@
 """Robots that rest as they are mounted: strips bent into place, turned by motors, pulled by cables."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import yaml
@@ -9,11 +7,11 @@ import yaml
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene import load_scene, scene_from_mapping
 from softrobot_twin.scene.scene_parameters import changed_scene
-from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
+from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation
 from softrobot_twin.simulation.mounting import MountingError, prestress
-from test.scene_changes import repeat_step
+from test.places import SCENES
+from test.scene_changes import repeat_step, solved
 
-SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
 LENGTH, EI = 0.2, 35.0e6 * 0.01 * 0.005**3 / 12.0
 
 STRIP = f"""
@@ -98,8 +96,7 @@ def test_what_is_at_rest_is_the_mounted_shape(mounted_emio):
     assert np.abs(mounted_emio.state.positions - rest).max() > 0.01
     mounted_emio.reset()
     np.testing.assert_array_equal(mounted_emio.state.positions, rest)
-    result = mounted_emio.step(Hold(0.02))
-    assert result.status is Status.OK
+    result = solved(mounted_emio, Hold(0.02))
     np.testing.assert_allclose(mounted_emio.state.positions, rest, atol=1e-9)
     np.testing.assert_allclose(result.efforts, mounted_emio.mounted.efforts, rtol=1e-6)
     np.testing.assert_array_equal(mounted_emio.rest_setpoints, 0.0)
@@ -117,8 +114,7 @@ def test_targets_are_reached_from_the_mounted_shape(mounted_emio):
     mounted_emio.reset()
     rest = mounted_emio.effector_positions()
     for way in ([0.02, 0.0, 0.0], [0.0, -0.02, 0.01], [-0.01, 0.01, -0.02]):
-        result = repeat_step(mounted_emio, FollowTargets(rest + way, 0.02), 40)
-        assert result.status is Status.OK
+        solved(mounted_emio, FollowTargets(rest + way, 0.02), 40)
         np.testing.assert_allclose(mounted_emio.effector_positions(), rest + way, atol=1e-5)
 
 
@@ -236,8 +232,7 @@ def test_the_points_at_which_its_makers_measured_it_are_reached():
     points = np.vstack([grid[np.linalg.norm(grid, axis=1) <= 0.04], poles]) - [0.0, 0.0, 0.13]
     simulation = Simulation(emio(), with_warnings=False)
     for point in points:
-        result = repeat_step(simulation, FollowTargets(point[None], 0.02), 60)
-        assert result.status is Status.OK
+        solved(simulation, FollowTargets(point[None], 0.02), 60)
         assert np.linalg.norm(simulation.effector_positions() - point) < 1.0e-5
 
 
@@ -252,6 +247,5 @@ def test_sixty_reachable_poses_are_reached(drawn_rng):
         repeat_step(simulation, CommandSetpoints(aim, 1.0), 5)
         target = simulation.effector_positions().copy()
         simulation.reset()
-        result = repeat_step(simulation, FollowTargets(target, 0.02), 40)
-        assert result.status is Status.OK
+        solved(simulation, FollowTargets(target, 0.02), 40)
         assert np.linalg.norm(simulation.effector_positions() - target) < 1.0e-5

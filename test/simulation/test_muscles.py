@@ -5,19 +5,17 @@ import pytest
 
 from softrobot_twin.constraints.muscles import force_length
 from softrobot_twin.errors import SceneError
-from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import (
     CommandEfforts,
     CommandSetpoints,
     FollowTargets,
     Simulation,
-    Status,
 )
 from softrobot_twin.simulation.runs.run_columns import RunColumns
 from softrobot_twin.study.explain import effects
 from test.builder import builder
 from test.finite_differences import assert_slopes_of_actuators
-from test.scene_changes import change_scene, repeat_step
+from test.scene_changes import built, hold, repeat_step
 
 LENGTH, SIDE, E = 0.1, 0.02, 1e5
 AREA = SIDE**2
@@ -53,15 +51,7 @@ def column(*muscles, change=None, element="quadratic", cells=(2, 1, 4)) -> Simul
         "effectors": [{"name": "tip", "points": [TIP]}],
         "solver": {"newton_iterations": 40, "residual_tolerance": 1e-9},
     }  # fmt: skip
-    change_scene(mapping, change)
-    return Simulation(scene_from_mapping(mapping, None))
-
-
-def hold(simulation, *activations):
-    """The result of a step to activations, without limits of time."""
-    result = simulation.step(CommandSetpoints(np.array(activations, float), 1.0))
-    assert result.status is Status.OK
-    return result
+    return built(mapping, change)
 
 
 def contraction(result):

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from softrobot_twin.errors import CommandError
-from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, FollowTargets, Hold, Status
-from test.scene_changes import repeat_step
+from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, FollowTargets, Hold
+from test.scene_changes import repeat_step, solved
 
 HELD = [{"box": {"minimum": [-1, -1, -1e-6], "maximum": [1, 1, 1e-6]}}]
 FREE = {"name": "box", "box": {"size": [0.02, 0.03, 0.04]}, "mass": 0.1}
@@ -19,8 +19,7 @@ def runs(scene, time_step):
         CommandSetpoints(np.empty(0), time_step),
         CommandEfforts(np.empty(0), time_step),
     ):
-        result = scene.step(command)
-        assert result.status is Status.OK
+        result = solved(scene, command)
         assert result.efforts.shape == result.setpoints.shape == (0,)
         assert result.effector_positions.shape == (0, 3)
         assert result.contacts is None and result.report.contact_count == 0

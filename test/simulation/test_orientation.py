@@ -52,8 +52,7 @@ def quaternion(*degrees):
 def led(simulation, turn, shift=(0.0, 0.0, 0.0), steps=30):
     """The last step towards a turn from rest and a place beside that at rest."""
     targets = simulation.model.effectors.positions(simulation.model.nodes.rest_positions) + shift
-    result = repeat_step(simulation, FollowTargets(targets, STEP, None, turn), steps)
-    return result
+    return repeat_step(simulation, FollowTargets(targets, STEP, None, turn), steps)
 
 
 def angle_between(result, turn):

@@ -1,17 +1,12 @@
 """The robots of the package that gas drives: Springy, the PneuNet gripper, the segment."""
 
-import copy
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
-from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import (
     CommandSetpoints,
     FollowTargets,
@@ -21,9 +16,9 @@ from softrobot_twin.simulation import (
 )
 from softrobot_twin.simulation.runs.input_tables import read_commands, read_targets
 from softrobot_twin.study.direct_run import run_commands
-from test.scene_changes import LEFT_OUT, change_scene, changed, repeat_step
+from test.places import CONFIG
+from test.scene_changes import LEFT_OUT, built, changed, entries_of, repeat_step
 
-CONFIG = Path(__file__).resolve().parents[2] / "config"
 SCENES = CONFIG / "scenes"
 GROWTH = 8.0e-6
 AT_REST = 5.47e-6
@@ -32,9 +27,7 @@ AT_REST = 5.47e-6
 def robot(name, change=None) -> Simulation:
     """A robot of the package; a function may change its scene first."""
     path = SCENES / f"{name}.yaml"
-    mapping = copy.deepcopy(written_out(yaml.safe_load(path.read_text())))
-    change_scene(mapping, change)
-    return Simulation(scene_from_mapping(mapping, path))
+    return built(entries_of(path), change, path=path)
 
 
 def settled(simulation, setpoints, steps=60, time_step=1.0):

@@ -1,7 +1,5 @@
 """A step that was prepared is the same, to the bit, as one that was not."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -14,8 +12,8 @@ from softrobot_twin.simulation import (
     Simulation,
 )
 from softrobot_twin.simulation.apparent_compliance import EffectorCompliance
+from test.places import SCENES
 
-SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
 STEP = 0.02
 BETWEEN = ["save", "restore", "reset", "compliance", "forget"]
 

@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 
 from softrobot_twin.errors import SceneError
-from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation, Status
+from softrobot_twin.simulation import FollowTargets, Simulation
 from softrobot_twin.simulation.runs.run_columns import RunColumns
 from softrobot_twin.study.explain import effects
 from test.builder import builder
 from test.finite_differences import assert_slopes_of_actuators
-from test.scene_changes import change_scene, repeat_step
+from test.scene_changes import built, hold, solved
 
 LENGTH, E, THICKNESS, WIDTH = 0.2, 35e6, 0.005, 0.01
 BENDING = E * WIDTH * THICKNESS**3 / 12.0
@@ -32,19 +31,11 @@ def strip(*shapes, change=None, elements=8) -> Simulation:
         "effectors": [{"name": "tip", "body": "leg", "points": [[LENGTH, 0.0, 0.0]]}],
         "solver": {"newton_iterations": 60, "residual_tolerance": 1e-9},
     }  # fmt: skip
-    change_scene(mapping, change)
-    return Simulation(scene_from_mapping(mapping, None))
+    return built(mapping, change)
 
 
 BEND, SIDEWAYS, TWIST, LONGER = {"bend": [-6, 6]}, {"bend_sideways": [-6, 6]}, {"twist": [-2, 2]}, {
     "elongation": [-0.1, 0.3]}  # fmt: skip
-
-
-def hold(simulation, *setpoints):
-    """The result of a step to setpoints, without limits of time."""
-    result = simulation.step(CommandSetpoints(np.array(setpoints, float), 1.0))
-    assert result.status is Status.OK
-    return result
 
 
 @pytest.mark.parametrize("angle", [-0.3, 1.0, 5.5])
@@ -83,8 +74,8 @@ def test_curvatures_follow_a_target_within_rates(strip):
     simulation = strip(BEND | {"rate": 1.0}, SIDEWAYS, LONGER)
     first = simulation.step(FollowTargets(target, 0.1))
     assert abs(first.setpoints[0]) <= 0.1 + 1e-12
-    result = repeat_step(simulation, FollowTargets(target, 0.1), 30)
-    assert result.status is Status.OK and result.effector_errors[0] < 1e-4
+    result = solved(simulation, FollowTargets(target, 0.1), 30)
+    assert result.effector_errors[0] < 1e-4
 
 
 @pytest.mark.parametrize("joined", [{}, {"beams.0.fixed": [], "beams.0.joined": [HINGE]}])

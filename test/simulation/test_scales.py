@@ -6,7 +6,6 @@ the axes of the world, or by where its origin is.
 """
 
 import copy
-from pathlib import Path
 
 import meshio
 import numpy as np
@@ -14,12 +13,12 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
+from test.places import SCENES
 from test.shapes import Cylinder
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation
 
-SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
 SKEW = Rotation.from_rotvec(np.radians(30.0) * np.array([1.0, 2.0, 3.0]) / np.sqrt(14.0))
 STEP = 0.02
 

@@ -35,8 +35,7 @@ def clasp(scene_of, write_block, /, **contact) -> Simulation:
 
 
 def settle(simulation):
-    result = repeat_step(simulation, Hold(STEP), 60)
-    return result
+    return repeat_step(simulation, Hold(STEP), 60)
 
 
 def ends(simulation, positions):

@@ -11,8 +11,8 @@ from softrobot_twin.scene import load_scene, scene_from_mapping
 from softrobot_twin.scene.scene_parameters import changed_scene, parameters
 from softrobot_twin.simulation import CommandSetpoints, Simulation, sensitivities
 from softrobot_twin.simulation.sensitivities import Sensitivities, SensitivityError
+from test.places import CONFIG
 
-CONFIG = Path(__file__).resolve().parents[2] / "config"
 
 BAR = 1.0e-6
 # The tangent of a reduced body is the derivative of its forces within 2e-6.

@@ -1,7 +1,5 @@
 """Surfaces by which bodies, rigid bodies and obstacles are drawn."""
 
-from pathlib import Path
-
 import meshio
 import numpy as np
 import pytest
@@ -15,8 +13,7 @@ from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.mechanics.cavity_surfaces import surface_area
 from softrobot_twin.simulation import Simulation, State
 from test.builder import builder
-
-SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
+from test.places import SCENES
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ import pytest
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Status
 from softrobot_twin.simulation.step.time_budget import StageClock
 from test.builder import builder
-from test.scene_changes import LEFT_OUT, change_scene, changed, repeat_step
+from test.scene_changes import LEFT_OUT, change_scene, changed, repeat_step, solved
 
 AXIS = np.array([0.6, 0.0, 0.8])
 SLIDE = {"name": "lift", "body": "cart", "axis": AXIS.tolist(), "travel": [-0.01, 0.03],
@@ -40,8 +40,7 @@ def sliding(beam, /, change=None):
 def slid_to(simulation, position, steps=20, time_step=1.0):
     lengths = simulation.state.setpoints.copy()
     lengths[-1] = position
-    result = repeat_step(simulation, CommandSetpoints(lengths, time_step), steps)
-    return result
+    return repeat_step(simulation, CommandSetpoints(lengths, time_step), steps)
 
 
 def in_way(mapping, rod):
@@ -116,8 +115,7 @@ def test_its_travel_and_rate_limits_are_kept_and_reported(sliding):
 def test_a_target_that_the_slide_reaches_needs_no_cable(sliding):
     simulation = sliding()
     target = simulation.effector_positions() + 0.015 * AXIS
-    result = repeat_step(simulation, FollowTargets(target, 0.05), 60)
-    assert result.status is Status.OK
+    result = solved(simulation, FollowTargets(target, 0.05), 60)
     assert result.setpoints[-1] == pytest.approx(0.015, abs=2e-4)
     assert result.efforts[:4].max() < 0.2
 

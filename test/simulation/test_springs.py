@@ -3,16 +3,15 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.simulation import Hold, Status
-from test.scene_changes import repeat_step
+from softrobot_twin.simulation import Hold
+from test.scene_changes import solved
 
 G = 9.81
 HELD = [{"box": {"minimum": [-1, -1, -1e-6], "maximum": [1, 1, 1e-6]}}]
 
 
 def settle(scene, time_step=0.1, count=80):
-    result = repeat_step(scene, Hold(time_step), count)
-    assert result.status is Status.OK
+    result = solved(scene, Hold(time_step), count)
     assert result.report.residual < 1e-8
     return result.state.positions
 
@@ -145,7 +144,6 @@ def test_a_spring_a_million_times_stiffer_than_its_body_acts_like_a_fixed_point(
         body=sprung, springs=springs, integration=integration,
         solver={"newton_iterations": 30, "residual_tolerance": 1e-7},
     )  # fmt: skip
-    result = repeat_step(scene, Hold(0.1), 80)
-    assert result.status is Status.OK
+    result = solved(scene, Hold(0.1), 80)
     assert np.abs(alone - x).max() > 1e-4
     np.testing.assert_allclose(result.state.positions, alone, atol=1e-8)

@@ -1,15 +1,13 @@
 """Results of steps are made when they are read, and tell the same whenever that is."""
 
 import pickle
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation
 from softrobot_twin.simulation.apparent_compliance import EffectorCompliance
-
-SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
+from test.places import SCENES
 
 
 def steps_of(simulation, count):

@@ -1,7 +1,5 @@
 """The Stifface renders a stiffness at a touched point that stays where it is."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import yaml
@@ -17,9 +15,9 @@ from softrobot_twin.simulation import (
     Touched,
 )
 from softrobot_twin.simulation.apparent_compliance import EffectorCompliance
+from test.places import SCENES
 from test.scene_changes import repeat_step
 
-SCENES = Path(__file__).resolve().parents[2] / "config/scenes"
 STEP = 0.02
 HELD = np.array([[0.0, 0.0, 0.022]])
 DEPTH = 5.0e-4

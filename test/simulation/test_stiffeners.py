@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 
 from softrobot_twin.errors import SceneError
-from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
+from softrobot_twin.simulation import FollowTargets, Hold, Simulation
 from softrobot_twin.simulation.runs.run_columns import RunColumns
 from softrobot_twin.study.explain import effects
 from test.builder import builder
 from test.finite_differences import assert_slopes_of_actuators
-from test.scene_changes import change_scene, repeat_step
+from test.scene_changes import built, hold, repeat_step, solved
 
 LENGTH, SIDE, E = 0.1, 0.02, 1e5
 ROOT = {"minimum": [-1, -1, -1], "maximum": [LENGTH / 2, 1, 1]}
@@ -37,15 +36,7 @@ def beam(*stiffeners, change=None, cells=(6, 1, 1)) -> Simulation:
         "effectors": [{"name": "tip", "points": TIP, "directions": ["z"]}],
         "solver": {"newton_iterations": 60, "residual_tolerance": 1e-9},
     }  # fmt: skip
-    change_scene(mapping, change)
-    return Simulation(scene_from_mapping(mapping, None))
-
-
-def hold(simulation, *moduli):
-    """The result of a step to moduli, without limits of time."""
-    result = simulation.step(CommandSetpoints(np.array(moduli, float), 1.0))
-    assert result.status is Status.OK
-    return result
+    return built(mapping, change)
 
 
 @pytest.mark.parametrize("change", [
@@ -68,8 +59,7 @@ def test_the_inverse_finds_the_modulus_of_a_sag(beam):
     repeat_step(simulation, Hold(1.0), 3)
     first = simulation.step(FollowTargets(sagged, 0.1))
     assert first.setpoints[0] == pytest.approx(1.2e5) and first.report.active_limits == ("jam.rate",)
-    result = repeat_step(simulation, FollowTargets(sagged, 0.1), 30)
-    assert result.status is Status.OK
+    result = solved(simulation, FollowTargets(sagged, 0.1), 30)
     assert result.setpoints[0] == pytest.approx(2.5e5, rel=1e-3)
     far = sagged + [0.0, 0.0, 0.05]
     result = repeat_step(simulation, FollowTargets(far, 1.0), 30)

@@ -1,15 +1,13 @@
 """The parallel robot of beams: four strips, turned at their ends by motors, carry a platform."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
-from test.scene_changes import repeat_step
+from test.places import SCENES
+from test.scene_changes import repeat_step, solved
 
-SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
 G = 9.81
 
 
@@ -21,13 +19,11 @@ def strider():
 
 
 def reach(simulation, target, steps=60):
-    result = repeat_step(simulation, FollowTargets(np.array([target]), 0.02), steps)
-    return result
+    return repeat_step(simulation, FollowTargets(np.array([target]), 0.02), steps)
 
 
 def test_it_hangs_level_and_its_motors_bear_it_alike(strider):
-    result = strider.step(Hold(0.02))
-    assert result.status is Status.OK
+    result = solved(strider, Hold(0.02))
     tip = strider.effector_positions()[0]
     np.testing.assert_allclose(tip[:2], 0.0, atol=1e-9)
     # The weight of 86 g lowers it by some millimetres.
@@ -91,8 +87,7 @@ def test_the_work_of_the_motors_is_the_energy_of_the_legs_and_of_the_weight(stri
     stored, work = [], 0.0
     last = None
     for share in np.linspace(0.0, 1.0, 31):
-        result = strider.step(CommandSetpoints(share * way, 1.0))
-        assert result.status is Status.OK
+        result = solved(strider, CommandSetpoints(share * way, 1.0))
         if last is not None:
             work += 0.5 * (result.efforts + last.efforts) @ (result.setpoints - last.setpoints)
         stored.append(energy() + heights())

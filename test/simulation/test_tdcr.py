@@ -14,6 +14,7 @@ from scipy.optimize import minimize_scalar
 
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import CommandEfforts, FollowTargets, Simulation, Status
+from test.scene_changes import solved
 
 SCENE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "tdcr.yaml"
 BENDING, ARC, RADIUS = 54.0e9 * 0.25 * np.pi * 0.0007**4, 0.020, 0.010
@@ -41,8 +42,7 @@ def pulled(tensions, changes):
     robot = Simulation(load_scene(SCENE, changes))
     for step in range(30):
         efforts = min(1.0, (step + 1) / 15) * np.asarray(tensions, float)
-        result = robot.step(CommandEfforts(efforts, 0.1))
-        assert result.status is Status.OK
+        result = solved(robot, CommandEfforts(efforts, 0.1))
     return result.effector_positions[0]
 
 

@@ -1,7 +1,6 @@
 """The Trunk: how it hangs, where it reaches, and how it goes between the cylinders."""
 
 import copy
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,9 +9,9 @@ from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.loading import read_yaml, written_out
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
 from test.builder import builder
-from test.scene_changes import LEFT_OUT, change_scene, changed, repeat_step
+from test.places import CONFIG
+from test.scene_changes import LEFT_OUT, change_scene, changed, repeat_step, solved
 
-CONFIG = Path(__file__).resolve().parents[2] / "config"
 TIME_STEP = 0.02
 MAPPINGS = {
     name: written_out(read_yaml((CONFIG / "scenes" / f"{name}.yaml").read_text()))
@@ -42,8 +41,7 @@ def path():
 
 def sag(simulation):
     """How far the tip hangs down at rest lengths [m]."""
-    result = repeat_step(simulation, Hold(TIME_STEP), 20)
-    assert result.status is Status.OK
+    result = solved(simulation, Hold(TIME_STEP), 20)
     assert result.report.residual < 1e-6
     return -result.effector_positions[0, 1]
 
@@ -112,8 +110,7 @@ def test_the_platform_moves_the_trunk_without_deformation(trunk):
     platform = simulation.actuator_names.index("platform_z")
     for _ in range(20):
         lengths[platform] += 0.001
-        result = simulation.step(CommandSetpoints(lengths, TIME_STEP))
-        assert result.status is Status.OK
+        result = solved(simulation, CommandSetpoints(lengths, TIME_STEP))
     moved = result.state.positions - before
     np.testing.assert_allclose(moved, np.array([[0, 0, 0.020]]) * np.ones((len(moved), 1)),
                                atol=1e-7)

@@ -1,7 +1,6 @@
 """Zero errors of winches, motors and regulators, and the frame of the cameras."""
 
 from copy import deepcopy
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,8 +17,8 @@ from softrobot_twin.scene import load_scene
 from softrobot_twin.scene.scene_parameters import changed_scene
 from softrobot_twin.scene.schema import MarkerFrame
 from softrobot_twin.simulation import Simulation
+from test.places import SCENES
 
-SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
 OFFSETS = np.array([6e-4, -4e-4, 3e-4, -7e-4])
 SHORTENINGS = np.array([0.012, 0.004, 0.010, 0.006])
 FRAME = MarkerFrame(position=[0.1, -0.02, 0.3], rotation=[0.2, -0.1, 0.7])

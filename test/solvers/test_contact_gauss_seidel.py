@@ -40,11 +40,10 @@ def block_on_slope(tangent, friction, points):
         H[3 * k : 3 * k + 3, 3:] = np.cross([x, y, -0.5 * side[2]], H[3 * k : 3 * k + 3, :3])
     angle = np.arctan(tangent)
     fall = np.array([np.sin(angle), 0.0, -np.cos(angle), 0.0, 0.0, 0.0]) * GRAVITY * STEP**2
-    problem = ContactProblem(
+    return ContactProblem(
         H @ np.diag(STEP**2 / inertia) @ H.T, H @ fall, NONE, NONE,
         np.full(len(points), friction), 3,
     )  # fmt: skip
-    return problem
 
 
 def solved(problem, guess=None, **options):

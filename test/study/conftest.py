@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 import meshio
 import pytest
-import yaml
 
 from softrobot_twin.__main__ import main
 from test.builder import builder
+from test.places import ROOT
+from test.scene_changes import yaml_file
 
-ROOT = Path(__file__).parents[2]
 
 _PRESS_SCENE = """
 name: stamp
@@ -78,8 +78,7 @@ def stamp(tmp_path_factory, block) -> Path:
 @pytest.fixture(scope="session")
 def cantilever(tmp_path_factory) -> Path:
     """Scene file of a cantilever whose tip is pulled up by a cable."""
-    path = tmp_path_factory.mktemp("rod") / "rod.yaml"
-    path.write_text(yaml.safe_dump({
+    return yaml_file(tmp_path_factory.mktemp("rod") / "rod.yaml", {
         "name": "cantilever", "gravity": [0.0, 0.0, -9.81],
         "beams": [{
             "name": "rod", "points": [[0, 0, 0], [0.2, 0, 0]], "elements": 2,
@@ -87,8 +86,7 @@ def cantilever(tmp_path_factory) -> Path:
             "material": {"young_modulus": 1.0e8, "poisson_ratio": 0.4, "density": 1100.0}}],
         "effectors": [{"name": "tip", "body": "rod", "points": [[0.2, 0, 0]]}],
         "cables": [{"name": "up", "body": "rod", "pull_point": [0, 0, 0.2],
-                    "points": [[0.2, 0, 0]], "tension": [0, 10]}]}))
-    return path
+                    "points": [[0.2, 0, 0]], "tension": [0, 10]}]})
 
 
 @builder
@@ -136,11 +134,12 @@ def stop(*arguments, after: int) -> Finished:
 
 
 @builder
-def call(capsys, /, *arguments) -> Finished:
-    """Runs the same command within this process, which is faster."""
+def call(capsys, /, *arguments, code: int | None = 0) -> Finished:
+    """Runs the same command within this process, which is faster; it ends with this code, None for any."""
     try:
-        code = main([str(argument) for argument in arguments])
+        ended = main([str(argument) for argument in arguments])
     except SystemExit as end:  # how argparse ends
-        code = int(end.code or 0)
+        ended = int(end.code or 0)
     told = capsys.readouterr()
-    return Finished(code, told.out, told.err)
+    assert code in (None, ended), told.err
+    return Finished(ended, told.out, told.err)

@@ -1,13 +1,11 @@
 """Steps of shipped robots against docs/bench.csv: a step does not grow unnoticed."""
 
-from pathlib import Path
-
 import pytest
 
 from softrobot_twin.study.bench import MORE_CALLS, read_earlier
 from softrobot_twin.study.bench_measurement import given_cases, measure
+from test.places import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 REFERENCE = read_earlier(ROOT / "docs" / "bench.csv")
 # On another processor a robot may take another branch now and then.
 MARGIN = 1.03

@@ -30,7 +30,7 @@ from softrobot_twin.study.accuracy_study import (
     write_scene_copy,
 )
 from softrobot_twin.study.reduced_models import every_level, reduced_models
-from test.scene_changes import repeat_step
+from test.scene_changes import repeat_step, yaml_file
 
 SCENE = {
     "name": "bar",
@@ -51,9 +51,7 @@ def one_refinement(monkeypatch):
 
 @pytest.fixture
 def path(tmp_path):
-    path = tmp_path / "bar.yaml"
-    path.write_text(yaml.safe_dump(SCENE))
-    return path
+    return yaml_file(tmp_path / "bar.yaml", SCENE)
 
 
 def sagged(scene) -> np.ndarray:

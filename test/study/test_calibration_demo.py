@@ -1,14 +1,11 @@
 """Poses by which a demo calibrates."""
 
-from pathlib import Path
-
 import numpy as np
 
 from softrobot_twin.ros.demo import plan_demo
 from softrobot_twin.simulation import CommandSetpoints, Simulation
 from softrobot_twin.study.calibration_demo import poses_of_device
-
-SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
+from test.places import SCENES
 
 
 def test_poses_are_where_the_device_rests_at_setpoints_of_the_twin_within_the_box():

@@ -8,14 +8,13 @@ from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Hold, Si
 from softrobot_twin.simulation.runs.input_tables import TableFileError, read_commands
 from softrobot_twin.study.direct_run import run_commands
 from test.builder import builder
+from test.scene_changes import entries_of
 
 
 @pytest.fixture(scope="module")
 def robot(column):
     """The column with a motor on two cables, a guided box and a free ball."""
-    import yaml
-    content = yaml.safe_load(column.read_text())
-    content["integration"] = "dynamic"
+    content = entries_of(column, {"integration": "dynamic"})
     content["rigid_bodies"] = [
         {"name": "gantry", "motion": "guided", "position": [0.5, 0.0, 0.0],
          "box": {"size": [0.1, 0.1, 0.1]}},

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-import yaml
 
 from softrobot_twin.harness.sampled_axes import ActuationError
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.study.effect_costs import EFFECTS, NOTHING, effect_costs, path_of
 from test.builder import builder
+from test.scene_changes import yaml_file
 
 BOX = {"mesh": {"box": {"size": [0.1, 0.02, 0.02], "cells": [5, 1, 1]}}, "name": "beam",
        "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [1e-6, 1, 1]}}]}  # fmt: skip
@@ -18,8 +18,7 @@ TIP = {"name": "tip", "points": [[0.1, 0.01, 0.01]]}
 @builder
 def write(tmp_path, /, **mapping):
     """Writes a scene file, and loads it."""
-    file = tmp_path / "scene.yaml"
-    file.write_text(yaml.safe_dump({"name": "scene", **mapping}))
+    file = yaml_file(tmp_path / "scene.yaml", {"name": "scene", **mapping})
     return load_scene(file)
 
 

@@ -1,6 +1,5 @@
 """``init``: a first scene that loads and runs as it is; guesses are told, nothing is asked."""
 
-
 import re
 import shlex
 import shutil
@@ -21,12 +20,12 @@ from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.command import CommandSetpoints, Hold
 from softrobot_twin.study.first_scene import made_name
 from test.cad_parts import box, finger, lines_of, need_gmsh, write_stl
+from test.places import MESHES
 from test.scene_changes import repeat_step
 
 pytestmark = pytest.mark.sampled
 
 MM = 1e-3
-MESHES = Path(__file__).resolve().parents[2] / "meshes"
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,6 @@
 import meshio
 import numpy as np
 import pytest
-import yaml
 
 from softrobot_twin.geometry.box_mesh import read_box
 from softrobot_twin.harness.study_rows import write_rows
@@ -18,6 +17,7 @@ from softrobot_twin.study.accuracy_study import (
     study_meshes,
 )
 from softrobot_twin.study.choice import Measured, choose
+from test.scene_changes import yaml_file
 
 pytestmark = pytest.mark.exhaustive
 
@@ -52,9 +52,7 @@ def bar(tmp_path_factory):
                  "fixed": [{"box": {"minimum": [-1, -1, -1e-4], "maximum": [1, 1, 1e-4]}}]},
         "cables": cables, "effectors": [{"name": "tip", "points": [[0.01, 0.01, 0.1]]}],
     }  # fmt: skip
-    path = folder / "bar.yaml"
-    path.write_text(yaml.safe_dump(scene, sort_keys=False))
-    return path
+    return yaml_file(folder / "bar.yaml", scene)
 
 
 @pytest.fixture(scope="module")

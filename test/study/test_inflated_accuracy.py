@@ -23,6 +23,7 @@ from softrobot_twin.study.accuracy_study import (
     write_mesh,
 )
 from softrobot_twin.study.choice import Measured, choose
+from test.scene_changes import yaml_file
 
 SIZE = (0.03, 0.03, 0.06)
 FINEST = 2
@@ -57,9 +58,7 @@ def inflated(tmp_path_factory):
         "cavities": [{"name": "air", "walls": [{"file": "walls.vtk"}], "rate": 1.0e4,
                       "pressure": [0.0, 2.0e4], "growth": [0.0, 2.0e-6]}],
         "effectors": [{"name": "tip", "points": [[0.0, 0.0, -0.06]]}]}
-    path = folder / "column.yaml"
-    path.write_text(yaml.safe_dump(scene, sort_keys=False))
-    return path
+    return yaml_file(folder / "column.yaml", scene)
 
 
 @pytest.fixture(scope="module")
@@ -73,8 +72,7 @@ def changed(path, change):
     """A copy of a scene file beside it, with a changed content."""
     content = yaml.safe_load(path.read_text())
     change(content)
-    copy = path.with_name("changed.yaml")
-    copy.write_text(yaml.safe_dump(content))
+    copy = yaml_file(path.with_name("changed.yaml"), content)
     return load_scene(copy)
 
 
@@ -134,8 +132,7 @@ def test_choose_speaks_of_volumes_and_keeps_what_the_scene_controls(inflated, st
     content = yaml.safe_load(inflated.read_text())
     content["cavities"][0]["walls"][0]["file"] = str(inflated.with_name("walls.vtk"))
     content["body"]["mesh"]["file"] = str(inflated.with_name("column_1.vtk"))
-    scene = tmp_path / "column.yaml"
-    scene.write_text(yaml.safe_dump(content))
+    scene = yaml_file(tmp_path / "column.yaml", content)
     assert choose(scene, 100.0, tmp_path / "rows.csv", written, fake_clock) == 0
     output = capsys.readouterr().out
     assert "for given cavity volumes: " in output

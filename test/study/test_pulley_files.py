@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-import yaml
 
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandSetpoints, Simulation
 from softrobot_twin.simulation.runs.input_tables import TableFileError, read_commands
 from softrobot_twin.simulation.runs.run_columns import actuator_cells, actuator_columns
+from test.scene_changes import entries_of
 
 RADIUS = 0.01
 
@@ -15,8 +15,7 @@ RADIUS = 0.01
 @pytest.fixture(scope="module")
 def wound(column):
     """The column with a pulley of its cable a, and one of the motor of c and d."""
-    content = yaml.safe_load(column.read_text())
-    content["cables"][0]["pulley"] = {"radius": RADIUS}
+    content = entries_of(column, {"cables.0.pulley": {"radius": RADIUS}})
     pulley = {"radius": 2 * RADIUS, "winds": "negative"}
     content["motors"] = [{"name": "winch", "cables": ["c", "d"], "pulley": pulley}]
     return Simulation(scene_from_mapping(content, column))

@@ -9,7 +9,6 @@ import time
 
 import numpy as np
 import pytest
-import yaml
 
 from softrobot_twin.harness import sample_workers
 from softrobot_twin.harness.sample_workers import DaskWorkers, Job, LocalWorkers
@@ -18,7 +17,7 @@ from softrobot_twin.simulation import CommandSetpoints, Simulation
 from softrobot_twin.simulation.apparent_compliance import apparent_compliance
 from softrobot_twin.study.workspace import SampleComputer, UnfinishedFile
 from test.run_files import rows_of
-from test.scene_changes import repeat_step
+from test.scene_changes import repeat_step, yaml_file
 
 NOBODY = "--scheduler tcp://127.0.0.1:9"
 
@@ -67,7 +66,6 @@ def test_the_first_sample_is_the_robot_at_rest(sampled, column):
 def test_two_processes_write_the_same_bytes(sampled, column, call, tmp_path):
     done = call("workspace", column, "--output", tmp_path / "w.csv", "--samples", 7, "--seed", 3,
                 "--workers", 2)  # fmt: skip
-    assert done.code == 0, done.errors
     assert (tmp_path / "w.csv").read_bytes() == sampled.read_bytes()
     assert not (tmp_path / "w.csv.part").exists()
     assert "7 of 7" in done.errors and "7 ok" in done.output
@@ -111,11 +109,11 @@ def test_a_stopped_run_goes_on_where_it_was(column, sampled, stop, call, tmp_pat
     # A row that was being written when the power failed is computed again.
     part.write_bytes(part.read_bytes()[:-5])
     before = part.read_bytes()
-    done = call(*arguments, "--range", "a_shortening_m=0:0.001", "--workers", 1)
-    assert done.code == 2 and "w.csv.part" in done.errors and "another range" in done.errors
+    done = call(*arguments, "--range", "a_shortening_m=0:0.001", "--workers", 1, code=2)
+    assert "w.csv.part" in done.errors and "another range" in done.errors
     assert part.read_bytes() == before
     again = call(*arguments, "--workers", 1)
-    assert again.code == 0 and not part.exists()
+    assert not part.exists()
     assert "3 of 12" in again.errors
     lines = output.read_text().splitlines()
     assert [line.split(",")[0] for line in lines[1:]] == [str(index) for index in range(12)]
@@ -238,8 +236,8 @@ def test_a_lost_sample_is_a_row_with_its_status(column, call, tmp_path, monkeypa
 
     monkeypatch.setattr(LocalWorkers, "run", run)
     done = call("workspace", column, "--output", tmp_path / "w.csv", "--samples", 3,
-                "--picture", tmp_path / "w.png")  # fmt: skip
-    assert done.code == 1 and "sample 1 is lost: no power" in done.errors
+                "--picture", tmp_path / "w.png", code=1)  # fmt: skip
+    assert "sample 1 is lost: no power" in done.errors
     rows = rows_of(tmp_path / "w.csv")
     assert [row["status"] for row in rows] == ["ok", "lost", "ok"]
     assert rows[1]["tip_x_m"] == "nan" and "1 lost" in done.output
@@ -248,10 +246,9 @@ def test_a_lost_sample_is_a_row_with_its_status(column, call, tmp_path, monkeypa
 def test_an_actuator_without_bounds_is_refused_by_name(air_scene, tmp_path, call):
     mapping = copy.deepcopy(air_scene)
     del mapping["cavities"][0]["pressure"]
-    scene = tmp_path / "air.yaml"
-    scene.write_text(yaml.safe_dump(mapping))
-    done = call("workspace", scene, "--output", tmp_path / "w.csv", "--samples", 2)
-    assert done.code == 2 and "cavities: low has no greatest pressure [Pa]" in done.errors
+    scene = yaml_file(tmp_path / "air.yaml", mapping)
+    done = call("workspace", scene, "--output", tmp_path / "w.csv", "--samples", 2, code=2)
+    assert "cavities: low has no greatest pressure [Pa]" in done.errors
     assert "--range low_pressure_Pa=LOW:HIGH" in done.errors
     assert not list(tmp_path.glob("w.csv*"))
     axes = sampled_axes(Simulation.from_scene_file(scene), ["low_pressure_Pa=0:1000"])
@@ -270,8 +267,8 @@ def test_a_cluster_that_is_not_there_is_refused_by_name(column, call, tmp_path, 
     else:
         pytest.importorskip("distributed")
         monkeypatch.setattr(sample_workers, "CONNECTION_TIMEOUT", 1.0)
-    done = call("workspace", column, "--output", tmp_path / "w.csv", "--samples", 2, *NOBODY.split())
-    assert done.code == 2 and told in done.errors
+    done = call("workspace", column, "--output", tmp_path / "w.csv", "--samples", 2, *NOBODY.split(), code=2)
+    assert told in done.errors
 
 
 @pytest.fixture(scope="module")
@@ -289,9 +286,8 @@ def test_a_cluster_computes_the_same_and_a_failure_costs_only_its_sample(
     cluster, column, sampled, squares, call, tmp_path
 ):
     address = cluster.scheduler_address
-    done = call("workspace", column, "--output", tmp_path / "w.csv", "--samples", 7, "--seed", 3,
-                "--scheduler", address)  # fmt: skip
-    assert done.code == 0, done.errors
+    call("workspace", column, "--output", tmp_path / "w.csv", "--samples", 7, "--seed", 3,
+         "--scheduler", address)  # fmt: skip
     assert (tmp_path / "w.csv").read_bytes() == sampled.read_bytes()
     samples = [(index, index) for index in range(6)]
     job = Job(squares.Failing, tmp_path, "")

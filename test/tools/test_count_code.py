@@ -2,12 +2,12 @@
 
 import re
 import subprocess
-from pathlib import Path
 
 import pytest
 from count_code import count_all, read_limits, renew
 
-ROOT = Path(__file__).resolve().parents[2]
+from test.places import ROOT
+
 LIMITS = "tools/code_limits.txt"
 SLACK = 0.1
 """Share by which a room may have become shorter or longer than docs/architecture.md says."""

@@ -1,15 +1,12 @@
 """The draw list of a simulation: what each effect draws, and what labels name."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import Hold, Simulation
 from softrobot_twin.view.draw_list import DrawList, Shown
-
-SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
+from test.places import SCENES
 
 
 def listed(simulation, **changes):

@@ -1,7 +1,6 @@
 """What is shown of simulations: entities and curves of what a robot has, and of nothing else."""
 
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,10 +9,9 @@ from scipy.spatial.transform import Rotation
 from softrobot_twin.simulation import Hold, Simulation
 from softrobot_twin.view import ViewError
 from softrobot_twin.view.simulation_frames import SimulationFrames
+from test.places import SCENES
 
 pytestmark = pytest.mark.libraries
-
-SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
 
 
 @cache

@@ -38,7 +38,7 @@ class Quantity(NamedTuple):
 
 @dataclass
 class ActuatorGroup:
-    """The actuators of one kind in a scene.
+    """The actuators of one kind in a scene. `group_of` makes one, and fills in what is usual.
 
     Attributes:
         kind: Their kind.
@@ -82,28 +82,14 @@ class ActuatorGroup:
     rates: np.ndarray
     effort_bounds: np.ndarray
     force_per_effort: np.ndarray
-    kinds: tuple[ActuatorKind, ...] = ()
-    flows: np.ndarray | None = None
-    rest_extents: np.ndarray | None = None
-    limit_names: tuple[tuple[str, str], ...] = ()
-    effort_zeros: np.ndarray | None = None
-    effort_gains: np.ndarray | None = None
+    kinds: tuple[ActuatorKind, ...]
+    flows: np.ndarray
+    rest_extents: np.ndarray
+    limit_names: tuple[tuple[str, str], ...]
+    effort_zeros: np.ndarray
+    effort_gains: np.ndarray
     entries: tuple[ActuatorEntry, ...] = ()
     has_rest_efforts: bool = False
-
-    def __post_init__(self) -> None:
-        """Fill in what is usual."""
-        count, word = len(self.names), self.kind.displacement.word
-        self.kinds = self.kinds or (self.kind,) * count
-        self.limit_names = self.limit_names or ((f"{word}_min", f"{word}_max"),) * count
-        if self.flows is None:
-            self.flows = np.full(count, np.inf)
-        if self.rest_extents is None:
-            self.rest_extents = self.rest_setpoints
-        if self.effort_zeros is None:
-            self.effort_zeros = np.zeros(count)
-        if self.effort_gains is None:
-            self.effort_gains = np.ones(count)
 
 
 class ActuatorKind(Protocol):
@@ -218,14 +204,17 @@ def group_of(
         force_per_effort: See there.
         **others: Further fields, also those that this fills in.
     """
-    count = len(owners)
+    count, word = len(owners), kind.displacement.word
     usual: dict[str, Any] = {
         "names": tuple(entry.name for entry in owners), "moves": None, "rest_setpoints": np.zeros(count),
         "displacement_bounds": np.tile([-np.inf, np.inf], (count, 1)), "rates": numbers_of(owners, "rate"),
+        "kinds": (kind,) * count, "limit_names": ((f"{word}_min", f"{word}_max"),) * count,
+        "flows": np.full(count, np.inf), "effort_zeros": np.zeros(count), "effort_gains": np.ones(count),
     }  # fmt: skip
+    fields = {"rest_extents": others.get("rest_setpoints", np.zeros(count))} | usual | others
     return ActuatorGroup(
         kind, term=term, displacement_scale=displacement_scale, effort_bounds=effort_bounds,
-        force_per_effort=force_per_effort, **usual | others,
+        force_per_effort=force_per_effort, **fields,
     )  # fmt: skip
 
 

@@ -209,12 +209,8 @@ class Actuators:
         """
         if not self.limits.has_effort_driven:
             return self.drives(setpoints)
-        reached, first = np.empty(self.row_count), 0
-        for term in self.terms:
-            own = slice(first, first + term.row_count)
-            first = own.stop
-            term.evaluate(positions, np.empty((len(term.entry_rows), 3)), reached[own])
-        return self.displacements_at(setpoints, reached)
+        reached = [term.rows_at(positions)[1] for term in self.terms]
+        return self.displacements_at(setpoints, np.concatenate([np.empty(0), *reached]))
 
     def displacements_at(self, setpoints: np.ndarray, reached: np.ndarray) -> np.ndarray:
         """The same, with the displacements of all rows known.

@@ -28,7 +28,6 @@ from softrobot_twin.simulation.building.actuator_kinds import (
 from softrobot_twin.simulation.building.limits import (
     efforts_at_scale,
     pulley_of_cable,
-    rows_at,
     shortenings_of_angles,
     unlikely,
 )
@@ -69,8 +68,7 @@ class CableActuator(ActuatorKind):
         cables = _term(layout, tuple(paths), entries)
         _check_cables_move(cables, rest, layout.scene)
         ranges, rates = numbers_of(entries, "shortening"), numbers_of(entries, "rate")
-        pulleys = pulley_of_cable(layout.scene)
-        names = _limit_by_pulleys(entries, pulleys, ranges, rates) if pulleys else ()
+        names = _limit_by_pulleys(entries, pulley_of_cable(layout.scene), ranges, rates)
         ranges[:, 1] = np.where(np.isinf(ranges[:, 1]), cables.rest_lengths, ranges[:, 1])
         return group_of(
             self, entries, cables, cables.scales, numbers_of(entries, "tension"), np.ones(len(entries)),
@@ -304,7 +302,7 @@ def _check_cables_move(cables: Cables, rest_positions: np.ndarray, scene: Scene)
         SceneError: All points of a cable are in the fixed part of its body.
     """
     row_sizes = np.zeros(len(scene.cables))
-    blocks = rows_at(cables, rest_positions)
+    blocks, _ = cables.rows_at(rest_positions)
     np.add.at(row_sizes, cables.entry_rows, np.abs(blocks).sum(axis=1))
     for index in np.flatnonzero(row_sizes == 0.0):
         raise scene.error(f"cables[{index}].points", scene.cables[index].name,

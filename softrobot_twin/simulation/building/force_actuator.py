@@ -105,7 +105,7 @@ def _forces(layout: Layout, key: str, entry: Force, notes: list[str]) -> list[Po
     moving = nodes.free_index[points.nodes[points.barycentric_weights != 0.0]] >= 0
     if not moving.any():
         raise layout.scene.error(key, entry.name, "lies wholly in what is fixed: it moves nothing")
-    patch = _patch(layout, key, entry, points) if entry.turns_with_body else None
+    patch = _patch(layout, key, points) if entry.turns_with_body else None
     directions = np.eye(3)
     if entry.direction is not None:
         directions = np.array([entry.direction], float)
@@ -133,7 +133,7 @@ def _surface(layout: Layout, key: str, entry: Force) -> tuple[BarycentricMapping
     return body.node_mapping(nodes), np.bincount(place.ravel(), np.repeat(areas, 3), len(nodes))
 
 
-def _patch(layout: Layout, key: str, entry: Force, points: BarycentricMapping):
+def _patch(layout: Layout, key: str, points: BarycentricMapping):
     """Nodes and arms by whose rotation a force turns, and whether they are a frame."""
     rest, frame = layout.nodes.rest_positions, frame_of(layout, points)
     if frame is not None:

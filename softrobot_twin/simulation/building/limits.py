@@ -157,18 +157,6 @@ def unlikely(
     yield f"{key} = {value:g} {unit} is very {size}: {hint}"
 
 
-def rows_at(term, positions: np.ndarray) -> np.ndarray:
-    """Entries of H of a constraint term at a state, shape (entry_count, 3).
-
-    Args:
-        term: The constraint term.
-        positions: Node positions [m], shape (node_count, 3).
-    """
-    blocks, values = np.zeros((len(term.entry_rows), 3)), np.zeros(term.row_count)
-    term.evaluate(positions, blocks, values)
-    return blocks
-
-
 def efforts_at_scale(model, term) -> np.ndarray | None:
     """Effort that would displace each actuator by its natural scale, by the stiffness at rest.
 
@@ -189,7 +177,7 @@ def efforts_at_scale(model, term) -> np.ndarray | None:
         force.add(nodes.rest_positions, forces, factorization.storage, True)
     if not all(body.is_held for body in model.bodies) or not factorization.factor():
         return None
-    blocks = rows_at(term, nodes.rest_positions)
+    blocks, _ = term.rows_at(nodes.rest_positions)
     efforts = np.empty(term.row_count)
     for index in range(term.row_count):
         own = term.entry_rows == index

@@ -596,7 +596,7 @@ def reduced_nodes(body: Body, scene: Scene) -> ReducedNodes:
     """
     path: Path = scene.file_path(body.entry.reduced.file)
     key = f"{body.key}.reduced"
-    _refuse(body, key, scene)
+    _refuse(body, scene)
     try:
         reduction = read_body_reduction(path, body)
     except ModelFileError as error:
@@ -609,7 +609,7 @@ def reduced_nodes(body: Body, scene: Scene) -> ReducedNodes:
     return ReducedNodes(reduction, np.einsum("ij,njm->nim", turn, used), body.mesh.node_positions)
 
 
-def _refuse(body: Body, key: str, scene: Scene) -> None:
+def _refuse(body: Body, scene: Scene) -> None:
     """Refuse what is not built for reduced bodies, by name."""
     if body.riding and not rides_on_a_slide(body, scene):
         raise scene.error(f"{body.key}.attached", ", ".join(body.riding),

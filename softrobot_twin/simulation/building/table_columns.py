@@ -7,7 +7,7 @@ metres, and a part of a quaternion has no unit. So what a run writes can be give
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 
 from softrobot_twin.simulation.building.actuator_kinds import Quantity
 
@@ -36,31 +36,33 @@ def column(name: str, quantity: Quantity) -> str:
     return f"{name}_{quantity.word}_{quantity.unit}".removesuffix("_")
 
 
-def position_columns(name: str) -> tuple[str, ...]:
-    """Columns of the place of an effector or a body [m], such as ``tip_x_m``.
-
-    Args:
-        name: Name of the effector or body.
-    """
-    return tuple(f"{name}_{axis}_m" for axis in AXES)
+def _columns(form: str, parts: Sequence[str] = AXES) -> Callable[[str], tuple[str, ...]]:
+    """The function from the name of something to the columns of its parts."""
+    return lambda name: tuple(form.format(name, part) for part in parts)
 
 
-def quaternion_columns(name: str) -> tuple[str, ...]:
-    """Columns of the turn of an effector or a body (x, y, z, w), such as ``tip_qx``.
-
-    Args:
-        name: Name of the effector or body.
-    """
-    return tuple(f"{name}_{part}" for part in _TURN)
-
-
-def stiffness_columns(name: str) -> tuple[str, ...]:
-    """Columns of the stiffness of an effector [N/m], such as ``tip_kx_N_per_m``.
-
-    Args:
-        name: Name of the effector.
-    """
-    return tuple(f"{name}_k{axis}_N_per_m" for axis in AXES)
+position_columns = _columns("{}_{}_m")
+"""Columns of the place of an effector or a body [m], such as ``tip_x_m``."""
+quaternion_columns = _columns("{}_{}", _TURN)
+"""Columns of the turn of an effector or a body (x, y, z, w), such as ``tip_qx``."""
+stiffness_columns = _columns("{}_k{}_N_per_m")
+"""Columns of the stiffness of an effector [N/m], such as ``tip_kx_N_per_m``."""
+force_columns = _columns("{}_force_{}_N")
+"""Columns of the force of a touch [N], such as ``finger_force_x_N``."""
+force_deviation_columns = _columns("{}_force_deviation_{}_N")
+"""Columns of the standard deviation of an observed force [N], such as ``tip_force_deviation_x_N``."""
+torque_columns = _columns("{}_torque_{}_N_m")
+"""Columns of an observed torque [N m], such as ``cube_torque_x_N_m``."""
+base_load_columns = _columns("{}_load_{}_m_per_s2")
+"""Columns of what a mass at the origin of a moving base feels [m/s²], such as ``base_load_x_m_per_s2``."""
+reaction_columns = _columns("{}_reaction_{}_N")
+"""Columns of a reaction force [N], such as ``base_reaction_x_N``."""
+reaction_torque_columns = _columns("{}_reaction_torque_{}_Nm")
+"""Columns of a reaction torque [N m], such as ``base_reaction_torque_x_Nm``."""
+place_columns = _columns("{}_place_{}_m")
+"""Columns of where an observed force acts [m], such as ``tip_place_x_m``."""
+displacement_columns = _columns("{}_displacement_{}_m")
+"""Columns of the displacement of a touch [m], such as ``finger_displacement_x_m``."""
 
 
 def target_name(name: str) -> str:
@@ -82,43 +84,6 @@ def target_column(name: str, own: str) -> str:
     return target_name(name) + own.removeprefix(name)
 
 
-def force_columns(name: str) -> tuple[str, ...]:
-    """Columns of the force of a touch [N], such as ``finger_force_x_N``.
-
-    Args:
-        name: Name of the touch.
-    """
-    return tuple(f"{name}_force_{axis}_N" for axis in AXES)
-
-
-def force_deviation_columns(name: str) -> tuple[str, ...]:
-    """Columns of the standard deviation of an observed force [N], such as
-    ``tip_force_deviation_x_N``.
-
-    Args:
-        name: Name of the force.
-    """
-    return tuple(f"{name}_force_deviation_{axis}_N" for axis in AXES)
-
-
-def torque_columns(name: str) -> tuple[str, ...]:
-    """Columns of an observed torque [N m], such as ``cube_torque_x_N_m``.
-
-    Args:
-        name: Name of the force that comes with it.
-    """
-    return tuple(f"{name}_torque_{axis}_N_m" for axis in AXES)
-
-
-def base_load_columns(name: str) -> tuple[str, ...]:
-    """Columns of what a mass at the origin of a moving base feels [m/s²], such as ``base_load_x_m_per_s2``.
-
-    Args:
-        name: Name of the base.
-    """
-    return tuple(f"{name}_load_{axis}_m_per_s2" for axis in AXES)
-
-
 def holds_column(name: str) -> str:
     """Column of what a grip is told, and does: 1 to hold and 0 to let go, such as ``cup_holds``.
 
@@ -126,42 +91,6 @@ def holds_column(name: str) -> str:
         name: Name of the grip.
     """
     return f"{name}_holds"
-
-
-def reaction_columns(name: str) -> tuple[str, ...]:
-    """Columns of a reaction force [N], such as ``base_reaction_x_N``.
-
-    Args:
-        name: Name of the reaction.
-    """
-    return tuple(f"{name}_reaction_{axis}_N" for axis in AXES)
-
-
-def reaction_torque_columns(name: str) -> tuple[str, ...]:
-    """Columns of a reaction torque [N m], such as ``base_reaction_torque_x_Nm``.
-
-    Args:
-        name: Name of the reaction.
-    """
-    return tuple(f"{name}_reaction_torque_{axis}_Nm" for axis in AXES)
-
-
-def place_columns(name: str) -> tuple[str, ...]:
-    """Columns of where an observed force acts [m], such as ``tip_place_x_m``.
-
-    Args:
-        name: Name of the force.
-    """
-    return tuple(f"{name}_place_{axis}_m" for axis in AXES)
-
-
-def displacement_columns(name: str) -> tuple[str, ...]:
-    """Columns of the displacement of a touch [m], such as ``finger_displacement_x_m``.
-
-    Args:
-        name: Name of the touch.
-    """
-    return tuple(f"{name}_displacement_{axis}_m" for axis in AXES)
 
 
 def body_name(name: str, effectors: Iterable[str]) -> str:

@@ -61,7 +61,6 @@ class SoftPart(NamedTuple):
         cells: Its cells, shape (cell_count,).
         inner: Its nodes that belong to no vertebra, shape (inner_count,).
         ends: The two vertebrae A and B, shape (2,).
-        end_nodes: Its nodes on A and on B.
         end_points: Means of these at rest, in mesh coordinates [m], shape (2, 3).
         cavities: Cavities whose walls it carries, by their order in the division.
         walls: These walls, by their order.
@@ -70,7 +69,6 @@ class SoftPart(NamedTuple):
     cells: np.ndarray
     inner: np.ndarray
     ends: tuple[int, int]
-    end_nodes: tuple[np.ndarray, np.ndarray]
     end_points: np.ndarray
     cavities: tuple[int, ...]
     walls: tuple[int, ...]
@@ -208,7 +206,7 @@ def _soft_parts(
         faces = tuple(nodes[owner[nodes] == end] for end in ends)
         found = tuple(dict.fromkeys(cavities.index(walls[w].name) for w in held_by))
         parts.append(SoftPart(
-            own, nodes[owner[nodes] < 0], (int(ends[0]), int(ends[1])), faces,
+            own, nodes[owner[nodes] < 0], (int(ends[0]), int(ends[1])),
             np.array([positions[face].mean(axis=0) for face in faces]), found, tuple(held_by),
         ))  # fmt: skip
     return tuple(parts)

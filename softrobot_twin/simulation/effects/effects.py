@@ -8,27 +8,48 @@ from softrobot_twin.errors import SceneError
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.effects.exploration import explorer_of
 from softrobot_twin.simulation.effects.grip_margins import grip_margins_of
-from softrobot_twin.simulation.effects.gripping import gripping_of
-from softrobot_twin.simulation.effects.guiding import guiding_of
-from softrobot_twin.simulation.effects.moving_base import moving_base_of
+from softrobot_twin.simulation.effects.gripping import Gripping
+from softrobot_twin.simulation.effects.guiding import Guiding
+from softrobot_twin.simulation.effects.moving_base import MovingBase
 from softrobot_twin.simulation.effects.near_burst import near_burst_of
-from softrobot_twin.simulation.effects.observed_forces import observed_forces_of
-from softrobot_twin.simulation.effects.reactions import reactions_of
-from softrobot_twin.simulation.effects.sensing import sensing_of
-from softrobot_twin.simulation.effects.stiffness_targets import stiffness_targets_of
-from softrobot_twin.simulation.effects.touches import touches_of
+from softrobot_twin.simulation.effects.observed_forces import Observed
+from softrobot_twin.simulation.effects.reactions import Reactions
+from softrobot_twin.simulation.effects.sensing import Sensing
+from softrobot_twin.simulation.effects.stiffness_targets import StiffnessTargets
+from softrobot_twin.simulation.effects.touches import Touches
 from softrobot_twin.simulation.effects.trusted_ranges import (
-    hexahedra_range_of,
-    sampled_ranges_of,
-    strain_ranges_of,
+    HexahedraRange,
+    SampledRanges,
+    StrainRanges,
+    reduced_bodies,
 )
 from softrobot_twin.simulation.step.step_part import StepPart, memories_of_terms
 
-EFFECTS: list[Callable[[Model], Iterator[StepPart]]] = [
-    explorer_of, guiding_of, sampled_ranges_of, strain_ranges_of, hexahedra_range_of,
-    memories_of_terms, touches_of, observed_forces_of, stiffness_targets_of, near_burst_of, grip_margins_of,
-    reactions_of, sensing_of, gripping_of, moving_base_of,
-]  # fmt: skip
+PartsOf = Callable[[Model], Iterator[StepPart]]
+
+
+def _where(is_asked: Callable[[Model], object], part: Callable[[Model], StepPart]) -> PartsOf:
+    """One part, of models for which something holds."""
+    return lambda model: iter([part(model)] if is_asked(model) else [])
+
+
+EFFECTS: list[PartsOf] = [
+    explorer_of,
+    _where(lambda model: model.guides is not None and model.guides.limits, Guiding),
+    _where(lambda model: model.superelements or reduced_bodies(model), SampledRanges),
+    _where(lambda model: model.strain_watches, StrainRanges),
+    _where(lambda model: model.compression_watches, HexahedraRange),
+    memories_of_terms,
+    _where(lambda model: model.scene.touches, Touches),
+    _where(lambda model: model.scene.observer is not None, Observed),
+    _where(lambda model: model.weighs_stiffness, StiffnessTargets),
+    near_burst_of,
+    grip_margins_of,
+    _where(lambda model: model.scene.reactions, Reactions),
+    _where(lambda model: model.sensors is not None, Sensing),
+    _where(lambda model: model.scene.grips, Gripping),
+    _where(lambda model: model.scene.moving_base is not None, MovingBase),
+]
 """Each gives the parts that a scene calls for."""
 
 

@@ -6,8 +6,6 @@ the beginning of a step; it lets go by itself where it bears more than its `forc
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from softrobot_twin.errors import CommandError
@@ -30,14 +28,13 @@ class Gripping(StepPart):
 
     name = "grips"
 
-    def __init__(self, model: Model, term: Grips):
+    def __init__(self, model: Model):
         """Take the grips.
 
         Args:
             model: The built scene.
-            term: Its force term of grips.
         """
-        self._term, self._entries = term, model.scene.grips
+        self._term, self._entries = model.force_term(Grips), model.scene.grips
         shapes = {part.name: part.shape for part in model.rigid}
         self._shapes = [shapes.get(entry.holds) for entry in self._entries]
         self.wanted = dict.fromkeys((entry.name for entry in self._entries), False)
@@ -119,13 +116,3 @@ class Gripping(StepPart):
         """See `StepPart`: grips are told what they do there."""
         told = self.recalled(state)["told"] > 0.0
         self.wanted = dict(zip(self.wanted, told.tolist(), strict=True)) | self._pending
-
-
-def gripping_of(model: Model) -> Iterator[StepPart]:
-    """The part of a scene with grips.
-
-    Args:
-        model: The model of a simulation.
-    """
-    if (term := model.force_term(Grips)) is not None:
-        yield Gripping(model, term)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from softrobot_twin.simulation.building.guided_bodies import Guides
@@ -21,9 +19,9 @@ class Guiding(StepPart):
 
     name, may_rest = "guides", False
 
-    def __init__(self, guides: Guides):
+    def __init__(self, model: Model):
         """Take the guided bodies."""
-        self._guides = guides
+        self._guides: Guides = model.guides
 
     def reset(self) -> None:
         """See `StepPart`."""
@@ -81,13 +79,3 @@ class Guiding(StepPart):
                 positions[:] = tried
                 return False
         return False
-
-
-def guiding_of(model: Model) -> Iterator[StepPart]:
-    """The part of a scene with guided bodies.
-
-    Args:
-        model: The model of a simulation.
-    """
-    if model.guides is not None and model.guides.limits:
-        yield Guiding(model.guides)

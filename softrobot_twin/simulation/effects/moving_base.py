@@ -12,7 +12,6 @@ load at its centre of mass.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -115,15 +114,14 @@ class MovingBase(StepPart):
 
     name = "base"
 
-    def __init__(self, model: Model, weight: Gravity):
+    def __init__(self, model: Model):
         """Take the weights.
 
         Args:
             model: The built scene.
-            weight: Its force term of weight.
         """
-        self._model, self._weight = model, weight
-        self._gravity, self._masses = np.array(model.scene.gravity), weight.masses
+        self._model, self._weight = model, model.force_term(Gravity)
+        self._gravity, self._masses = np.array(model.scene.gravity), self._weight.masses
         self.entry = "moving_base.most_acceleration", str(model.scene.moving_base.most_acceleration)
         self.track = BaseTrack(model.scene.moving_base.most_acceleration)
         self.reset()
@@ -196,13 +194,3 @@ class MovingBase(StepPart):
             return
         memory = self.recalled(state)
         self.motion = BaseMotion(*(memory[field] for field in BaseMotion._fields))
-
-
-def moving_base_of(model: Model) -> Iterator[StepPart]:
-    """The part of a scene whose base moves.
-
-    Args:
-        model: The model of a simulation.
-    """
-    if model.scene.moving_base is not None:
-        yield MovingBase(model, model.force_term(Gravity))

@@ -6,7 +6,6 @@ takes it for given, so that the model stays where the robot is, and targets are 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -180,30 +179,20 @@ def numbers_of(places: tuple[ObservedPlace, ...], wrenches: np.ndarray) -> np.nd
     return np.concatenate([one[: place.dimension] for place, one in zip(places, wrenches, strict=True)])
 
 
-def observed_forces_of(model: Model) -> Iterator[StepPart]:
-    """The part of a scene with an observer.
-
-    Args:
-        model: The model of a simulation.
-    """
-    if (term := observed_term(model)) is not None:
-        yield Observed(model, term)
-
-
 class Observed(StepPart):
     """Lets the model bear what an observer found."""
 
     name, takes = "observer", ObservedForces
 
-    def __init__(self, model: Model, term: ObservedLoads):
+    def __init__(self, model: Model):
         """Take the term.
 
         Args:
             model: The built scene.
-            term: Its force term of observed loads.
         """
-        self._term, self._rows = term, ObservedRows(model, term.places, with_markers=False)
-        self._none = ObservedForces.none(len(term.places))
+        self._term = observed_term(model)
+        self._rows = ObservedRows(model, self._term.places, with_markers=False)
+        self._none = ObservedForces.none(len(self._term.places))
         self._found, self._rest = self._none, model.nodes.rest_positions
 
     def memory_at_rest(self) -> dict[str, np.ndarray]:

@@ -6,8 +6,6 @@ They are what a load cell under the robot shows: the residual at the nodes that 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from softrobot_twin.simulation.building.model import Model
@@ -57,13 +55,3 @@ class Reactions(StepPart):
     def may_keep(self, before: State, after: State) -> bool:
         """See `StepPart`; reactions are those of the state."""
         return bool(np.isfinite(self.recalled(before)["wrenches"]).all())
-
-
-def reactions_of(model: Model) -> Iterator[StepPart]:
-    """The part of a scene that names reactions.
-
-    Args:
-        model: The model of a simulation.
-    """
-    if model.scene.reactions:
-        yield Reactions(model)

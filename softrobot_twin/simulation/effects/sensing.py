@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from softrobot_twin.simulation.building.model import Model
@@ -39,13 +37,3 @@ class Sensing(StepPart):
     def may_keep(self, before: State, after: State) -> bool:
         """See `StepPart`; what is shown follows from the state."""
         return True
-
-
-def sensing_of(model: Model) -> Iterator[StepPart]:
-    """The part of a scene with sensors.
-
-    Args:
-        model: The model of a simulation.
-    """
-    if model.sensors is not None:
-        yield Sensing(model)

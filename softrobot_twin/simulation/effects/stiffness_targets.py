@@ -13,7 +13,6 @@ effectors.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import cached_property, partial
 
 import numpy as np
@@ -150,16 +149,6 @@ class StiffnessTargets(StepPart):
     def report(self, state: State) -> PartReport:
         """See `StepPart`."""
         return self._told
-
-
-def stiffness_targets_of(model: Model) -> Iterator[StepPart]:
-    """The part of a scene in which stiffnesses have a weight.
-
-    Args:
-        model: The model of a simulation.
-    """
-    if model.weighs_stiffness:
-        yield StiffnessTargets(model)
 
 
 def stiffness_of_scene(scene: Scene) -> np.ndarray:

@@ -11,7 +11,6 @@ cannot follow a target: the finger decides where it is.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -74,29 +73,18 @@ def touch_term(model: Model) -> TouchLoads | None:
     return model.force_term(TouchLoads)
 
 
-def touches_of(model: Model) -> Iterator[StepPart]:
-    """The part of a scene with touches.
-
-    Args:
-        model: The model of a simulation.
-    """
-    if (term := touch_term(model)) is not None:
-        yield Touches(model, term)
-
-
 class Touches(StepPart):
     """Reads the touches of each step of one scene."""
 
     name, takes = "touches", Touched
 
-    def __init__(self, model: Model, term: TouchLoads):
+    def __init__(self, model: Model):
         """Take the term.
 
         Args:
             model: The built scene.
-            term: Its force term of touches.
         """
-        self._term, self._rest = term, model.nodes.rest_positions
+        self._term, self._rest = touch_term(model), model.nodes.rest_positions
         self._names = tuple(touch.name for touch in model.scene.touches)
         holds = [touch.while_touched == "hold_actuators" for touch in model.scene.touches]
         self._holds = np.array(holds)

@@ -11,13 +11,11 @@ Outside of the range it is several times one, since coordinates that were small 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
 from softrobot_twin.mechanics.strain_watch import StrainOutside
-from softrobot_twin.mechanics.superelements import Superelements
 from softrobot_twin.simulation.building.deformable_body import Body
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.result import COARSE, SAMPLED, STRAINED
@@ -54,14 +52,13 @@ class SampledRanges(StepPart):
 
     name = "sampled_ranges"
 
-    def __init__(self, superelements: dict[str, Superelements], coordinates: tuple[CoordinateRange, ...]):
+    def __init__(self, model: Model):
         """Take what has a range.
 
         Args:
-            superelements: Those of each body that is reduced to vertebrae, by its name.
-            coordinates: The ranges of the bodies in the coordinates of a basis.
+            model: The built scene.
         """
-        self._superelements, self._coordinates = superelements, coordinates
+        self._superelements, self._coordinates = model.superelements, coordinate_ranges(model)
 
     def report(self, state: State) -> PartReport:
         """See `StepPart`."""
@@ -71,17 +68,6 @@ class SampledRanges(StepPart):
         if most > 1.0:
             outside = tuple(f"{name}.{SAMPLED}" for name, share in shares.items() if share > 1.0)
         return PartReport(outside, entries={"sampled_range": most})
-
-
-def sampled_ranges_of(model: Model) -> Iterator[StepPart]:
-    """The part of a scene with reduced bodies.
-
-    Args:
-        model: The model of a simulation.
-    """
-    coordinates = coordinate_ranges(model)
-    if model.superelements or coordinates:
-        yield SampledRanges(model.superelements, coordinates)
 
 
 def reduced_bodies(model: Model) -> tuple[Body, ...]:
@@ -139,16 +125,6 @@ class StrainRanges(StepPart):
         return PartReport(tuple(limits), entries={"strains": tuple(self._outside)})
 
 
-def strain_ranges_of(model: Model) -> Iterator[StepPart]:
-    """The part of a scene with materials that have a range of strains.
-
-    Args:
-        model: The model of a simulation.
-    """
-    if model.strain_watches:
-        yield StrainRanges(model)
-
-
 class HexahedraRange(StepPart):
     """Tells where hexahedra are too few for their compression, as long as they are."""
 
@@ -172,13 +148,3 @@ class HexahedraRange(StepPart):
     def report(self, state: State) -> PartReport:
         """See `StepPart`."""
         return PartReport(self._coarse, is_trusted=not self._coarse)
-
-
-def hexahedra_range_of(model: Model) -> Iterator[StepPart]:
-    """The part of a scene with hexahedra.
-
-    Args:
-        model: The model of a simulation.
-    """
-    if model.compression_watches:
-        yield HexahedraRange(model)

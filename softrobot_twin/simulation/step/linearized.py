@@ -5,7 +5,7 @@
 over named groups of rows: actuators, effectors, contacts. A group that a scene does not name has no
 rows; so a scene without contact is the same condensed system with an empty group.
 
-Rows that yield to their efforts by themselves (`YieldingTerm`, `EffortTerm`) add their own compliance
+Rows that yield to their efforts by themselves add their own compliance
 C to W; where their values are those at the told efforts λ₀, -C λ₀ to δ_free.
 
 The time of condensing grows with the square of the rows. Of many contacts within the alarm

@@ -27,6 +27,7 @@ from softrobot_twin.simulation.building.actuator_kinds import (
     ActuatorGroup,
     Quantity,
     actuator_kinds,
+    group_of,
     register_actuator,
     withdraw_actuator,
 )
@@ -34,7 +35,7 @@ from softrobot_twin.simulation.runs.input_tables import TableFileError, read_tar
 from softrobot_twin.simulation.runs.run_columns import RunColumns, actuator_cells
 from softrobot_twin.study.explain import effects
 from test.builder import builder
-from test.scene_changes import change_scene, changed, repeat_step
+from test.scene_changes import change_scene, changed, solved
 
 STEP = 0.02
 
@@ -139,10 +140,10 @@ class ChamberActuator:
             # Outside of the body is inside of the chamber.
             patches.append(triangles[inside][:, ::-1])
         term = Chambers(patches, [c.apex for c in entries], layout.nodes.free_index, rest)
-        return ActuatorGroup(
-            self, tuple(c.name for c in entries), term, None, term.rest_volumes, term.scales,
-            np.array([c.expansion for c in entries]), np.array([c.rate for c in entries]),
-            np.array([c.pressure for c in entries]), np.full(len(entries), 0.02 * 0.06),
+        return group_of(
+            self, entries, term, term.scales, np.array([c.pressure for c in entries]),
+            np.full(len(entries), 0.02 * 0.06), rest_setpoints=term.rest_volumes,
+            displacement_bounds=np.array([c.expansion for c in entries]),
         )  # fmt: skip
 
     def doubts(self, model, group):
@@ -294,8 +295,7 @@ def test_it_reaches_a_volume_and_the_same_pressure_holds_it_there(inflated, sett
 def test_it_brings_an_effector_to_its_target_together_with_cables(inflated):
     simulation = inflated()
     target = simulation.effector_positions() + [0.006, 0.001, -0.001]
-    result = repeat_step(simulation, FollowTargets(target, STEP), 60)
-    assert result.status is Status.OK
+    result = solved(simulation, FollowTargets(target, STEP), 60)
     assert result.effector_errors[0] < 1e-4
     assert np.abs(result.efforts[4:]).max() > 1.0
 

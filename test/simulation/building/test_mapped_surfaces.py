@@ -9,7 +9,7 @@ import pytest
 from softrobot_twin.geometry.self_proximity import FixedPairs
 from softrobot_twin.simulation import CommandSetpoints, Hold, State, Status
 from softrobot_twin.simulation.building import contact_building
-from test.scene_changes import repeat_step
+from test.scene_changes import solved
 
 STEP = 0.02
 LENGTH = 0.06
@@ -98,9 +98,8 @@ def test_rows_of_a_split_chamber_are_the_slopes_of_its_volume(tmp_path, inflatab
     coarse = box_file(tmp_path / "coarse.stl", points.min(axis=0), points.max(axis=0))
     simulation = inflatable({"cavities.0.walls": [{"file": coarse}]})
     term, rest = simulation.actuators.terms[0], simulation.model.nodes.rest_positions
-    blocks, values = np.zeros((len(term.entry_rows), 3)), np.zeros(1)
     positions = rest + 1e-4 * drawn_rng.normal(size=rest.shape)
-    term.evaluate(positions, blocks, values)
+    blocks, values = term.rows_at(positions)
     move = np.zeros_like(rest)
     free = simulation.model.nodes.free_nodes
     move[free] = drawn_rng.normal(size=(len(free), 3))
@@ -204,8 +203,7 @@ def test_a_bent_finger_rests_on_its_coarse_contact_surface(tmp_path, write_block
             contact={"friction": 0.0, "between": [{"pair": ["beam", "ball"]}]},
             solver={"newton_iterations": 4},
         )  # fmt: skip
-        result = repeat_step(simulation, Hold(STEP), 10)
-        assert result.status is Status.OK
+        result = solved(simulation, Hold(STEP), 10)
         rests.append(result.state.positions.copy())
     # Unsplit, its flat sole between the held ends would pass the ball by, and the beam hang lower.
     np.testing.assert_allclose(rests[1], rests[0], atol=1e-4)

@@ -3,7 +3,6 @@
 import io
 import zipfile
 from contextlib import suppress
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,8 +13,8 @@ from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation.building import reduced_body
 from softrobot_twin.simulation.building.reduced_body import ModelFile, ModelFileError
 from softrobot_twin.simulation.building.scene_layout import lay_out
+from test.places import ROOT
 
-ROOT = Path(__file__).resolve().parents[3]
 FILES = {"diamond_reduced": "diamond_600_reduced", "fetch_reduced": "fetch_5586_vertebrae"}
 
 

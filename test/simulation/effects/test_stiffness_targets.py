@@ -7,12 +7,11 @@ import pytest
 import yaml
 
 from softrobot_twin.errors import CommandError
-from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.loading import written_out
-from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation, Status, Touched
+from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Status, Touched
 from softrobot_twin.simulation.apparent_compliance import apparent_compliance
 from softrobot_twin.simulation.effects.stiffness_targets import StiffnessTargets
-from test.scene_changes import change_scene, changed, repeat_step
+from test.scene_changes import built, changed, repeat_step
 
 FILE = Path(__file__).resolve().parents[3] / "config" / "scenes" / "stifface.yaml"
 WHERE, NOWHERE = np.array([[0.0, 0.0, -1.0e-3]]), np.full((1, 3), np.nan)
@@ -24,8 +23,7 @@ def make(change=None, **stiffness):
     mapping["effectors"][0].pop("stiffness", None)
     if stiffness:
         mapping["effectors"][0]["stiffness"] = stiffness
-    change_scene(mapping, change)
-    return Simulation(scene_from_mapping(mapping, FILE))
+    return built(mapping, change, path=FILE)
 
 
 @pytest.fixture(scope="module")

@@ -2,30 +2,26 @@
 
 import copy
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import CommandSetpoints, Simulation, Status, Touched
 from softrobot_twin.simulation.step.apparent_stiffness import ApparentStiffness
 from softrobot_twin.simulation.step.augmented_tangent import HeldActuators
 from softrobot_twin.simulation.step.time_budget import StageClock
-from test.scene_changes import changed
+from test.places import SCENES
+from test.scene_changes import changed, entries_of
 
-SCENES = Path(__file__).resolve().parents[3] / "config" / "scenes"
 ALL_AXES = np.arange(3)
 
 
 def shipped(name, change):
     """A shipped scene with changes, converged in every step."""
     file = SCENES / f"{name}.yaml"
-    mapping = written_out(yaml.safe_load(file.read_text()))
-    mapping["solver"] = {"newton_iterations": 60, "residual_tolerance": 1e-11}
+    mapping = entries_of(file, {"solver": {"newton_iterations": 60, "residual_tolerance": 1e-11}})
     change(mapping)
     return Simulation(scene_from_mapping(mapping, file))
 

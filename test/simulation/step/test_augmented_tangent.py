@@ -1,7 +1,5 @@
 """Facts of the tangent that is augmented by the rows of held cables."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -17,9 +15,8 @@ from softrobot_twin.simulation.step.augmented_tangent import (
 from softrobot_twin.solvers.factorization import NodeRows
 from softrobot_twin.solvers.inverse_problem import Bounds
 from test.builder import builder
+from test.places import SCENES
 from test.scene_changes import repeat_step
-
-SCENES = Path(__file__).resolve().parents[3] / "config" / "scenes"
 
 
 def held_within(count, effort_max):

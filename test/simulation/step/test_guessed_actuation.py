@@ -1,15 +1,13 @@
 """The actuation by one kernel against the same found by the general functions, to the bit."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import FollowTargets, Simulation
 from softrobot_twin.simulation.step.inverse_actuation import InverseActuation
+from test.places import SCENES
 
-SCENES = Path(__file__).resolve().parents[3] / "config" / "scenes"
 STEPS = 30
 
 

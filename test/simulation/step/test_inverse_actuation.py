@@ -8,8 +8,7 @@ from test.scene_changes import repeat_step
 
 
 def reached(simulation, targets, time_step=10.0, steps=30):
-    result = repeat_step(simulation, FollowTargets(targets, time_step), steps)
-    return result
+    return repeat_step(simulation, FollowTargets(targets, time_step), steps)
 
 
 def test_targets_in_the_workspace_are_met(diamond, circle):
