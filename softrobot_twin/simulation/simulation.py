@@ -41,15 +41,12 @@ from softrobot_twin.simulation.step.linearized import Linearized
 from softrobot_twin.simulation.step.newton import Newton
 from softrobot_twin.simulation.step.step_part import StepPart, parts_by_method, those_with
 from softrobot_twin.simulation.step.step_report import NEAR_BALANCE, Balance, Outcome, StepResults
-from softrobot_twin.simulation.step.target_trust import NO_LOADS, Approach
+from softrobot_twin.simulation.step.situation import NO_LOADS
 from softrobot_twin.simulation.step.time_budget import StageClock, TimeBudget
 from softrobot_twin.simulation.step.time_integration import Dynamics, GeneralizedAlpha, Statics
 from softrobot_twin.simulation.warm_up import run_every_path
 from softrobot_twin.solvers.factorization import Factorization
 
-# Shares of a move towards targets that are tried, where a whole one folds the body or leads away
-# from balance.
-SHARES = (1.0, 0.5, 0.25, 0.125)
 # Linearizations of a step in time of which a move was too long for one of them, at most.
 MOST_SHARES = 10
 # Moves of bodies that are brought near balance, at most, and the length of one, by the body's size,
@@ -741,24 +738,23 @@ class Simulation(Readouts):
         self, positions: np.ndarray, actuation: Actuation, held: Actuation, clock: StageClock
     ) -> tuple[float, float, Actuation]:
         """Correct the positions, in statics, by as much of an actuation as keeps the body near balance."""
-        newton, inverts = self.newton, False
-        for part in SHARES:
-            tried = actuation if part == 1.0 else actuation.blended(held, part)
+        newton, inverts, inverse = self.newton, False, self.inverse
+        for tried in inverse.tries(actuation, held):
             share, residual, done = self._move(positions, tried, clock, True)
-            if newton.accepts(positions, share):
+            if newton.accepts(positions, share) and (share >= inverse.least_share or tried is held):
                 break
             inverts = inverts or newton.inverts
             newton.take_back(positions)
         else:
-            part, tried = 0.0, held
+            tried = held
             share, residual, done = self._move_and_settle(positions, held, clock)
             if newton.inverts:
                 # It cannot even stay: the last good state is kept.
                 share, inverts = 0.0, True
                 newton.forget_folds()
-        if part < 1.0:
+        if tried is not actuation:
             self.direct.remember(done.efforts)
-            self.inverse.trust.tighten()
+            inverse.refuse(tried is held and share == 0.0)
             done = done._replace(is_refused=inverts)
         return share, residual, done
 

@@ -7,7 +7,7 @@ from softrobot_twin.simulation.building.limits import find_limits, write_bounds
 from softrobot_twin.simulation.result import find_carrying
 from softrobot_twin.simulation.step.inverse_actuation import keep_within, write_near, write_steps
 from softrobot_twin.simulation.step.goals import DISPLACEMENT_MET, are_near
-from softrobot_twin.simulation.step.target_trust import are_equal, longest_move
+from softrobot_twin.simulation.step.situation import are_equal, longest_move
 
 SEEDS = range(20)
 

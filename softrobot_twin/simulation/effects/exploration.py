@@ -23,7 +23,7 @@ from softrobot_twin.simulation.command import Command, FollowTargets
 from softrobot_twin.simulation.result import Status, StepResult
 from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.step.step_part import Steppable, StepPart
-from softrobot_twin.simulation.step.target_trust import CALM, Approach
+from softrobot_twin.simulation.step.situation import CALM
 from softrobot_twin.simulation.step.time_budget import StageClock
 from softrobot_twin.solvers.direct_problem import solve_by_daqp
 
@@ -241,7 +241,7 @@ class Explorer(StepPart):
         """
         if command.is_on_way:
             return
-        before, misses = self._exploration, simulation.inverse.trust.misses
+        before, misses = self._exploration, simulation.inverse.misses
         is_nearer = before is None or misses @ misses < NEARER * before.missed
         if result.status is not Status.OK and is_nearer:
             self._exploration = Exploration(command, result, misses, simulation.model.actuators)
@@ -273,14 +273,14 @@ class Explorer(StepPart):
         simulation.forget_solvers()
         if self._exploration.trial is not None:
             near, trial = 0.5 * NEARER * self._exploration.missed, self._exploration.trial
-            simulation.inverse.trust.depart(trial.goal, trial.follows, near)
+            simulation.inverse.depart(trial.goal, trial.follows, near)
 
     def _try(
         self, simulation: Steppable, exploration: Exploration, command: Command,
         budget: float | None, measured: object | None,
     ) -> StepResult:  # fmt: skip
         """Make a step of a trial in place of one of the robot, which would keep its state."""
-        newton, trust = simulation.newton, simulation.inverse.trust
+        newton, inverse = simulation.newton, simulation.inverse
         stays = simulation.state, simulation.kept
         simulation.state, newton.factor_age = exploration.state, exploration.factor_age
         self._exploration = simulation.kept = None
@@ -296,14 +296,14 @@ class Explorer(StepPart):
             # The factor is that of another state.
             exploration.factor_age, newton.factor_age = newton.factor_age, None
         self._exploration = exploration
-        has_gone = trust.approach is not Approach.DEPART
+        has_gone = not inverse.is_departing
         is_stable = simulation.is_balanced and not newton.projected_tangent
         is_calm = bool((moved <= CALM * simulation.limits.drive_scale).all())
         trial = exploration.trial
         if tried.status.is_failure:
             exploration.next_trial()
         else:
-            exploration.judge(trust.misses, has_gone, is_stable, is_calm)
+            exploration.judge(inverse.misses, has_gone, is_stable, is_calm)
         if exploration.is_found or exploration.trial is not trial:
             self._begin_trial(simulation)
         simulation.state = simulation.state.kept_through(command.time_step)

@@ -41,7 +41,6 @@ from softrobot_twin.simulation.step.direct_actuation import DirectActuation
 from softrobot_twin.simulation.step.inverse_actuation import InverseActuation
 from softrobot_twin.simulation.step.inverse_choice import why_not_followed
 from softrobot_twin.simulation.step.linearized import Linearized
-from softrobot_twin.simulation.step.target_trust import Approach
 from softrobot_twin.solvers.inverse_problem import Bounds
 
 # Named where a target is further away than one step leads, or the steps are not there yet.
@@ -454,7 +453,7 @@ class TargetGoal(Goal):
 
     def keeps(self, before: State, after: State, is_stable: bool) -> bool:
         """See `Goal`."""
-        stays = is_stable and self._goals.inverse.trust.approach is Approach.REST
+        stays = is_stable and self._goals.inverse.rests
         slack = KEPT_SHARE_TOWARDS_TARGETS * self._limits.drive_scale
         share = KEPT_SHARE_WHILE_STAYING if stays else KEPT_SHARE_TOWARDS_TARGETS
         if not self._is_kept(before, after, slack, share):

@@ -12,25 +12,25 @@ The law holds for a free cable too, whose winch may choose δ_set within its lim
 shortening of a winch bounds the path of a taut cable only: either λ ≥ 0 and δ_a ≤ δ_max, or λ = 0,
 and the path may be shorter than the shortest length to which the winch can wind the cable. The
 search begins in the branch of the held actuation. Branches meet where λ = 0 and δ_a = δ_max; a cable
-that an optimum leaves there takes the other one. Where the actuators would rest, the optimum of each
-branch is sought in which one cable changes (`_look`), and `TargetTrust` follows the most promising.
+that an optimum leaves there takes the other one.
+
+How far an optimum is trusted is a question of its own: `Follower`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
 
 from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.simulation.building.model import Model
-from softrobot_twin.simulation.result import RATE
 from softrobot_twin.simulation.step.actuation import NO_EFFORT, Actuation, ContactLoads
 from softrobot_twin.simulation.step.apparent_stiffness import StiffnessRows
 from softrobot_twin.simulation.step.direct_actuation import DirectActuation, widened
 from softrobot_twin.simulation.step.linearized import Linearized, row_motion
-from softrobot_twin.simulation.step.target_trust import NO_LOADS, Approach, Situation, TargetTrust
+from softrobot_twin.simulation.step.situation import NO_LOADS, Situation
 from softrobot_twin.solvers.inverse_problem import (
     LEAST_ENERGY_WEIGHT,
     NO_FORCES,
@@ -69,13 +69,10 @@ ROUND_OFF = 1.0e-11
 LIMIT_MARGIN = 1.0e-4
 # After each second start in vain, twice as many linearizations pass without one, and at most these.
 LONGEST_WAIT = 7
-# A place on the actuators' path this near, as a share of their scales, is reached.
-NEAR_PLACE = 1.0e-6
+# Shares of a move that are tried, where a whole one folds the body or leads away from balance.
+SHARES = (1.0, 0.5, 0.25, 0.125)
 # The path of a cable this near to its limit, as a share of the cable's scale, is at the limit.
 AT_LIMIT = 1.0e-8
-
-# A cable that is to bear where a finger pushes bears this multiple of what the push takes from it.
-BEARS = 1.5
 
 
 @njit(**KERNEL)
@@ -143,18 +140,17 @@ def write_posed_steps(
 
 
 @njit(**KERNEL)
-def write_wanted(targets, row_weights, weights, wanted, wanted_weights):
+def write_wanted(targets, row_weights, wanted, wanted_weights):
     """Write targets and their weights, both zero where a row is free, all of shape (n,).
 
     Args:
         targets: Wanted effector coordinates [m], NaN where free.
         row_weights: Weight of each row.
-        weights: Those of `write_steps`.
         wanted: Takes the targets [m].
         wanted_weights: Takes the weights.
     """
-    for r in range(len(weights)):
-        is_wanted = weights[r] > 0.0
+    for r in range(len(targets)):
+        is_wanted = np.isfinite(targets[r])
         wanted[r] = targets[r] if is_wanted else 0.0
         wanted_weights[r] = row_weights[r] if is_wanted else 0.0
 
@@ -414,6 +410,26 @@ class Unknowns(NamedTuple):
         return efforts, z[first:]
 
 
+class Asked(NamedTuple):
+    """What one linearization is asked for; see `InverseActuation.solve`.
+
+    Attributes:
+        linear: The condensed system.
+        target_rows: Wanted effector coordinates [m], NaN where free, shape (effector_row_count,).
+        held: What the actuators do when they stay.
+        bounds: Bounds of this linearization.
+        commanded: Which actuators are commanded, shape (actuator_count,).
+        stiffness: Rows of wanted stiffnesses; None if none is wanted.
+    """
+
+    linear: Linearized
+    target_rows: np.ndarray
+    held: Actuation
+    bounds: Bounds
+    commanded: np.ndarray
+    stiffness: StiffnessRows | None
+
+
 class InverseActuation:
     """Finds actuation and contact forces that bring effectors to their targets.
 
@@ -421,13 +437,21 @@ class InverseActuation:
     force; the tautness of a commanded cable. Limits of the hardware are always kept.
 
     Attributes:
-        trust: How far the linearizations are trusted, learnt from what they promised.
+        misses: Distances from targets where the last step began, times the roots of their weights [m].
+        rests: Whether the actuators stay, since nothing brings the effectors nearer.
+        is_departing: Whether they go to a place first, see `depart`.
         least_progress: A step that shortens the way by this share is on its way.
         seeks_once: Whether the first linearization of a step in contact alone seeks the actuators.
     """
 
     least_progress = 1.0
     seeks_once = False
+    # Least share of a move that is made rather than a shorter one sought.
+    least_share: float = 0.0
+    misses: np.ndarray
+    rests: bool
+    is_departing: bool
+    move_limit: float
 
     def __init__(self, model: Model, direct: DirectActuation, qp_solvers: tuple | None = None):
         """Lay out the problem.
@@ -459,15 +483,11 @@ class InverseActuation:
         self._proves = model.actuators.conserves and not model.rows.varies
         self._all_free = Unknowns(np.zeros(count, dtype=bool), False)
         self._none, self._nowhere = np.zeros(count), np.full(count, np.nan)
-        self._least_weight = 0.0 if alone else LEAST_PROXIMAL_WEIGHT_IN_CONTACT
+        self._proximal_weight = 0.0 if alone else LEAST_PROXIMAL_WEIGHT_IN_CONTACT
         if not model.actuators.conserves:
-            self._least_weight = LEAST_PROXIMAL_WEIGHT_WITH_FRICTION
+            self._proximal_weight = LEAST_PROXIMAL_WEIGHT_WITH_FRICTION
         if model.weighs_stiffness:
-            self._least_weight = max(self._least_weight, LEAST_PROXIMAL_WEIGHT_WITH_STIFFNESS)
-        self.trust = TargetTrust(
-            actuators.limits.drive_scale, _rest_rows(model), model.scene.solver.reach_tolerance,
-            model.nodes.size, model.effectors.position_row_count,
-        )  # fmt: skip
+            self._proximal_weight = max(self._proximal_weight, LEAST_PROXIMAL_WEIGHT_WITH_STIFFNESS)
         self._learns = not model.is_dynamic
         self._tolerance = model.scene.solver.reach_tolerance
         self._posed = model if model.effectors.orientations else None
@@ -483,7 +503,7 @@ class InverseActuation:
         self._touching: dict[tuple[int, int], bool] | None = None
         self._wait = self._next_wait = 0
         self._solver.reset()
-        self.trust.forget()
+        self.forget()
         if self._posed is not None:
             self._posed.effectors.forget_targets()
         self.begin_step(True, True)
@@ -522,80 +542,69 @@ class InverseActuation:
             The actuation, or the held one with `solved` False; and what a shorter step than that
             begins with: the held actuation, in which commanded actuators do as they are told.
         """
-        asked, weights = self._steps.asked(target_rows, linear.effectors_now)
         least, most = self._limits.drive_bounds(bounds)
         commanded, drives = least == most, held.drives(self._limits)
         any_commanded = bool(commanded.any())
         begins, self._begins = self._learns and self._begins, False
         if begins:
-            if self._posed is not None:
-                # Coordinates of orientations are those at the present target.
-                self.trust.rest = _rest_rows(self._posed)
-            wanted = np.empty((2, len(weights)))
-            write_wanted(target_rows, self._row_weights, weights, *wanted)
+            wanted = np.empty((2, len(target_rows)))
+            write_wanted(target_rows, self._row_weights, *wanted)
             situation = Situation(
                 *wanted,
                 linear.effector_places(held.efforts, held.contact.multipliers),
                 drives, np.where(commanded, most, np.nan) if any_commanded else self._nowhere,
                 self._is_balanced, self._loads, self._load, self._guided, self._is_stable,
             )  # fmt: skip
-            situation = _with_stiffness(situation, stiffness, held.efforts)
-            self.trust.begin(self._with_forces(situation, linear, held))
-        bounds = self._near(drives, commanded, bounds)
+            self._begin(_with_stiffness(situation, stiffness, held.efforts), linear, held)
         if any_commanded:
             held = self._direct.at_drives(linear, np.where(commanded, most, drives), bounds)
         # Where nothing is left to choose, how hard contacts press is told all the same.
         limits = self._limits_met(held.contact.multipliers)
         if limits:
             held = held._replace(contact=held.contact._replace(limits=limits))
-        if self.trust.approach is Approach.LOOK and begins:
-            self._look(linear, target_rows, held, bounds, commanded, stiffness)
-        leaves_nothing = any_commanded and commanded.all()
-        if leaves_nothing or self.trust.approach in (Approach.REST, Approach.LOOK):
+        if (any_commanded and commanded.all()) or self.rests:
             return held, held
-        if self.trust.approach in (Approach.RETURN, Approach.DEPART):
-            goal = self._limits.drives_within(self.trust.goal, bounds)
-            return self._direct.at_drives(linear, goal, bounds), held
-        if self.trust.approach is Approach.RETRACE:
-            return self._retrace(linear, held, bounds), held
-        if self.trust.approach is Approach.LEAD_BACK:
-            # Coordinates of orientations are those at another target.
-            place = np.full(len(target_rows), np.nan)
-            noted = self.trust.path.last_effectors
-            place[: len(noted)] = noted
-            asked, weights = self._steps.asked(place, linear.effectors_now)
-        if not self._proves:
-            self._energy_now = self._weight_of_energy(linear, asked)
-        branch = self.trust.branch
-        stiffness = self._in_branch(stiffness, branch)
-        errors, weights, extra = _rows_to_track(linear, asked, weights, stiffness)
-        within = self._bearing(stiffness, branch, bounds)
-        given = linear, errors, weights, held, within
-        is_plain = extra is None and branch is None and not any_commanded
-        while True:
-            found = self.guessed(*given) if is_plain else None
-            if found is None:
-                found = self._over_branches(*given, commanded, extra, branch)
-            if found is None or self.trust.longest == np.inf:
-                break
-            still = self._still(linear, held)
-            if not self.trust.is_too_long(still, found.drives(self._limits)):
-                break
-            self.trust.tighten()
-        if found is None and branch is not None:
-            self.trust.branch = None
-            return held, held
-        if found is None:
-            return held._replace(solved=False), held
-        if self._learns and self.trust.approach is Approach.FOLLOW:
-            places = self._places(linear, found, stiffness)
-            is_watched = self.trust.is_careful or self.trust.is_late
-            is_hindered = is_watched and any(
-                name.endswith(RATE)
-                for name in self._limits.binding(found.displacements, found.efforts, bounds)
-            )
-            self.trust.expect(places, is_hindered)
-        return found, held
+        return self._follow(Asked(linear, target_rows, held, bounds, commanded, stiffness)), held
+
+    def forget(self) -> None:
+        """Forget all targets."""
+        raise NotImplementedError
+
+    def depart(self, goal: np.ndarray, follows: bool, near: float) -> None:
+        """Forget all targets, and let the actuators go to a place first.
+
+        Args:
+            goal: Their displacements there, shape (actuator_count,).
+            follows: Whether they follow targets from there; else they stay.
+            near: T below which they stay where they come to rest [m²].
+        """
+        raise NotImplementedError
+
+    def tries(self, found: Actuation, held: Actuation) -> Iterator[Actuation]:
+        """What is tried, one after the other, until the bodies accept a move: ever smaller shares.
+
+        Args:
+            found: What was found by `solve`.
+            held: What a shorter step begins with.
+        """
+        for share in SHARES:
+            yield found if share == 1.0 else found.blended(held, share)
+
+    def refuse(self, is_stuck: bool) -> None:
+        """Note that the bodies accepted less than what was found.
+
+        Args:
+            is_stuck: Whether they cannot even stay as they are.
+        """
+        raise NotImplementedError
+
+    def _begin(self, situation: Situation, linear: Linearized, held: Actuation) -> None:
+        """Judge what came of the last step, and choose what to do, where a step begins."""
+        raise NotImplementedError
+
+    def _follow(self, asked: Asked) -> Actuation:
+        """What the actuators do; the held actuation with `solved` False where nothing is found."""
+        raise NotImplementedError
 
     def _places(
         self, linear: Linearized, found: Actuation, stiffness: StiffnessRows | None
@@ -606,19 +615,15 @@ class InverseActuation:
             places = np.concatenate([places, stiffness.places(found.efforts)])
         return places
 
-    def _with_forces(
-        self, situation: Situation, linear: Linearized, held: Actuation
-    ) -> Situation:
-        """A situation with what else is judged; forces within their limits need not be."""
-        return situation
-
-    def _near(self, drives: np.ndarray, commanded: np.ndarray, bounds: Bounds) -> Bounds:
-        """Bounds in which no winch, slide or motor moves further than a linearization is trusted."""
+    def _near(
+        self, drives: np.ndarray, commanded: np.ndarray, bounds: Bounds, share: float
+    ) -> Bounds:
+        """Bounds in which no winch, slide or motor moves by more than a share of its scale."""
         if self._limits.are_all_effort_driven:
             return bounds
         lower, upper, least, most = *bounds[:2], np.empty(len(drives)), np.empty(len(drives))
         write_near(
-            drives, self.trust.move_limit, self._scales, commanded, self._by_effort, lower, upper,
+            drives, share, self._scales, commanded, self._by_effort, lower, upper,
             least, most,
         )  # fmt: skip
         return Bounds(least, most, bounds.effort_min, bounds.effort_max)
@@ -627,71 +632,6 @@ class InverseActuation:
         """Drives when the actuators stay; of a slack cable, the path."""
         path = linear.actuator_displacements(held.efforts, held.contact.multipliers)
         return np.where(self._by_effort, held.drives(self._limits), path)
-
-    def _look(
-        self, linear: Linearized, target_rows: np.ndarray, held: Actuation, bounds: Bounds,
-        commanded: np.ndarray, stiffness: StiffnessRows | None,
-    ) -> None:  # fmt: skip
-        """Offer the optimum of the next branch in which one cable bears, or is slack, that did not.
-
-        Stiffnesses jump there, and the program's set is not convex where a taut cable is at its
-        limit. What is remembered of the held actuation stays as it is.
-        """
-        count, trust = linear.groups.actuators.stop, self.trust
-        branch = np.zeros(count, dtype=bool) if trust.branch is None else trust.branch.copy()
-        upper = bounds.displacement_max
-        if stiffness is None:
-            loads = linear.efforts(held.efforts, held.contact.multipliers)
-            bears = loads > NO_EFFORT * loads.max(initial=0.0)
-            may_change = branch | (bears & (held.displacements >= upper - self._at_limit))
-        else:
-            bears = stiffness.gradient.holds.any(axis=0)
-            branch = self._may_hang & ~bears
-            path = linear.actuator_displacements(held.efforts, held.contact.multipliers)
-            may_change = bears | (path <= upper + self._at_limit)
-        left = np.flatnonzero((may_change & self._may_hang & ~commanded)[trust.kink :])
-        if not len(left):
-            trust.end_look()
-            return
-        cable = trust.kink + left[0]
-        trust.kink, branch[cable] = cable + 1, not branch[cable]
-        rows = self._in_branch(stiffness, branch)
-        if rows is not None and not (rows.gradient.compliance > 0.0).all():
-            return
-        asked, weights = self._steps.asked(target_rows, linear.effectors_now)
-        errors, weights, extra = _rows_to_track(linear, asked, weights, rows)
-        remembered = self._solver.active, self._touching, self._wait, self._next_wait
-        within = self._bearing(rows, branch, bounds)
-        found = self._over_branches(
-            linear, errors, weights, held, within, commanded, extra, branch
-        )
-        self._solver.active, self._touching, self._wait, self._next_wait = remembered
-        self._direct.remember(held.efforts)
-        if found is not None:
-            trust.offer(branch, self._places(linear, found, rows))
-
-    def _in_branch(
-        self, stiffness: StiffnessRows | None, branch: np.ndarray | None
-    ) -> StiffnessRows | None:
-        """The rows of wanted stiffnesses with just these cables slack."""
-        if stiffness is None or branch is None:
-            return stiffness
-        holds = stiffness.gradient.holds
-        bears = np.where(self._may_hang, ~branch, holds.any(axis=0))
-        return stiffness if (holds == bears).all() else stiffness.with_bearing(bears)
-
-    @staticmethod
-    def _bearing(
-        stiffness: StiffnessRows | None, branch: np.ndarray | None, bounds: Bounds
-    ) -> Bounds:
-        """Bounds within which the cables of a branch bear where a finger pushes."""
-        if stiffness is None or branch is None:
-            return bounds
-        least = np.where(branch, 0.0, BEARS * stiffness.gradient.bearing.max(axis=0))
-        a = slice(0, len(least))
-        effort_min = bounds.effort_min.copy()
-        effort_min[a] = np.minimum(np.maximum(effort_min[a], least), bounds.effort_max[a])
-        return bounds._replace(effort_min=effort_min)
 
     def _over_branches(
         self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
@@ -756,7 +696,7 @@ class InverseActuation:
             return None
         proved, efforts, within, active = guessed_actuation(
             linear.W, linear.groups.effectors.start, linear.violation, errors, weights,
-            self._energy_now, self._proximal_weight(),
+            self._energy_now, self._proximal_weight,
             np.array(self._centre(linear, held, self._all_free)), held.efforts, *bounds,
             self._is_moved, stiffness, reference, active, self._may_hang, self._at_limit,
             self._round_off, self._effort_scales,
@@ -823,15 +763,6 @@ class InverseActuation:
         contact = ContactLoads(forces, solution.programs, residual, limits=limits)
         return self._settled(linear, efforts, contact, bounds, solution.solver)
 
-    def _retrace(self, linear: Linearized, held: Actuation, bounds: Bounds) -> Actuation:
-        """What becomes of it when the actuators go back to the last place on their path."""
-        path = self.trust.path
-        place = held.drives(self._limits) if path.last is None else path.last
-        back = self._limits.drives_within(place, bounds)
-        if (np.abs(back - place) <= NEAR_PLACE * self._scales).all():
-            path.go_back()
-        return self._direct.at_drives(linear, back, bounds)
-
     def _problem(
         self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
         within: Bounds, bounds: Bounds, unknowns: Unknowns, extra: np.ndarray | None,
@@ -861,7 +792,7 @@ class InverseActuation:
             system = with_effector_rows(system, extra, commanded)
         problem = build_inverse_problem(
             system, weights, self._energy_now, within, force_max,
-            self._centre(linear, held, unknowns), self._proximal_weight(),
+            self._centre(linear, held, unknowns), self._proximal_weight,
         )  # fmt: skip
         return self._with_effort_rows(linear, problem, system, ~commanded)
 
@@ -872,26 +803,12 @@ class InverseActuation:
         share = max(LEAST_ENERGY_SHARE_IN_CONTACT, float(np.linalg.norm(asked)) / self._longest)
         return max(min(share, 1.0) * self._energy_weight, LEAST_ENERGY_WEIGHT)
 
-    def _proximal_weight(self) -> float:
-        """p: what holds the targets' open directions, and what the trust restrains."""
-        restraint = self.trust.weight / self._energy_now
-        return self._least_weight + self.trust.open_weight + restraint
-
     def _centre(self, linear: Linearized, held: Actuation, unknowns: Unknowns) -> np.ndarray:
         """Where the proximal term is centred.
 
         What the targets leave open goes slowly from the last solution towards the least energy.
-        What the trust in the linearization restrains are moves from the held displacements: with
-        the last efforts the body may not be stable.
         """
-        last = unknowns.stack(*self._last(linear))
-        if self.trust.weight == 0.0:
-            return last
-        still = unknowns.stack(held.efforts, held.contact.multipliers)
-        # Both terms as one, with the sum of their weights.
-        restraint = self.trust.weight / self._energy_now
-        share = restraint / self._proximal_weight()
-        return (1.0 - share) * last + share * still
+        return unknowns.stack(*self._last(linear))
 
     def _last(self, linear: Linearized) -> tuple[np.ndarray, np.ndarray]:
         """Efforts and contact forces of the last solution."""
@@ -949,8 +866,7 @@ class InverseActuation:
             second_start=second_start if len(forces) else None,
         )  # fmt: skip
         if first_missed:
-            # What the trust holds back is not the energy's doing.
-            if solution.unknowns is first_missed[0] and self.trust.weight == 0.0:
+            if solution.unknowns is first_missed[0]:
                 solution = self._against_energy(
                     linear, unknowns, solution, errors, weights, pose
                 )
@@ -1119,8 +1035,12 @@ def _missed(
     return np.where(weights[: len(now)] > 0.0, left, 0.0)
 
 
-def _rest_rows(model: Model) -> np.ndarray:
-    """Effector coordinates in the rest shape [m], shape (effector_row_count,)."""
+def rest_rows(model: Model) -> np.ndarray:
+    """Effector coordinates in the rest shape [m], shape (effector_row_count,).
+
+    Args:
+        model: A scene with effectors.
+    """
     terms = [term for term in (model.effectors, model.wanted_sensors) if term is not None]
     return np.concatenate([term.rows_at(model.nodes.rest_positions)[1] for term in terms])
 
@@ -1169,7 +1089,7 @@ def with_effector_rows(
     return system._replace(W_e=np.concatenate([system.W_e, more]))
 
 
-def _rows_to_track(
+def rows_to_track(
     linear: Linearized, asked: np.ndarray, weights: np.ndarray, stiffness: StiffnessRows | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Errors of effectors, then of stiffnesses [m], their weights, and motion of the latter.

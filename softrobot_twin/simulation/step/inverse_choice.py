@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.step.direct_actuation import DirectActuation
+from softrobot_twin.simulation.step.follower import Follower
 from softrobot_twin.simulation.step.inverse_actuation import InverseActuation
 from softrobot_twin.simulation.step.inverse_with_friction import InverseWithFriction
 from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT
@@ -39,5 +40,5 @@ def build_inverse(
             f"{LEAST_ENERGY_WEIGHT:.2g} is used"
         )
     rubs = model.contacts is not None and model.contacts.rubs
-    kind = InverseWithFriction if rubs else InverseActuation
+    kind = InverseWithFriction if rubs else Follower
     return kind(model, direct, qp_solvers)

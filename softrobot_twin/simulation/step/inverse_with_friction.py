@@ -28,12 +28,13 @@ Least forces and grip margins of pairs are rows of the problem where an optimum 
 them. Where a margin is below its least one already, actuators only move to raise it.
 
 Each step goes a part of the way to targets that stay. Effectors that went too far come back another
-way, since friction turns.
+way, since friction turns. `Follower` has the radius and the way back. What promises nothing is tried as
+well while contacts press, since it tells what they do beyond a kink.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from enum import Enum
 from typing import NamedTuple, Self
 
@@ -45,13 +46,10 @@ from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.step.actuation import NO_EFFORT, Actuation, ContactLoads
 from softrobot_twin.simulation.step.apparent_stiffness import StiffnessRows
 from softrobot_twin.simulation.step.direct_actuation import DirectActuation
-from softrobot_twin.simulation.step.inverse_actuation import (
-    MOST_PROGRAMS,
-    InverseActuation,
-    keep_within,
-)
+from softrobot_twin.simulation.step.follower import GREATEST, NO_PROMISE, SHRINK, Follower
+from softrobot_twin.simulation.step.inverse_actuation import MOST_PROGRAMS, Asked, keep_within
 from softrobot_twin.simulation.step.linearized import Linearized
-from softrobot_twin.simulation.step.target_trust import Situation
+from softrobot_twin.simulation.step.situation import Situation, longest_move
 from softrobot_twin.solvers.inverse_problem import Bounds
 from softrobot_twin.solvers.inverse_solver import InverseSolver
 
@@ -579,7 +577,7 @@ class Search:
         return goal
 
 
-class InverseWithFriction(InverseActuation):
+class InverseWithFriction(Follower):
     """Finds actuation and contact forces that bring effectors to their targets, with friction."""
 
     def __init__(self, model: Model, direct: DirectActuation, qp_solvers: tuple | None = None):
@@ -594,7 +592,7 @@ class InverseWithFriction(InverseActuation):
         super().__init__(model, direct, qp_solvers)
         self._place_count = model.effectors.position_row_count
         # Squares of misses that make no difference, of weight one.
-        self._least = NO_MATTER * self._tolerance
+        self._negligible = NO_MATTER * self._tolerance
         most = float(model.contacts.friction_of_pair.max())
         self._brakes = model.is_dynamic
         self._judges_forces = self.force_limit < np.inf or self._grips is not None
@@ -618,7 +616,7 @@ class InverseWithFriction(InverseActuation):
         self._search = Search(self._learns)
         self._among_open_ones = InverseSolver((), MOST_PROGRAMS, is_exact=True)
         self._targets = self._moved = None
-        self._calm_count, self._calm = 0, 0.0
+        self._calm_count, self._calm, self._tried_length = 0, 0.0, GREATEST
         # Least forces and margins that lacked in the last optimum.
         self._lacked = np.zeros(0 if self._grips is None else len(self._grips.least), bool)
 
@@ -731,7 +729,7 @@ class InverseWithFriction(InverseActuation):
             left_out = max(left_out, self._friction * np.exp(-self._contacts.time_step / SETTLES))
             self.least_progress = 0.5 * (1.0 - left_out)
         aim = aim.short_of_targets(held, left_out, self._motion, self._brakes)
-        before, negligible = aim.missed(held), self._least**2 * weights.max(initial=0.0)
+        before, negligible = aim.missed(held), self._negligible**2 * weights.max(initial=0.0)
         reached = self._tolerance**2 * weights.max(initial=0.0)
         if self._calm_count >= CALM_STEPS and before <= min(self._calm + LEFT**2 * reached, reached):
             return held
@@ -751,7 +749,8 @@ class InverseWithFriction(InverseActuation):
             self._contacts, held.contact.multipliers, best.contact.multipliers
         )
         if aim.missed(best) > before + negligible or slips:
-            self.trust.tighten()
+            if not self._moved.any():
+                self.refuse(False)
             best = held
         self._direct.remember(best.efforts)
         moves = np.abs(best.drives(self._limits) - held.drives(self._limits)) / self._scales
@@ -803,7 +802,7 @@ class InverseWithFriction(InverseActuation):
         own, best, is_good = (self._solver, self._touching), None, False
         self._solver, self._touching = self._among_open_ones, {}
         for _ in range(MOST_ROUNDS):
-            made = self._made(task, at, system, bounds, self._least, closes=True)
+            made = self._made(task, at, system, bounds, self._negligible, closes=True)
             if made is None:
                 break
             at, best = made.actuation, made.nearer_than(best)
@@ -846,7 +845,7 @@ class InverseWithFriction(InverseActuation):
             left = min((task.aim.missed(back) for back in backs if back), default=np.inf)
         goal = self._search.judge(far.drives(self._limits), left, task.before)
         if goal is not None:
-            self.trust.go_to(goal)
+            self._goal, self._waits = goal, 0
 
     def _nearest(
         self, task: Task, at: Actuation, system: Linearized, bounds: Bounds, rounds: int
@@ -854,7 +853,7 @@ class InverseWithFriction(InverseActuation):
         """The nearest of what is best by what contacts do in a solution, and in what came of it."""
         best = None
         for _ in range(rounds):
-            made = self._made(task, at, system, bounds, self._least)
+            made = self._made(task, at, system, bounds, self._negligible)
             if made is None:
                 break
             at, best = made.actuation, made.nearer_than(best)
@@ -897,7 +896,7 @@ class InverseWithFriction(InverseActuation):
         own = 1.0 if self._by_effort[moved] else linear.W[moved, moved]
         farther = np.linalg.norm(linear.W[e, moved]) / own
         reach = length * np.sqrt(task.before / task.aim.weights.max())
-        move = LONGEST * self.trust.move_limit * self._scales[moved]
+        move = LONGEST * GREATEST * self._scales[moved]
         if farther > 0.0:
             move = min(move, reach / farther)
         drives = held.drives(self._limits).copy()
@@ -910,6 +909,45 @@ class InverseWithFriction(InverseActuation):
         slid[self._contacts.row_starts[:-1]] = 0.0
         violation[linear.groups.contacts] -= slid
         return linear.with_violation(violation)
+
+    def tries(self, found: Actuation, held: Actuation) -> Iterator[Actuation]:
+        """See `InverseActuation`; shares of a move, since another one would try other contacts.
+
+        Args:
+            found: See `InverseActuation`.
+            held: See there.
+        """
+        self._task, self._tried_length = None, self._length_from(held, found)
+        return super().tries(found, held)
+
+    def _length_from(self, held: Actuation, found: Actuation) -> float:
+        """Greatest move of an actuator from where it is held, as a share of its scale."""
+        return longest_move(held.drives(self._limits), found.drives(self._limits), self._scales)
+
+    def refuse(self, is_stuck: bool) -> None:
+        """See `InverseActuation`."""
+        super().refuse(is_stuck)
+        # What moves on asks for about the same again; else another try begins with the radius, not the move.
+        moves = self._moved.any()
+        self.move_limit = min(0.5 * self._tried_length, self.move_limit) if moves else SHRINK * self.move_limit
+        self._pending = None
+
+    def _branches(self, asked: Asked) -> Iterator[np.ndarray]:
+        return iter(())
+
+    def _follow(self, asked: Asked) -> Actuation:
+        """The optimum; where contacts press, what promises nothing is tried as well."""
+        presses = (asked.held.contact.multipliers > 0.0).any()
+        if not (self._rubs and presses) or self._goal is not None:
+            return super()._follow(asked)
+        self._task, self._is_noted, self._settles = None, False, False
+        found = self._best(asked) or asked.held._replace(solved=False)
+        if found.solved and self._learns and self._is_first and self._is_same:
+            self._is_first = False
+            promised = self._promised(asked, found)
+            if promised > NO_PROMISE * self._now:
+                self._note(asked, found, promised)
+        return found
 
     def _with_friction(
         self, linear: Linearized, drives: np.ndarray, bounds: Bounds, promised: Actuation
@@ -1008,6 +1046,6 @@ class InverseWithFriction(InverseActuation):
             tolerance: See `InverseActuation`.
         """
         if linear.contact_row_count:
-            linear = tied_by_contacts(linear, self._contacts, held, self._least)
+            linear = tied_by_contacts(linear, self._contacts, held, self._negligible)
             held = self._on_normals(held, linear)
         return super().is_held_by_energy(linear, target_rows, held, bounds, tolerance)

@@ -1,0 +1,676 @@
+"""How targets are followed: a radius, in which a linearization is trusted.
+
+Each step solves the inverse problem in a box around where the actuators are, the radius, a share of
+their scales. The next one compares what came of it with what was promised, as in every trust region
+method (Nocedal and Wright 2006, section 4.1), by
+
+    T = ½ Σ q (x - x_d)²
+
+of the places x that the effectors have in balance at held actuators, as its own factor sees them. A move
+that keeps too little is taken back, and the radius shrinks. Where settling alone changes more than a move
+promises, nothing could be learnt from it: then the actuators stay, until the body has settled. They rest
+where the promise vanishes, or the radius. Where targets or loads change in each step, nothing is judged.
+
+What targets leave open goes to where its energy is least, by moves that promise nothing and are not
+judged; where they get no shorter, the radius shrinks. Where a robot comes no nearer for long, it goes
+back to the nearest place in stable balance, at once where the body snaps, and on from there a few times, by
+shorter moves; then it rests there. Where its shape at rest is much nearer, it was caught: it lets go once, and where that does not help,
+its effectors are led back through the places where they were. It rests in balance only: on the way there an
+unstable body may go far.
+
+A move that the body does not accept, since it would fold or go too far, is solved for again in a smaller
+box; no share of it is made, whose direction would be poor.
+
+Where a taut cable is at its greatest shortening, a nearer place may have it slack, and no small
+move leads there. Before the actuators rest, the problem is solved in each branch in which one cable
+changes, and they follow the most promising one.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from softrobot_twin.simulation.building.model import Model
+from softrobot_twin.simulation.result import RATE
+from softrobot_twin.simulation.step.actuation import NO_EFFORT, Actuation
+from softrobot_twin.simulation.step.apparent_stiffness import StiffnessRows
+from softrobot_twin.simulation.step.direct_actuation import DirectActuation
+from softrobot_twin.simulation.step.inverse_actuation import (
+    Asked,
+    InverseActuation,
+    rest_rows,
+    rows_to_track,
+)
+from softrobot_twin.simulation.step.linearized import Linearized
+from softrobot_twin.simulation.step.situation import (
+    Situation,
+    are_equal,
+    half_squares,
+    longest_move,
+)
+from softrobot_twin.solvers.inverse_problem import Bounds
+
+# Greatest and least radius, as shares of the actuators' scales.
+GREATEST, LEAST = 0.25, 1.0e-7
+# Shares of a promise that came true: below the first a move is taken back, below the second the
+# radius shrinks, above the third it grows; by these factors.
+KEEP, POOR, GOOD, SHRINK, GROW = 0.05, 0.25, 0.7, 0.25, 2.0
+# Tries of one linearization, and the least share of a move that is made.
+TRIES, LEAST_SHARE = 8, 0.5
+# Where settling changes T by more than this share of a promise, it is waited for; so many steps.
+DRIFT, MOST_WAITS = 0.5, 40
+# Winches wind slack in so often, where nothing else is promised.
+MOST_WINDS = 2
+# Moves at targets that are no shorter than this share of the one before, until they are shortened.
+SETTLING, MOST_SWINGS = 0.95, 8
+# Steps in which T falls by less than this share, until it goes back to the nearest stable place.
+PATIENCE, PROGRESS = 18, 1.0e-5
+# The body snaps where T has risen in so many steps in a row, to this multiple of the nearest place's.
+RISES, SNAPPED = 3, 4.0
+# So often it goes on from there, unless T falls by the share of `LEAPT`; then it rests there.
+MOST_RETURNS = 3
+# Promises below these shares of T, and of T where targets count as reached, are none.
+NO_PROMISE, NEAR_ENOUGH = 1.0e-5, 1.0e-2
+# With wanted stiffnesses, which hardly change at first, such shares of these.
+STIFFNESS = 1.0e-3
+# Round-off, as a share of T, and of the limit of contact forces.
+NOISE, EXCESS = 1.0e-9, 1.0e-7
+# The share by which T must promise to fall beyond a kink, and fall until it is looked again.
+LEAST_LEAP, LEAPT = 0.02, 5.0e-3
+# Places on the path of effectors, at most; how far apart they are, as a share of their longest step; and
+# steps that lead back to one.
+MOST_PLACES, APART, STEPS_TO_A_PLACE = 256, 0.2, 10
+# A robot has been caught where its shape at rest is nearer than this share of its distance.
+CAUGHT = 0.5
+# A resting robot whose effectors were moved by this share of the tolerance follows again.
+WAKES = 0.1
+# A cable that is to bear where a finger pushes bears this multiple of what the push takes from it.
+BEARS = 1.5
+
+
+class Pending(NamedTuple):
+    """A move that is not judged yet.
+
+    Attributes:
+        now: T before it [m²].
+        promised: Decrease of T that it promised [m²].
+        length: How far it went, as a share of the actuators' scales.
+        targets: Targets that it was made for [m], shape (m,).
+        drives: Where it began, shape (actuator_count,).
+    """
+
+    now: float
+    promised: float
+    length: float
+    targets: np.ndarray
+    drives: np.ndarray
+
+
+class Place(NamedTuple):
+    """Where the actuators were with the body in stable balance.
+
+    Attributes:
+        drives: Where they were, shape (actuator_count,).
+        now: T there [m²].
+    """
+
+    drives: np.ndarray
+    now: float
+
+
+class Follower(InverseActuation):
+    """Finds actuation that brings effectors nearer to targets, as far as it is trusted."""
+
+    def __init__(self, model: Model, direct: DirectActuation, qp_solvers: tuple | None = None):
+        """See `InverseActuation`."""
+        super().__init__(model, direct, qp_solvers)
+        self._positions = slice(model.effectors.position_row_count)
+        self._model, self._at_rest = model, np.zeros(len(self._scales))
+
+    def forget(self) -> None:
+        """See `InverseActuation`."""
+        self._first: Situation | None = None
+        self._situation: Situation | None = None
+        self._departure: tuple[np.ndarray, bool] | None = None
+        # Places of effectors with the actuators at rest [m], where seen; whether it went there.
+        self._placed_at_rest: np.ndarray | None = None
+        self._is_noted = False
+        # What is asked for, the places of effectors on the way there, and those to lead them back through.
+        self._rows: np.ndarray | None = None
+        self._path: deque[np.ndarray] = deque(maxlen=MOST_PLACES)
+        self._back: deque[np.ndarray] | None = None
+        self._since_place = 0
+        self._keyed: Linearized | None = None
+        self._task: Asked | None = None
+        self._open()
+
+    def _open(self) -> None:
+        """Trust anew."""
+        self.move_limit, self._pending, self._waits, self._wakes = GREATEST, None, 0, 0
+        self._wound, self._is_winding, self._goal = 0, False, None
+        self._swing_count, self._last_length, self._is_freed = 0, np.inf, False
+        # Steps in a row that did not end in balance.
+        self._arriving = 0
+        # Where it began, then places in stable balance, each nearer than the one before; the least T at all, and the steps since.
+        self._balanced_places: deque[Place] = deque(maxlen=MOST_PLACES)
+        self._best_seen, self._since, self._rises, self._last_now = np.inf, 0, 0, np.inf
+        # The nearest place with a stable tangent, which was perhaps no balance: it rests there in the end, if
+        # the body does.
+        self._stable_place: Place | None = None
+        # T below which it has come much nearer, and how often it went back since then.
+        self._judged, self._returns = np.inf, 0
+        self._resting: np.ndarray | None = None
+        self._rests_balanced = False
+        self._holds = self._stays = self._ends = self.is_departing = False
+        self._is_stuck = self._is_refused = False
+        # T where it looked beyond kinks last; cables that are slack in the branch it chose there, and before.
+        self._looked, self._branch, self._branch_before = np.inf, None, None
+
+    @property
+    def misses(self) -> np.ndarray:
+        """See `InverseActuation`."""
+        last = self._situation
+        return np.sqrt(last.weights) * (last.places - last.targets)
+
+    @property
+    def rests(self) -> bool:
+        """See `InverseActuation`."""
+        return self._resting is not None
+
+    @property
+    def least_share(self) -> float:
+        """See `InverseActuation`."""
+        return 0.0 if self._task is None else LEAST_SHARE
+
+    def depart(self, goal: np.ndarray, follows: bool, near: float) -> None:
+        """See `InverseActuation`."""
+        self.forget()
+        self._departure = goal, not follows
+
+    def solve(
+        self, linear: Linearized, target_rows: np.ndarray, held: Actuation, bounds: Bounds,
+        stiffness: StiffnessRows | None = None,
+    ) -> tuple[Actuation, Actuation]:  # fmt: skip
+        """See `InverseActuation`; leads effectors back along their path where they were caught.
+
+        Args:
+            linear: The condensed system.
+            target_rows: See `InverseActuation`.
+            held: What the actuators do when they stay.
+            bounds: Bounds of this step.
+            stiffness: See `InverseActuation`.
+        """
+        if self._learns and self._begins:
+            self._follow_path(linear.effectors_now, target_rows)
+        rows = self._back[-1] if self._back else target_rows
+        return super().solve(linear, rows, held, bounds, stiffness)
+
+    def _follow_path(self, now: np.ndarray, target_rows: np.ndarray) -> None:
+        """Note where effectors are on their way, or lead them to the place before."""
+        # Coordinates of orientations change while their targets stay.
+        asked = target_rows if self._posed is None else target_rows[self._positions]
+        if self._rows is None or not are_equal(self._rows, asked):
+            self._rows, self._back = asked.copy(), None
+        place = np.full(len(now), np.nan)
+        place[self._positions] = now[self._positions]
+        path = self._back or self._path
+        missed = np.abs(place - path[-1])[self._positions].max(initial=0.0) if path else np.inf
+        is_near = missed <= APART * self._longest
+        if not self._back:
+            if not is_near:
+                path.append(place)
+            return
+        self._since_place += 1
+        if is_near or self._since_place >= STEPS_TO_A_PLACE:
+            path.pop()
+            self._since_place = 0
+
+    def _begin(self, situation: Situation, linear: Linearized, held: Actuation) -> None:
+        situation = self._with_forces(situation, linear, held)
+        now, greatest, is_same = situation.compared(self._first)
+        if not is_same:
+            self._begin_anew(situation)
+        last, self._situation = self._situation, situation
+        self._now, self._reached = now, 0.5 * greatest * self._tolerance**2
+        if not self._balanced_places:
+            self._balanced_places.append(Place(situation.displacements, now))
+        # Coordinates of orientations change while their targets stay.
+        places = self._positions
+        self._stays = (
+            is_same and last is not None and situation.bears_the_same(last)
+            and are_equal(last.targets[places], situation.targets[places])
+            and np.array_equal(last.guided, situation.guided)
+        )
+        if now <= self._reached and not self._back:
+            self._path.clear()
+        if is_same:
+            self._see_drift(linear, situation)
+        if self._departure is not None:
+            (self._goal, self._holds), self._departure = self._departure, None
+            self.is_departing, self._waits = True, 0
+        self._settles, self._is_first = False, True
+        if self._ends:
+            self._resting, self._ends = situation.places, False
+        self._is_same = is_same
+        if self._goal is not None:
+            self._arrive(situation)
+        if self._resting is not None:
+            self._wake(situation)
+        elif self._pending is not None and self._goal is None:
+            self._judge(situation)
+        if self._is_stuck and self._goal is None:
+            self._leave()
+        elif self._stays and not self.rests and self._goal is None:
+            self._look_back(situation)
+        self._is_stuck = self._is_refused = False
+        self._limit_at_first = self.move_limit
+
+    def _begin_anew(self, situation: Situation) -> None:
+        """Follow other targets, or under other loads."""
+        self._first, radius, is_refused = situation, self.move_limit, self._is_refused
+        self._open()
+        if is_refused:
+            # What bodies did not accept for one target, they hardly accept for the next one beside it.
+            self.move_limit = min(GROW * radius, GREATEST)
+        if longest_move(self._at_rest, situation.displacements, self._scales) <= LEAST:
+            self._placed_at_rest = situation.places
+
+    def _with_forces(
+        self, situation: Situation, linear: Linearized, held: Actuation
+    ) -> Situation:
+        """A situation with what else is judged; forces within their limits need not be."""
+        return situation
+
+    def _look_back(self, situation: Situation) -> None:
+        """Go back to the nearest place in stable balance, where it came no nearer for long."""
+        is_settled = situation.is_balanced and situation.is_stable
+        if is_settled and self._now < self._balanced_places[-1].now:
+            self._balanced_places.append(Place(situation.displacements, self._now))
+        elif situation.is_stable and (
+            self._stable_place is None or self._now < self._stable_place.now
+        ):  # fmt: skip
+            self._stable_place = Place(situation.displacements, self._now)
+        # Where a body is not stable, its linearization does not tell where it goes.
+        rises = situation.is_stable and self._now > self._last_now
+        self._rises = self._rises + 1 if rises else 0
+        self._last_now = self._now
+        self._since += not self._settles
+        if self._now < (1.0 - LEAPT) * self._judged:
+            self._judged, self._returns = self._now, 0
+        if self._now < (1.0 - PROGRESS) * self._best_seen:
+            self._best_seen, self._since = self._now, 0
+        snaps = self._rises >= RISES and self._has_snapped()
+        if snaps or (self._since > PATIENCE and self._now > self._reached):
+            self._go_back()
+
+    def _leave(self) -> None:
+        """Go back from where the body cannot even stay."""
+        here, places = self._situation.displacements, self._balanced_places
+        while len(places) > 1 and longest_move(places[-1].drives, here, self._scales) <= SHRINK * GREATEST:
+            places.pop()
+        self._resting = None
+        self._go_back()
+
+    def _go_back(self) -> None:
+        """Go to the nearest place in stable balance, and on from there by much shorter moves."""
+        self._since, self._pending, self._waits = 0, None, 0
+        if (not self._is_freed or self._returns >= MOST_RETURNS) and self._lets_go():
+            self._returns = 0
+            return
+        self._holds, self._returns = self._returns >= MOST_RETURNS, self._returns + 1
+        place, self._stable_place = self._stable_place, None
+        if self._holds and place is not None and place.now < self._balanced_places[-1].now:
+            self._balanced_places.append(place)
+        self.move_limit, self._goal = SHRINK**2 * self.move_limit, self._balanced_places[-1].drives
+        self._branch = self._branch_before = None
+
+    def _see_drift(self, linear: Linearized, situation: Situation) -> None:
+        """How much T changes while the body settles at held actuators [m²], and whether it may."""
+        now = linear.effectors_now
+        rows = slice(len(now))
+        weights, targets = situation.weights[rows], situation.targets[rows]
+        missed = half_squares(weights, now, targets)
+        self._drift = abs(missed - half_squares(weights, situation.places[rows], targets))
+        # What is not stable does not settle where the linearization sees it. Where effectors are at
+        # their targets, only balance is missing, and moves go on for a while.
+        self._arriving = 0 if situation.is_balanced else self._arriving + 1
+        is_arriving = missed <= self._reached and self._arriving <= MOST_SWINGS
+        self._may_settle = situation.is_stable and not is_arriving
+
+    def _arrive(self, situation: Situation) -> None:
+        """Follow on, or rest, where the actuators have come to their goal."""
+        distance = longest_move(self._goal, situation.displacements, self._scales)
+        self._waits += 1
+        if (distance <= LEAST and situation.is_balanced) or self._waits >= MOST_WAITS:
+            self._goal, self._waits, self.is_departing = None, 0, False
+            if self._has_snapped() and len(self._balanced_places) > 1:
+                # What was a balance is none, or the body has not come back from another one.
+                self._balanced_places.pop()
+                self._goal = self._balanced_places[-1].drives if self._holds else None
+            elif self._holds:
+                self._resting, self._holds = situation.places, False
+
+    def _has_snapped(self) -> bool:
+        """Whether the body is much further away than the nearest place in stable balance was."""
+        return self._now > max(SNAPPED * self._balanced_places[-1].now, self._reached)
+
+    def _wake(self, situation: Situation) -> None:
+        """Follow again where something else moved a resting robot, each time less far."""
+        if not self._rests_balanced:
+            self._resting, self._rests_balanced = situation.places, situation.is_balanced
+            return
+        moved = np.abs(situation.places - self._resting)[situation.weights > 0.0]
+        if situation.is_balanced and moved.max(initial=0.0) > WAKES * self._tolerance:
+            self._wakes += 1
+            self._resting, self._rests_balanced = None, False
+            self.move_limit = max(self.move_limit, GREATEST * SHRINK**self._wakes)
+
+    def _judge(self, situation: Situation) -> None:
+        """Fit the radius to how much of a promise came true, once the body has settled."""
+        move = self._pending
+        if not self._may_settle:
+            self._pending, self._waits = None, 0
+            return
+        if self._stays and self._drift > DRIFT * move.promised and self._waits < MOST_WAITS:
+            self._waits += 1
+            self._settles = True
+            return
+        self._pending, self._waits = None, 0
+        noise = NOISE * max(move.now, self._reached)
+        now = half_squares(situation.weights, situation.places, move.targets)
+        share = (move.now - now + noise) / (move.promised + noise)
+        if not share >= KEEP:
+            self.move_limit = SHRINK * min(move.length, self.move_limit)
+            if self._stays:
+                self._goal, self._branch = move.drives, self._branch_before
+        elif share < POOR:
+            self.move_limit = max(0.5 * move.length, LEAST)
+        elif share > GOOD and move.length >= 0.9 * self.move_limit:
+            self.move_limit = min(GROW * self.move_limit, GREATEST)
+
+    def _follow(self, asked: Asked) -> Actuation:
+        held, self._task, self._is_noted = asked.held, None, False
+        if self._goal is not None:
+            return self._to_goal(asked)
+        # Staying may press harder than allowed.
+        pressed = held.contact.multipliers.max(initial=0.0)
+        is_allowed = pressed <= (1.0 + EXCESS) * self.force_limit
+        if self._learns and self._settles and is_allowed:
+            return held
+        if self._learns and not self._is_first and self._by_effort.any():
+            # What refused efforts may accept them once it has settled; their scales say little.
+            self.move_limit = max(self.move_limit, self._limit_at_first)
+        found = self._best(asked, self._branch)
+        if found is None and self._branch is not None:
+            self._branch = None
+            return held
+        if found is None:
+            # Where the tangent is augmented, a small box may hold no optimum; balance comes first.
+            return held._replace(solved=not self._situation.is_balanced)
+        if not self._learns:
+            return found
+        is_first, self._is_first = self._is_first, False
+        # Where no actuation keeps the limit, staying is no worse.
+        is_allowed |= found.contact.multipliers.max(initial=0.0) >= (1.0 - EXCESS) * pressed
+        self._task = asked
+        if not (is_first and is_allowed):
+            return found
+        if self._is_same:
+            return self._weighed(asked, found)
+        is_none = self._promised(asked, found) <= NO_PROMISE * self._now
+        rests = is_none and self._now > self._reached and not self._is_hindered(asked, found)
+        return held if rests else found
+
+    def _weighed(self, asked: Asked, found: Actuation) -> Actuation:
+        """The optimum, if it promises enough; else what is done instead."""
+        promised, is_missed = self._promised(asked, found), self._now > self._reached
+        none = max(NO_PROMISE * self._now, NEAR_ENOUGH * self._reached)
+        if asked.stiffness is not None:
+            none *= STIFFNESS
+        self._branch_before = self._branch
+        drifts = self._may_settle and self._drift > max(DRIFT * promised, none)
+        is_early = is_missed and promised <= none and not self._situation.is_balanced
+        if self._stays and self._waits < MOST_WAITS and (drifts or is_early):
+            self._waits += 1
+            self._settles, self._task = True, None
+            return asked.held
+        self._waits = 0
+        if promised <= none and is_missed:
+            is_slow = self._is_hindered(asked, found)
+            return found if is_slow else self._without_promise(asked, found)
+        self._is_winding = False
+        if promised > none:
+            self._note(asked, found, promised)
+        else:
+            self._ends = self._is_open_at_rest(self._length(asked, found))
+        return found
+
+    def _without_promise(self, asked: Asked, found: Actuation) -> Actuation:
+        """Wind slack in, leap beyond a kink, go back, let go, or else rest."""
+        winds = self._winds(asked, found)
+        self._wound += winds and not self._is_winding
+        self._is_winding = winds
+        if winds:
+            return found
+        if self._now < (1.0 - LEAPT) * self._looked:
+            found, leaps = self._leap(asked, found)
+            if leaps:
+                # It is judged by where it leads in the end: on the way it may be further away.
+                self._task, self._since = None, 0
+                return found
+        if self._now > (1.0 + PROGRESS) * self._balanced_places[-1].now and self.move_limit > LEAST:
+            self._go_back()
+            return asked.held if self._goal is None else self._to_goal(asked)
+        if self._lets_go():
+            return asked.held if self._goal is None else self._to_goal(asked)
+        self._ends = self._settles = True
+        return asked.held
+
+    def _to_goal(self, asked: Asked) -> Actuation:
+        self._task, drives = None, asked.held.drives(self._limits)
+        bounds = self._near(drives, asked.commanded, asked.bounds, GREATEST)
+        goal = self._limits.drives_within(self._goal, bounds)
+        return self._direct.at_drives(asked.linear, goal, bounds)
+
+    def _lets_go(self) -> bool:
+        """Let go, then lead effectors back, once each, where the robot was caught; whether it does."""
+        is_free = np.isnan(self._situation.commanded).all()
+        if not (self._back is None and is_free and self._is_caught()):
+            return False
+        if self._is_freed:
+            self._back, self._path = self._path, deque(maxlen=MOST_PLACES)
+        else:
+            self._open()
+            self._goal, self._is_freed = self._at_rest, True
+        return True
+
+    def _is_caught(self) -> bool:
+        """Whether the shape at rest, as drawn or under loads, is much nearer to the target."""
+        # Of what else is wanted than places, such as a stiffness, the shape at rest has nothing.
+        rest, own = np.zeros(len(self._situation.targets)), rest_rows(self._model)
+        rest[: len(own)] = own
+        nearest = self._situation.tracking(rest)
+        if self._placed_at_rest is not None:
+            rest[self._positions] = self._placed_at_rest[self._positions]
+            nearest = min(nearest, self._situation.tracking(rest))
+        return nearest < CAUGHT**2 * self._now
+
+    def _is_open_at_rest(self, length: float) -> bool:
+        """Whether what targets leave open has come to rest; it goes on by ever shorter moves.
+
+        Args:
+            length: Length of the next move, as a share of the actuators' scales.
+        """
+        self._swing_count += length > SETTLING * self._last_length
+        self._last_length = length
+        if self._swing_count > MOST_SWINGS:
+            self.move_limit *= SHRINK
+        return min(length, self.move_limit) <= LEAST
+
+    def _note(self, asked: Asked, found: Actuation, promised: float) -> None:
+        """Note a move, to judge it in the next step."""
+        self._is_noted, length = True, self._length(asked, found)
+        drives = asked.held.drives(self._limits)
+        self._pending = Pending(self._now, promised, length, self._situation.targets, drives)
+
+    def _promised(self, asked: Asked, found: Actuation) -> float:
+        """Decrease of T that an actuation promises [m²]."""
+        rows = self._in_branch(asked.stiffness, self._branch)
+        return self._now - self._situation.tracking(self._places(asked.linear, found, rows))
+
+    def _length(self, asked: Asked, found: Actuation) -> float:
+        """How far an actuation moves the actuators, as a share of their scales."""
+        still = self._still(asked.linear, asked.held)
+        return longest_move(still, found.drives(self._limits), self._scales)
+
+    def _is_hindered(self, asked: Asked, found: Actuation) -> bool:
+        """Whether an actuation would go further but for a rate."""
+        names = self._limits.binding(found.displacements, found.efforts, asked.bounds)
+        return any(name.endswith(RATE) for name in names)
+
+    def _winds(self, asked: Asked, found: Actuation) -> bool:
+        """Whether winches wind in slack, which displaces nothing yet."""
+        drives = asked.held.drives(self._limits)
+        moves = found.drives(self._limits) - drives
+        if asked.stiffness is not None or (self._wound >= MOST_WINDS and not self._is_winding):
+            return False
+        slack = self._still(asked.linear, asked.held) - drives
+        return bool((self._may_hang & (np.minimum(moves, slack) > LEAST * self._scales)).any())
+
+    def tries(self, found: Actuation, held: Actuation) -> Iterator[Actuation]:
+        """See `InverseActuation`; optima within ever smaller boxes, of other moves shares."""
+        asked, before, judges = self._task, self.move_limit, self._is_noted
+        if asked is None or found is held:
+            yield from super().tries(found, held)
+            return
+        yield found
+        for _ in range(TRIES):
+            self.move_limit = SHRINK * min(self._length(asked, found), self.move_limit)
+            shorter = self._best(asked, self._branch) if self.move_limit > LEAST else None
+            if shorter is None:
+                break
+            found = shorter
+            if judges:
+                self._note(asked, found, self._promised(asked, found))
+            yield found
+        # What refuses the shortest move may accept a longer one once it has settled.
+        self.move_limit = before
+        if judges:
+            self._pending, self.move_limit = None, SHRINK**2 * before
+
+    def refuse(self, is_stuck: bool) -> None:
+        """See `InverseActuation`; the radius has shrunk already."""
+        self._is_stuck, self._is_refused = is_stuck, True
+
+    def _best(self, asked: Asked, branch: np.ndarray | None = None) -> Actuation | None:
+        """The optimum within the radius, in a branch of slack cables or in any."""
+        linear, held = asked.linear, asked.held
+        steps, weights = self._steps.asked(asked.target_rows, linear.effectors_now)
+        if not self._proves:
+            self._energy_now = self._weight_of_energy(linear, steps)
+        rows = self._in_branch(asked.stiffness, branch)
+        errors, weights, extra = rows_to_track(linear, steps, weights, rows)
+        bounds = self._bearing(rows, branch, self._within_radius(asked))
+        given = linear, errors, weights, held, bounds
+        if extra is None and branch is None and not asked.commanded.any():
+            found = self.guessed(*given)
+            if found is not None:
+                return found
+        return self._over_branches(*given, asked.commanded, extra, branch)
+
+    def _contact_keys(self, linear: Linearized) -> list[tuple[int, int]]:
+        # Shorter moves are solved for when contacts were detected elsewhere already.
+        if linear is not self._keyed:
+            self._keyed, self._keys = linear, list(super()._contact_keys(linear))
+        return self._keys
+
+    def _within_radius(self, asked: Asked) -> Bounds:
+        """The box of the radius: of displacements, and of efforts that are drives."""
+        # A slack cable is wound in to its path at once.
+        still = self._still(asked.linear, asked.held)
+        near = self._near(still, asked.commanded, asked.bounds, self.move_limit)
+        by_effort = self._by_effort & ~asked.commanded
+        # Scales of efforts say little of how far they may go: the greatest radius holds none of them.
+        if self.move_limit >= GREATEST or not by_effort.any():
+            return near
+        reach = np.where(by_effort, self.move_limit * self._scales, np.inf)
+        return near._replace(
+            effort_min=np.minimum(np.maximum(near.effort_min, still - reach), near.effort_max),
+            effort_max=np.maximum(np.minimum(near.effort_max, still + reach), near.effort_min),
+        )
+
+    def _leap(self, asked: Asked, here: Actuation) -> tuple[Actuation, bool]:
+        """The optimum of the most promising branch in which one cable bears, or is slack, that did not.
+
+        Args:
+            asked: What is asked for.
+            here: The optimum without a leap.
+
+        Returns:
+            The optimum, or the one without a leap; and whether it leaps.
+        """
+        best, chosen, least = here, self._branch, (1.0 - LEAST_LEAP) * self._now
+        self._looked, radius, self.move_limit = self._now, self.move_limit, GREATEST
+        remembered = self._solver.active, self._touching, self._wait, self._next_wait
+        for branch in self._branches(asked):
+            rows = self._in_branch(asked.stiffness, branch)
+            if rows is not None and not (rows.gradient.compliance > 0.0).all():
+                continue
+            found = self._best(asked, branch)
+            self._solver.active, self._touching, self._wait, self._next_wait = remembered
+            if found is not None:
+                left = self._situation.tracking(self._places(asked.linear, found, rows))
+                if left < least:
+                    best, chosen, least = found, branch, left
+        self._direct.remember(best.efforts)
+        self._branch = chosen
+        if best is here:
+            self.move_limit = radius
+        return best, best is not here
+
+    def _branches(self, asked: Asked) -> Iterator[np.ndarray]:
+        """Slack cables of each branch beyond a kink, shape (actuator_row_count,)."""
+        linear, held = asked.linear, asked.held
+        count, forces = linear.groups.actuators.stop, held.contact.multipliers
+        upper = asked.bounds.displacement_max
+        if asked.stiffness is None:
+            slack = np.zeros(count, dtype=bool) if self._branch is None else self._branch
+            loads = linear.efforts(held.efforts, forces)
+            bears = loads > NO_EFFORT * loads.max(initial=0.0)
+            may_change = slack | (bears & (held.displacements >= upper - self._at_limit))
+        else:
+            bears = asked.stiffness.gradient.holds.any(axis=0)
+            slack = self._may_hang & ~bears
+            path = linear.actuator_displacements(held.efforts, forces)
+            may_change = bears | (path <= upper + self._at_limit)
+        for cable in np.flatnonzero(may_change & self._may_hang & ~asked.commanded):
+            branch = slack.copy()
+            branch[cable] = not branch[cable]
+            yield branch
+
+    def _in_branch(
+        self, stiffness: StiffnessRows | None, branch: np.ndarray | None
+    ) -> StiffnessRows | None:
+        """The rows of wanted stiffnesses with just these cables slack."""
+        if stiffness is None or branch is None:
+            return stiffness
+        holds = stiffness.gradient.holds
+        bears = np.where(self._may_hang, ~branch, holds.any(axis=0))
+        return stiffness if (holds == bears).all() else stiffness.with_bearing(bears)
+
+    @staticmethod
+    def _bearing(
+        stiffness: StiffnessRows | None, branch: np.ndarray | None, bounds: Bounds
+    ) -> Bounds:
+        """Bounds within which the cables of a branch bear where a finger pushes."""
+        if stiffness is None or branch is None:
+            return bounds
+        least = np.where(branch, 0.0, BEARS * stiffness.gradient.bearing.max(axis=0))
+        a = slice(0, len(least))
+        effort_min = bounds.effort_min.copy()
+        effort_min[a] = np.minimum(np.maximum(effort_min[a], least), bounds.effort_max[a])
+        return bounds._replace(effort_min=effort_min)
