@@ -130,6 +130,7 @@ class Follower(InverseActuation):
         super().__init__(model, direct, qp_solvers)
         self._positions = slice(model.effectors.position_row_count)
         self._model, self._at_rest = model, np.zeros(len(self._scales))
+        self._ones = np.ones(model.effectors.position_row_count)
 
     def forget(self) -> None:
         """See `InverseActuation`."""
@@ -215,10 +216,11 @@ class Follower(InverseActuation):
         asked = target_rows if self._posed is None else target_rows[self._positions]
         if self._rows is None or not are_equal(self._rows, asked):
             self._rows, self._back = asked.copy(), None
-        place = np.full(len(now), np.nan)
-        place[self._positions] = now[self._positions]
-        path = self._back or self._path
-        missed = np.abs(place - path[-1])[self._positions].max(initial=0.0) if path else np.inf
+        place, positions = now.copy(), self._positions
+        place[positions.stop :] = np.nan
+        path, missed = self._back or self._path, np.inf
+        if path:
+            missed = longest_move(place[positions], path[-1][positions], self._ones)
         is_near = missed <= APART * self._longest
         if not self._back:
             if not is_near:
@@ -397,7 +399,8 @@ class Follower(InverseActuation):
         if self._goal is not None:
             return self._to_goal(asked)
         # Staying may press harder than allowed.
-        pressed = held.contact.multipliers.max(initial=0.0)
+        touches = len(held.contact.multipliers) > 0
+        pressed = held.contact.multipliers.max() if touches else 0.0
         is_allowed = pressed <= (1.0 + EXCESS) * self.force_limit
         if self._learns and self._settles and is_allowed:
             return held
@@ -415,7 +418,8 @@ class Follower(InverseActuation):
             return found
         is_first, self._is_first = self._is_first, False
         # Where no actuation keeps the limit, staying is no worse.
-        is_allowed |= found.contact.multipliers.max(initial=0.0) >= (1.0 - EXCESS) * pressed
+        if touches:
+            is_allowed |= found.contact.multipliers.max() >= (1.0 - EXCESS) * pressed
         self._task = asked
         if not (is_first and is_allowed):
             return found
