@@ -564,7 +564,9 @@ class Follower(InverseActuation):
         # What refuses the shortest move may accept a longer one once it has settled.
         self.move_limit = before
         if judges:
-            self._pending, self.move_limit = None, SHRINK**2 * before
+            self._pending = None
+            if self._situation.is_balanced:
+                self.move_limit = SHRINK**2 * before
 
     def refuse(self, is_stuck: bool) -> None:
         """See `InverseActuation`; the radius has shrunk already."""
