@@ -46,12 +46,7 @@ from softrobot_twin.simulation.step.inverse_actuation import (
     rows_to_track,
 )
 from softrobot_twin.simulation.step.linearized import Linearized
-from softrobot_twin.simulation.step.situation import (
-    Situation,
-    are_equal,
-    half_squares,
-    longest_move,
-)
+from softrobot_twin.simulation.step.situation import Situation, half_squares, longest_move
 from softrobot_twin.solvers.inverse_problem import Bounds
 
 # Greatest and least radius, as shares of the actuators' scales.
@@ -141,7 +136,7 @@ class Follower(InverseActuation):
         self._placed_at_rest: np.ndarray | None = None
         self._is_noted = False
         # What is asked for, the places of effectors on the way there, and those to lead them back through.
-        self._rows: np.ndarray | None = None
+        self._rows = b""
         self._path: deque[np.ndarray] = deque(maxlen=MOST_PLACES)
         self._back: deque[np.ndarray] | None = None
         self._since_place = 0
@@ -214,8 +209,9 @@ class Follower(InverseActuation):
         """Note where effectors are on their way, or lead them to the place before."""
         # Coordinates of orientations change while their targets stay.
         asked = target_rows if self._posed is None else target_rows[self._positions]
-        if self._rows is None or not are_equal(self._rows, asked):
-            self._rows, self._back = asked.copy(), None
+        rows = asked.tobytes()
+        if rows != self._rows:
+            self._rows, self._back = rows, None
         place, positions = now.copy(), self._positions
         place[positions.stop :] = np.nan
         path, missed = self._back or self._path, np.inf
@@ -244,7 +240,7 @@ class Follower(InverseActuation):
         places = self._positions
         self._stays = (
             is_same and last is not None and situation.bears_the_same(last)
-            and are_equal(last.targets[places], situation.targets[places])
+            and half_squares(self._ones, last.targets[places], situation.targets[places]) == 0.0
             and np.array_equal(last.guided, situation.guided)
         )
         if now <= self._reached and not self._back:
