@@ -191,6 +191,7 @@ def test_a_kernel_that_is_read_where_it_is_called_is_called_at_one_place(nodes):
 # What the scenes of this package compile, as it would be kept on disk.
 COMPILED = """
 import json, logging, sys
+from pathlib import Path
 from softrobot_twin.kernels.kernel_cache import KernelCache
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import Simulation
