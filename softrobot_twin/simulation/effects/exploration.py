@@ -272,8 +272,8 @@ class Explorer(StepPart):
     def _begin_trial(self, simulation: Steppable) -> None:
         simulation.forget_solvers()
         if self._exploration.trial is not None:
-            near, trial = 0.5 * NEARER * self._exploration.missed, self._exploration.trial
-            simulation.inverse.depart(trial.goal, trial.follows, near)
+            trial = self._exploration.trial
+            simulation.inverse.depart(trial.goal, trial.follows)
 
     def _try(
         self, simulation: Steppable, exploration: Exploration, command: Command,

@@ -13,10 +13,10 @@ where the promise vanishes, or the radius. Where targets or loads change in each
 
 What targets leave open goes to where its energy is least, by moves that promise nothing and are not
 judged; where they get no shorter, the radius shrinks. Where a robot comes no nearer for long, it goes
-back to the nearest place in stable balance, at once where the body snaps, and on from there a few times, by
-shorter moves; then it rests there. Where its shape at rest is much nearer, it was caught: it lets go once, and where that does not help,
-its effectors are led back through the places where they were. It rests in balance only: on the way there an
-unstable body may go far.
+back to the nearest place in stable balance, at once where the body snaps, and on from there a few times,
+by shorter moves; then it rests there. Where its shape at rest is much nearer, it was caught: it lets go
+once, and where that does not help, its effectors are led back through the places where they were. It
+rests in balance only: on the way there an unstable body may go far.
 
 A move that the body does not accept, since it would fold or go too far, is solved for again in a smaller
 box; no share of it is made, whose direction would be poor.
@@ -151,7 +151,8 @@ class Follower(InverseActuation):
         self._swing_count, self._last_length, self._is_freed = 0, np.inf, False
         # Steps in a row that did not end in balance.
         self._arriving = 0
-        # Where it began, then places in stable balance, each nearer than the one before; the least T at all, and the steps since.
+        # Where it began, then places in stable balance, each nearer than the one before; the least T at
+        # all, and the steps since.
         self._balanced_places: deque[Place] = deque(maxlen=MOST_PLACES)
         self._best_seen, self._since, self._rises, self._last_now = np.inf, 0, 0, np.inf
         # The nearest place with a stable tangent, which was perhaps no balance: it rests there in the end, if
@@ -182,7 +183,7 @@ class Follower(InverseActuation):
         """See `InverseActuation`."""
         return 0.0 if self._task is None else LEAST_SHARE
 
-    def depart(self, goal: np.ndarray, follows: bool, near: float) -> None:
+    def depart(self, goal: np.ndarray, follows: bool) -> None:
         """See `InverseActuation`."""
         self.forget()
         self._departure = goal, not follows
@@ -191,15 +192,7 @@ class Follower(InverseActuation):
         self, linear: Linearized, target_rows: np.ndarray, held: Actuation, bounds: Bounds,
         stiffness: StiffnessRows | None = None,
     ) -> tuple[Actuation, Actuation]:  # fmt: skip
-        """See `InverseActuation`; leads effectors back along their path where they were caught.
-
-        Args:
-            linear: The condensed system.
-            target_rows: See `InverseActuation`.
-            held: What the actuators do when they stay.
-            bounds: Bounds of this step.
-            stiffness: See `InverseActuation`.
-        """
+        """See `InverseActuation`; leads effectors back along their path where they were caught."""
         if self._learns and self._begins:
             self._follow_path(linear.effectors_now, target_rows)
         rows = self._back[-1] if self._back else target_rows
@@ -462,10 +455,10 @@ class Follower(InverseActuation):
                 # It is judged by where it leads in the end: on the way it may be further away.
                 self._task, self._since = None, 0
                 return found
-        if self._now > (1.0 + PROGRESS) * self._balanced_places[-1].now and self.move_limit > LEAST:
+        goes_back = self.move_limit > LEAST and self._now > (1.0 + PROGRESS) * self._balanced_places[-1].now
+        if goes_back:
             self._go_back()
-            return asked.held if self._goal is None else self._to_goal(asked)
-        if self._lets_go():
+        if goes_back or self._lets_go():
             return asked.held if self._goal is None else self._to_goal(asked)
         self._ends = self._settles = True
         return asked.held

@@ -570,13 +570,12 @@ class InverseActuation:
         """Forget all targets."""
         raise NotImplementedError
 
-    def depart(self, goal: np.ndarray, follows: bool, near: float) -> None:
+    def depart(self, goal: np.ndarray, follows: bool) -> None:
         """Forget all targets, and let the actuators go to a place first.
 
         Args:
             goal: Their displacements there, shape (actuator_count,).
             follows: Whether they follow targets from there; else they stay.
-            near: T below which they stay where they come to rest [m²].
         """
         raise NotImplementedError
 

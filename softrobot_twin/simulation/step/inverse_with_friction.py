@@ -624,15 +624,7 @@ class InverseWithFriction(Follower):
         self, linear: Linearized, target_rows: np.ndarray, held: Actuation, bounds: Bounds,
         stiffness: StiffnessRows | None = None,
     ) -> tuple[Actuation, Actuation]:  # fmt: skip
-        """See `InverseActuation`; notes how targets move.
-
-        Args:
-            linear: The condensed system.
-            target_rows: See `InverseActuation`.
-            held: What the actuators do when they stay.
-            bounds: Bounds of this step.
-            stiffness: See `InverseActuation`.
-        """
+        """See `InverseActuation`; notes how targets move."""
         if self._begins:
             self._note_motion(target_rows)
         return super().solve(linear, target_rows, held, bounds, stiffness)
@@ -753,8 +745,8 @@ class InverseWithFriction(Follower):
                 self.refuse(False)
             best = held
         self._direct.remember(best.efforts)
-        moves = np.abs(best.drives(self._limits) - held.drives(self._limits)) / self._scales
-        self._calm_count = self._calm_count + 1 if moves.max() <= CALM else 0
+        is_calm = self._length_from(held, best) <= CALM
+        self._calm_count = self._calm_count + 1 if is_calm else 0
         if self._calm_count <= 1:
             self._calm = before
         return best
