@@ -177,7 +177,8 @@ def _model_of(scene: Scene, factorization_type: type | None, mounted: np.ndarray
     if dense:
         factorization = DenseStiffness(factorization, dense)
     factorization.prepare_rows(rows.reached_nodes, rows.row_capacity)
-    guided = any(part.is_guided for part in layout.rigid)
+    sliding = {slide.body for slide in scene.slides}
+    guided = any(part.is_guided and part.name not in sliding for part in layout.rigid)
     guides = Guides(layout) if guided else None
     remembering = [term for term in forces if term.remembers_start]
     remembering += [term for term in constraints if term.varies]

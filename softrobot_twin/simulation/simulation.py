@@ -39,7 +39,14 @@ from softrobot_twin.simulation.step.goals import Goal, Goals
 from softrobot_twin.simulation.step.inverse_choice import build_inverse
 from softrobot_twin.simulation.step.linearized import Linearized
 from softrobot_twin.simulation.step.newton import Newton
-from softrobot_twin.simulation.step.step_part import StepPart, parts_by_method, those_with
+from softrobot_twin.simulation.step.step_part import (
+    Leader,
+    Planner,
+    StepPart,
+    one_of,
+    parts_by_method,
+    those_with,
+)
 from softrobot_twin.simulation.step.step_report import NEAR_BALANCE, Balance, Outcome, StepResults
 from softrobot_twin.simulation.step.situation import NO_LOADS
 from softrobot_twin.simulation.step.time_budget import StageClock, TimeBudget
@@ -183,15 +190,14 @@ class Simulation(Readouts):
         if with_warnings:
             self.model.notes.extend(stability_notes(self))
             self.model.notes.extend(branch_notes(self) if scene.mounting else ())
-        for part in self.parts:
-            part.attach(self)
 
     def _take_parts(self, parts: tuple[StepPart, ...]) -> None:
         """Step with these optional effects around."""
         self.parts = parts
         self._parts_with = parts_by_method(parts)
+        self._planner, self._leader = one_of(parts, Planner), one_of(parts, Leader)
         self._keeping = those_with(parts, "memory_at_rest", "may_keep")
-        self._loading = those_with(parts, "loads", "load")
+        self._loading = those_with(parts, "loads")
         self._depends_on_time = any(part.depends_on_time for part in parts)
         self._results = StepResults(self.model, parts, self.newton)
         # Dynamic scenes, contacts and some parts remember more than a state that is kept tells of.
@@ -246,7 +252,7 @@ class Simulation(Readouts):
             self.model.nodes.rest_positions.copy(), self.rest_setpoints.copy(),
             np.zeros(count) if self.mounted is None else self.mounted.efforts.copy(),
             velocities=self._motion.at_rest(), memory=self._memory(
-                part.remembered(part.memory_at_rest()) for part in self.parts
+                (part, part.memory_at_rest()) for part in self.parts
             ),
         )  # fmt: skip
         for part in self.parts:
@@ -254,9 +260,11 @@ class Simulation(Readouts):
         self._begin_anew()
 
     @staticmethod
-    def _memory(parts: Iterable[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    def _memory(parts: Iterable[tuple[StepPart, dict[str, np.ndarray]]]) -> dict[str, np.ndarray]:
         """The memory of all parts; see `State`."""
-        return {key: array for part in parts for key, array in part.items()}
+        return {
+            f"{part.name}.{field}": array for part, fields in parts for field, array in fields.items()
+        }
 
     def restore(self, state: State) -> None:
         """Put a saved state back.
@@ -303,8 +311,7 @@ class Simulation(Readouts):
     def _begin_anew(self) -> None:
         """Forget the steps before."""
         self.kept: Kept | None = None
-        for part in self.parts:
-            part.forget()
+        self._planner.forget()
         self.forget_solvers()
 
     def forget_solvers(self) -> None:
@@ -335,8 +342,6 @@ class Simulation(Readouts):
         run_every_path(self)
         self.direct.warm_up()
         self.restore(before)
-        for part in self.parts:
-            part.warm_up(self)
         self._time_budget = TimeBudget()
 
     def prepare(self, command: Command) -> None:
@@ -355,7 +360,7 @@ class Simulation(Readouts):
             CommandError: The command does not fit this scene, or is not finite.
         """
         self.finish_result()
-        if self._parts_with["begin"] or self._parts_with["lead"]:
+        if self._parts_with["begin"] or self._leader.prescribes:
             return
         clock = StageClock(self.now)
         goal = self._goals.read(command, self.state)
@@ -390,10 +395,9 @@ class Simulation(Readouts):
         """
         clock = StageClock(self.now)
         self._make_result()
-        for part in self._parts_with["step_in_place"]:
-            done = part.step_in_place(self, command, budget, measured, clock)
-            if done is not None:
-                return done
+        in_place = self._planner.step_in_place(self, command, budget, measured)
+        if in_place is not None:
+            return in_place
         command, has_other_stiffness = self._begin_parts(command, measured)
         goal = self._goals.read(command, self.state)
         positions, efforts = self._positions, self.state.efforts
@@ -402,10 +406,7 @@ class Simulation(Readouts):
         if self.inverse is not None:
             self._begin_inverse(positions)
         pressed = not ahead and time_budget.must_hurry(budget)
-        led = all(
-            part.lead(self, positions, efforts, command.time_step, clock)
-            for part in self._parts_with["lead"]
-        )
+        led = self._leader.lead(self, positions, efforts, command.time_step, clock)
         hurry = pressed and newton.may_keep_factor
         first, iterations, enough, rows = None, 0, False, self.model.rows
         doing, sought = goal, None
@@ -481,7 +482,7 @@ class Simulation(Readouts):
             return None
         if any(one.is_any for one in _each(measured)):
             return None
-        if any(part.is_stepping for part in self._parts_with["step_in_place"]):
+        if self._planner.is_stepping:
             return None
         return self.stay_by(command, kept.result)
 
@@ -511,16 +512,13 @@ class Simulation(Readouts):
 
     def _begin_inverse(self, positions: np.ndarray) -> None:
         """Tell the inverse what the step begins with, at node positions [m]."""
-        prescribed = [part.prescribed(positions) for part in self._parts_with["prescribed"]]
-        places = np.concatenate(prescribed) if prescribed else NO_LOADS
-        is_stable = not self.newton.projected_tangent
-        loads = [part.loads for part in self._loading if part.loads is not None]
-        if not loads:
-            self.inverse.begin_step(self.is_balanced, is_stable, NO_LOADS, 0.0, places)
-            return
-        own = self._load_of_parts() + self.actuators.load(self.state.efforts)
-        own += self.newton.constant_load
-        self.inverse.begin_step(self.is_balanced, is_stable, np.concatenate(loads), own, places)
+        places, is_stable = self._leader.places(positions), not self.newton.projected_tangent
+        loads, load = NO_LOADS, 0.0
+        if self._loading:
+            loads = np.concatenate([part.loads for part in self._loading])
+            load = self._load_of_parts() + self.actuators.load(self.state.efforts)
+            load += self.newton.constant_load
+        self.inverse.begin_step(self.is_balanced, is_stable, loads, load, places)
 
     def _begin_parts(self, command: Command, measured: object | None) -> tuple[Command, bool]:
         """Let all parts begin a step.
@@ -774,7 +772,7 @@ class Simulation(Readouts):
             self.actuators.setpoints(outcome.actuation.drives(self.limits)),
             outcome.actuation.efforts, before.step_count + 1, before.time + time_step,
             motion.velocities, motion.past, self._memory([
-                part.remembered(part.end(outcome.positions, outcome.actuation.efforts))
+                (part, part.end(outcome.positions, outcome.actuation.efforts))
                 for part in self._parts_with["end"]
             ]),
         )  # fmt: skip
@@ -809,11 +807,8 @@ class Simulation(Readouts):
         count = before.count + 1 if is_again else 0
         if goal.follows:
             self.direct.remember(self.state.efforts)
-            waits = [
-                part.steps_until_rest(command, result)
-                for part in self._parts_with["steps_until_rest"]
-            ]
-            is_again = count >= max(STEPS_UNTIL_REST, *waits, 0) + len(self.state.setpoints)
+            wait = max(STEPS_UNTIL_REST, self._planner.steps_until_rest(command, result))
+            is_again = count >= wait + len(self.state.setpoints)
         else:
             age = newton.factor_age
             self._begin_anew()
@@ -828,8 +823,7 @@ class Simulation(Readouts):
         )  # fmt: skip
         self.kept = Kept(command, count, replace(result, report=report))
         if goal.follows:
-            for part in self._parts_with["rest"]:
-                part.rest(self, command, self.kept.result)
+            self._planner.rest(self, command, self.kept.result)
 
     def _failed(self, goal, clock, iterations, status=Status.DIVERGED, limits=()) -> StepResult:
         """The last good state, told as a failure. Its time has passed all the same."""

@@ -35,7 +35,7 @@ def run_every_path(simulation) -> None:
             simulation.newton.take_augmented_tangent()
             step(CommandSetpoints(taut, TIME_STEP))
     for part in simulation.parts:
-        for measured in part.measurements_to_warm_up(simulation.state):
+        for measured in part.samples:
             step(Hold(TIME_STEP), None, measured)
     if not why_not_followed(simulation.model):
         here, turns = simulation.effector_positions(), simulation.effector_orientations()

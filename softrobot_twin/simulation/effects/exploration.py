@@ -18,13 +18,11 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.simulation.building.actuators import Actuators
-from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.command import Command, FollowTargets
 from softrobot_twin.simulation.result import Status, StepResult
 from softrobot_twin.simulation.state import State
-from softrobot_twin.simulation.step.step_part import Steppable, StepPart
+from softrobot_twin.simulation.step.step_part import Planner, Steppable, StepPart
 from softrobot_twin.simulation.step.situation import CALM
-from softrobot_twin.simulation.step.time_budget import StageClock
 from softrobot_twin.solvers.direct_problem import solve_by_daqp
 
 # Moves of one actuator, as shares of its scale, in the order in which they are tried; a move that
@@ -211,7 +209,7 @@ class Exploration:
         return self._within(place if moves is None else place + np.where(self._is_free, moves, 0.0) * scale)
 
 
-class Explorer(StepPart):
+class Explorer(StepPart, Planner):
     """Lets a robot at rest away from its targets explore in place of steps that change nothing."""
 
     name = "exploration"
@@ -221,7 +219,7 @@ class Explorer(StepPart):
         self._exploration: Exploration | None = None
 
     def forget(self) -> None:
-        """See `StepPart`."""
+        """See `Planner`."""
         self._exploration = None
 
     @property
@@ -250,10 +248,9 @@ class Explorer(StepPart):
             before.end(result)
 
     def step_in_place(
-        self, simulation: Steppable, command: Command, budget: float | None,
-        measured: object | None, clock: StageClock,
-    ) -> StepResult | None:  # fmt: skip
-        """A step of a trial; None where the robot steps itself. See `StepPart`."""
+        self, simulation: Steppable, command: Command, budget: float | None, measured: object | None
+    ) -> StepResult | None:
+        """A step of a trial; None where the robot steps itself. See `Planner`."""
         exploration = self._exploration
         if exploration is None:
             return None
@@ -314,13 +311,3 @@ class Explorer(StepPart):
             is_resting=False,
         )  # fmt: skip
         return replace(exploration.result, state=simulation.state, report=report)
-
-
-def explorer_of(model: Model) -> Iterator[StepPart]:
-    """The part of a scene that asks for exploration.
-
-    Args:
-        model: The model of a simulation.
-    """
-    if model.scene.solver.exploration:
-        yield Explorer()

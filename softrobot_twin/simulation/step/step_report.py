@@ -154,7 +154,7 @@ class StepResults:
         if model.effectors is not None:
             places = model.effectors.positions(state.positions)
         errors, angles = goal.errors(places, outcome.positions)
-        told = [part.report(state) for part in self._parts]
+        told = [part.report(state, newton) for part in self._parts]
         missed = self._missed(errors, angles, told, 0)
         missed = np.concatenate([missed, goal.misses_of_sensors(outcome.positions)])
         active = goal.limits_met(actuation)
