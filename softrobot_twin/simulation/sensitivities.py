@@ -300,7 +300,7 @@ class Sensitivities(HeldTangent):
     def _load(self) -> float:
         """Sum of the weight and of the forces of the actuators, by magnitude [N]."""
         own = self._model.actuators.load(self._simulation.state.efforts)
-        return self._simulation.newton.constant_load + own
+        return self._simulation.newton.balance.constant_load + own
 
     def _check_balance(self) -> None:
         """Refuses a state of statics that is far from its equilibrium."""

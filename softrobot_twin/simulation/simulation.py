@@ -331,14 +331,14 @@ class Simulation(Readouts):
     @property
     def static_factorization(self) -> Factorization | None:
         """A⁻¹ of the last linearization; None where it is not exactly that of statics."""
-        return self.newton.static_factorization
+        return self.newton.tangent.static_factorization
 
     def warm_up(self) -> None:
         """Run every path once, so that nothing is compiled or set up later; state unchanged."""
         before = self.state
         # No move of a warm-up folds elements, and most scenes never see one that does.
         # It ends beside the state, of which elements know their deformation already.
-        self.newton.folds(before.positions, before.positions + np.spacing(1.0))
+        self.newton.balance.folds(before.positions, before.positions + np.spacing(1.0))
         run_every_path(self)
         self.direct.warm_up()
         self.restore(before)
@@ -407,10 +407,10 @@ class Simulation(Readouts):
             self._begin_inverse(positions)
         pressed = not ahead and time_budget.must_hurry(budget)
         led = self._leader.lead(self, positions, efforts, command.time_step, clock)
-        hurry = pressed and newton.may_keep_factor
+        hurry = pressed and newton.tangent.may_keep_factor
         first, iterations, enough, rows = None, 0, False, self.model.rows
         doing, sought = goal, None
-        inverted = newton.inverted_count
+        inverted = newton.balance.inverted_count
         while not enough:
             iterations, begin, ahead = iterations + 1, clock.total - ahead, 0.0
             before = positions.copy() if hurry else positions
@@ -512,12 +512,12 @@ class Simulation(Readouts):
 
     def _begin_inverse(self, positions: np.ndarray) -> None:
         """Tell the inverse what the step begins with, at node positions [m]."""
-        places, is_stable = self._leader.places(positions), not self.newton.projected_tangent
+        places, is_stable = self._leader.places(positions), not self.newton.tangent.is_projected
         loads, load = NO_LOADS, 0.0
         if self._loading:
             loads = np.concatenate([part.loads for part in self._loading])
             load = self._load_of_parts() + self.actuators.load(self.state.efforts)
-            load += self.newton.constant_load
+            load += self.newton.balance.constant_load
         self.inverse.begin_step(self.is_balanced, is_stable, loads, load, places)
 
     def _begin_parts(self, command: Command, measured: object | None) -> tuple[Command, bool]:
@@ -568,7 +568,7 @@ class Simulation(Readouts):
         if is_changed or has_other_stiffness:
             self.newton.take_other_tangent()
         self.newton.expect(goal.command.time_step)
-        if self._goes_on and not self.newton.projected_tangent:
+        if self._goes_on and not self.newton.tangent.is_projected:
             self.newton.go_on()
         return 0.0
 
@@ -593,7 +593,7 @@ class Simulation(Readouts):
         """
         linear = self.newton.linearize(
             positions, efforts, clock, with_stale_factor,
-            goal.held if self.newton.asks_for_held else None,
+            goal.held if self.newton.tangent.asks_for_held else None,
         )  # fmt: skip
         if linear is None:
             return None
@@ -620,7 +620,7 @@ class Simulation(Readouts):
         parts = self._parts_with["rows"] if goal.follows else ()
         if not parts or any(part.holds_robot for part in self.parts):
             return None
-        state = self.newton.linearized_state(positions, efforts)
+        state = self.newton.tangent.linearized_state(positions, efforts)
         for part in parts:
             rows = part.rows(state, goal.command)
             if rows is not None:
@@ -679,7 +679,7 @@ class Simulation(Readouts):
         Near is where the scene or the deadline stopped the linearizations before they could converge,
         and the residual is small beside the forces at rest, and of actuators, contacts and parts.
         """
-        solver, weight = self.model.scene.solver, self.newton.constant_load
+        solver, weight = self.model.scene.solver, self.newton.balance.constant_load
         actuation = done.actuation
         if done.share != 1.0 or not actuation.is_exact:
             return Balance.MISSED
@@ -703,7 +703,7 @@ class Simulation(Readouts):
         """
         newton, residual = self.newton, math.nan
         share, actuation = newton.correct(positions, actuation, is_judged)
-        if newton.is_augmented:
+        if newton.tangent.is_augmented:
             self.direct.remember(actuation.efforts)
         clock.mark("correct")
         if share:
@@ -749,7 +749,7 @@ class Simulation(Readouts):
             if newton.inverts:
                 # It cannot even stay: the last good state is kept.
                 share, inverts = 0.0, True
-                newton.forget_folds()
+                newton.balance.forget_folds()
         if tried is not actuation:
             self.direct.remember(done.efforts)
             inverse.refuse(tried is held and share == 0.0)
@@ -760,7 +760,7 @@ class Simulation(Readouts):
         """Whether a correction by the factor of an earlier step may be kept."""
         newton = self.newton
         is_near = self._balance(done, 0.0) is not Balance.MISSED
-        return is_near and newton.inverted_count <= inverted and newton.makes_progress()
+        return is_near and newton.balance.inverted_count <= inverted and newton.makes_progress()
 
     def _succeeded(self, goal: Goal, outcome: Outcome, clock: StageClock) -> StepResult:
         before, time_step, newton = self.state, goal.command.time_step, self.newton
@@ -778,8 +778,8 @@ class Simulation(Readouts):
         )  # fmt: skip
         # What is changed by nothing but round-off is kept.
         is_kept = (
-            self.may_rest and outcome.balance is Balance.REACHED and not newton.inverted_count
-            and goal.keeps(before, state, not newton.projected_tangent)
+            self.may_rest and outcome.balance is Balance.REACHED and not newton.balance.inverted_count
+            and goal.keeps(before, state, not newton.tangent.is_projected)
             and all(part.may_keep(before, state) for part in self._keeping)
         )  # fmt: skip
         self.state = before.kept_through(time_step) if is_kept else state
@@ -810,10 +810,10 @@ class Simulation(Readouts):
             wait = max(STEPS_UNTIL_REST, self._planner.steps_until_rest(command, result))
             is_again = count >= wait + len(self.state.setpoints)
         else:
-            age = newton.factor_age
+            age = newton.tangent.factor_age
             self._begin_anew()
             # The factor is that of the kept state, for whoever asks for compliances there.
-            newton.factor_age = 0 if age == 0 else None
+            newton.tangent.factor_age = 0 if age == 0 else None
         if not is_again:
             self.kept = Kept(command, count, None)
             return

@@ -29,10 +29,10 @@ def run_every_path(simulation) -> None:
         step(CommandSetpoints(setpoints, TIME_STEP))
         none = np.where(actuators.takes_efforts, 0.0, np.nan)
         step(CommandEfforts(none, TIME_STEP))
-        if simulation.newton.take_augmented_tangent():
+        if simulation.newton.tangent.take_augmented_tangent():
             taut = actuators.setpoints(TAUT * actuators.limits.drive_scale)
             step(CommandSetpoints(taut, TIME_STEP))
-            simulation.newton.take_augmented_tangent()
+            simulation.newton.tangent.take_augmented_tangent()
             step(CommandSetpoints(taut, TIME_STEP))
     for part in simulation.parts:
         for measured in part.samples:

@@ -279,7 +279,7 @@ class Explorer(StepPart, Planner):
         """Make a step of a trial in place of one of the robot, which would keep its state."""
         newton, inverse = simulation.newton, simulation.inverse
         stays = simulation.state, simulation.kept
-        simulation.state, newton.factor_age = exploration.state, exploration.factor_age
+        simulation.state, newton.tangent.factor_age = exploration.state, exploration.factor_age
         self._exploration = simulation.kept = None
         try:
             tried = simulation.step(command, budget, measured)
@@ -291,10 +291,10 @@ class Explorer(StepPart, Planner):
         finally:
             simulation.state, simulation.kept = stays
             # The factor is that of another state.
-            exploration.factor_age, newton.factor_age = newton.factor_age, None
+            exploration.factor_age, newton.tangent.factor_age = newton.tangent.factor_age, None
         self._exploration = exploration
         has_gone = not inverse.is_departing
-        is_stable = simulation.is_balanced and not newton.projected_tangent
+        is_stable = simulation.is_balanced and not newton.tangent.is_projected
         is_calm = bool((moved <= CALM * simulation.limits.drive_scale).all())
         trial = exploration.trial
         if tried.status.is_failure:

@@ -53,9 +53,9 @@ class Guiding(StepPart, Leader):
                 before = before.copy()
                 guides.place(before, share)
             contacts.begin_prescribed_move(before)
-        if newton.is_folded:
+        if newton.balance.is_folded:
             return True
-        if not newton.folds(simulation.state.positions, positions):
+        if not newton.balance.folds(simulation.state.positions, positions):
             return True
         positions[:], gone, tried = simulation.state.positions, 0.0, positions.copy()
         for _ in range(MOST_PARTS):
@@ -63,11 +63,11 @@ class Guiding(StepPart, Leader):
             for _ in range(MOST_HALVINGS):
                 tried[:] = positions
                 guides.place(tried, gone + part)
-                if not newton.folds(positions, tried):
+                if not newton.balance.folds(positions, tried):
                     break
                 part *= 0.5
             else:
-                newton.forget_folds()
+                newton.balance.forget_folds()
                 return False
             if contacts is not None:
                 contacts.begin_prescribed_move(positions)

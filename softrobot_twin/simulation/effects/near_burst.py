@@ -39,7 +39,7 @@ class NearBurst(StepPart):
 
     def report(self, state: State, newton: Newton) -> PartReport:
         """See `StepPart`."""
-        is_near = newton.actuator_compliances[self._rows] > self._least
+        is_near = newton.tangent.actuator_compliances[self._rows] > self._least
         return PartReport(tuple(f"{name}.{BURST}" for name, near in zip(self._names, is_near) if near))
 
 

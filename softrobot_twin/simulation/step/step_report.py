@@ -158,11 +158,11 @@ class StepResults:
         missed = self._missed(errors, angles, told, 0)
         missed = np.concatenate([missed, goal.misses_of_sensors(outcome.positions)])
         active = goal.limits_met(actuation)
-        if newton.is_nearly_flat and INVERSION not in active:
+        if newton.balance.is_nearly_flat and INVERSION not in active:
             active = (*active, INVERSION)
         doubted = [part for part in told if not part.is_trusted]
         active = (*active, *(limit for part in doubted for limit in part.limits))
-        met = not newton.is_nearly_flat and not doubted and goal.is_met(actuation, missed)
+        met = not newton.balance.is_nearly_flat and not doubted and goal.is_met(actuation, missed)
         if goal.follows and not met and not any(limit.endswith(RATE) for limit in active):
             was_at = model.effectors.positions(before.positions)
             missed_before = self._missed(*goal.errors(was_at, before.positions), told, 1)
@@ -171,11 +171,11 @@ class StepResults:
                 outcome.linear, outcome.held, missed_before, missed
             ))  # fmt: skip
         status = judge(
-            actuation, newton.inverted_count, outcome.balance, met, active, goal.follows
+            actuation, newton.balance.inverted_count, outcome.balance, met, active, goal.follows
         )
         if status is Status.NOT_CONVERGED and outcome.iterations >= model.scene.solver.newton_iterations:
             active = (*active, ITERATIONS)
-        if goal.held is None and newton.projected_tangent:
+        if goal.held is None and newton.tangent.is_projected:
             active = (*active, UNSTABLE)
         if goal.follows and not met and model.contacts is not None and model.contacts.rubs:
             active = (*active, *what_touches(model.contacts, actuation.contact.multipliers))
@@ -190,14 +190,14 @@ class StepResults:
             loads = model.actuators.load(actuation.efforts) + actuation.contact.load
             touching = contact_forces(
                 model.contacts, actuation.contact.multipliers, outcome.positions,
-                newton.constant_load + loads,
+                newton.balance.constant_load + loads,
             )
         report = StepReport(
             clock.times, clock.total, outcome.residual, outcome.iterations, active,
-            projected_tangent=newton.projected_tangent, inverted_count=newton.inverted_count,
+            projected_tangent=newton.tangent.is_projected, inverted_count=newton.balance.inverted_count,
             linearization_error=imbalance(model.effectors, *outcome.first),
-            factor_age=newton.factor_age,
-            is_late=outcome.pressed and newton.factor_age == 0,
+            factor_age=newton.tangent.factor_age,
+            is_late=outcome.pressed and newton.tangent.factor_age == 0,
             qp_solver=actuation.qp_solver,
             driven_by=goal.driven_by, figures=figures, **entries,
             **_of_contacts(actuation.contact, touching),
@@ -252,7 +252,7 @@ class StepResults:
         errors, angles = goal.errors(places, state.positions)
         report = StepReport(
             clock.times, clock.total, math.nan, iterations, limits,
-            projected_tangent=self._newton.projected_tangent, driven_by=goal.driven_by,
+            projected_tangent=self._newton.tangent.is_projected, driven_by=goal.driven_by,
         )  # fmt: skip
         displacements = self._model.actuators.displacements(state.setpoints, state.positions)
         return StepResult(
