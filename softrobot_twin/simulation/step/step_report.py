@@ -150,9 +150,7 @@ class StepResults:
             state: The new state.
         """
         model, newton, actuation = self._model, self._newton, outcome.actuation
-        places = np.empty((0, 3))
-        if model.effectors is not None:
-            places = model.effectors.positions(state.positions)
+        places = model.effectors.positions(state.positions)
         errors, angles = goal.errors(places, outcome.positions)
         told = [part.report(state, newton) for part in self._parts]
         missed = self._missed(errors, angles, told, 0)
@@ -230,7 +228,7 @@ class StepResults:
     def _quaternions(self, positions: np.ndarray) -> np.ndarray | None:
         """Turns of the effectors from rest; None in a scene without orientations."""
         effectors = self._model.effectors
-        if effectors is None or not effectors.orientations:
+        if not effectors.orientations:
             return None
         return effectors.quaternions(positions)
 
@@ -284,14 +282,14 @@ def imbalance(effectors, linear: Linearized, held: Actuation | None) -> float:
     """Distance of the effectors from equilibrium at held displacements, by the linearization.
 
     Args:
-        effectors: The effector term, or None.
+        effectors: The effector term.
         linear: The system condensed around the state.
         held: Actuation with all actuators held.
 
     Returns:
         Largest distance over the effectors [m]; NaN without effectors, and in contact.
     """
-    if effectors is None or held is None or linear.contact_row_count:
+    if not effectors.effectors or held is None or linear.contact_row_count:
         return float("nan")
     places = linear.effector_places(held.efforts, held.contact.multipliers)
     return largest_distance(
