@@ -73,7 +73,8 @@ class Newton:
         balance: The sums of the terms.
         tangent: The tangent, and the condensed system.
         move: The last correction of the positions.
-        merit: What its length is judged by; None in scenes without.
+        merit: What its length is judged by, where it `judges`.
+        last_move: Longest displacement of a node in it [m].
     """
 
     def __init__(self, model: Model):
@@ -85,11 +86,10 @@ class Newton:
         self._model, self._rows = model, model.rows
         self._stays_upright = any(term.stays_upright for term in model.forces)
         self.balance, self.move = ForceBalance(model, self._make_whole), Move(model)
-        has_merit = self._has_merit()
-        self.merit = Merit(model, self.move, self.balance.gather_forces) if has_merit else None
-        self._whole_limit = np.inf if has_merit else LONGEST_MOVE * model.nodes.size
+        self.merit = Merit(model, self.move, self.balance.gather_forces)
+        self._whole_limit = np.inf if self.merit.judges else LONGEST_MOVE * model.nodes.size
         self._step_limit = self._whole_limit
-        self._last_move = self._slope = 0.0
+        self.last_move = self._slope = 0.0
         self._moves_to_make = 0
         self._conserves, is_slender = model.actuators.conserves, any(t.is_slender for t in model.forces)
         # Whole moves of slender bodies push back, and converge all the same.
@@ -97,7 +97,7 @@ class Newton:
         self._judged: Actuation | None = None
         self._judges_projection = False
         # What the last move of the step displaced, where contacts may lead to and fro.
-        may_swing = self._rows.varies and not (has_merit or model.is_dynamic)
+        may_swing = self._rows.varies and not (self.merit.judges or model.is_dynamic)
         self._last_way = np.zeros_like(self.move.displacement) if may_swing else None
         # A single point has no size, and no round-off that could be told from a move.
         finite = np.isfinite(model.nodes.size)
@@ -106,27 +106,11 @@ class Newton:
         self._longest, self._work, self._limit = np.zeros((3, 1))
         self.tangent = Tangent(model, self.balance)
 
-    def _has_merit(self) -> bool:
-        """Whether equilibria at held actuators are minima of an energy that falls on the way.
-
-        Slender parts are stretched on their way: Newton's method needs a quarter of the moves where
-        their energy may rise in between, 4 to 19 for the elastica from rest instead of 14 to 42.
-
-        Where contacts stick or slide, equilibria depend on the way there and are minima of no
-        energy. One pair that may rub decides it for all moves of the scene: a contact that begins
-        to rub within a step would change what the moves of the step are judged by.
-        """
-        model = self._model
-        conserves = all(term.conserves for term in self._rows.terms)
-        is_slender = any(term.is_slender for term in model.forces)
-        return conserves and not (model.is_dynamic or is_slender)
-
     def forget(self) -> None:
         """Forget what earlier states taught: the next linearization starts from nothing."""
         self.balance.forget()
         self.tangent.forget()
-        if self.merit is not None:
-            self.merit.forget()
+        self.merit.forget()
 
     def begin_step(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:
         """Allow longer moves to nodes that inertia carries on.
@@ -187,7 +171,7 @@ class Newton:
         Returns:
             Whether it did.
         """
-        if not self.tangent.may_be_prepared:
+        if self.tangent.is_indefinite or self.tangent.is_projected:
             return False
         self._look(positions, clock, held)
         return self.tangent.prepare(positions, efforts, clock, held)
@@ -201,8 +185,7 @@ class Newton:
         self._was_folded = self.balance.is_folded
         if self._rows.varies:
             self._rows.detect(positions)
-            if self.merit is not None:
-                self.merit.see_overlaps()
+            self.merit.see_overlaps()
             self._rows.choose_stiffness(held is not None and held.is_prescribed)
             clock.mark("detect")
 
@@ -256,8 +239,8 @@ class Newton:
         if balance.makes_whole and not tangent.is_augmented and tangent.linear.rows is None:
             self._limit[0] = self._step_limit
             if balance.make_whole(positions):
-                self._last_move = float(self._longest[0])
-                is_judged = is_judged and self._last_move > self._round_off
+                self.last_move = float(self._longest[0])
+                is_judged = is_judged and self.last_move > self._round_off
                 self._note(actuation, is_judged, float(self._work[0]))
                 return 1.0, actuation
         move = tangent.linear.expand(balance.multipliers)
@@ -266,7 +249,7 @@ class Newton:
         if math.isfinite(longest):
             share = self._step_limit / longest if longest > self._step_limit else 1.0
             share = min(share, self._rows.largest_share(positions, move))
-            self._last_move = share * longest
+            self.last_move = share * longest
             actuation = tangent.true_efforts(actuation)
             self._note(actuation, is_judged and longest > self._round_off)
             self.move.make(positions, share)
@@ -308,14 +291,13 @@ class Newton:
         is_searched = self._searches and is_judged and not actuation.are_efforts_given
         self._judges_projection = self.tangent.projects_in_part and self.tangent.is_projected
         needs_slope = self._model.is_dynamic or not self._conserves or self._judges_projection
-        if needs_slope or (self.merit is not None and is_judged):
+        is_judged = is_judged and self.merit.judges
+        if needs_slope or is_judged:
             if slope is None:
                 self.balance.load(actuation)
                 slope = self._left_slope()
             self._slope = slope
         self._judged = actuation if is_searched else None
-        if self.merit is None:
-            return
         if is_judged:
             self.merit.begin(actuation, self._slope)
         else:
@@ -349,7 +331,7 @@ class Newton:
             return False
         if self._judged is not None and self._left_slope() < -OVERSHOOT_WITHOUT_ENERGY * abs(self._slope):
             return False
-        if self.merit is None or not self.merit.is_judging or self.merit.trusts(self.balance.forces):
+        if not self.merit.is_judging or self.merit.trusts(self.balance.forces):
             return True
         return self.merit.accepts(positions, share)
 
@@ -362,11 +344,11 @@ class Newton:
             share: Share of the last move that was made.
         """
         went_too_far = share < 1.0
-        if self._last_move > self._round_off:
+        if self.last_move > self._round_off:
             went_too_far = went_too_far or self._left_slope() < -OVERSHOOT * self._slope
         if went_too_far:
             self._moves_to_make = MOVES_AFTER_OVERSHOOT
-            self._step_limit = min(self._step_limit, self._last_move)
+            self._step_limit = min(self._step_limit, self.last_move)
         elif self._moves_to_make:
             self._moves_to_make -= 1
         return self._moves_to_make > 0
@@ -381,8 +363,7 @@ class Newton:
         Returns:
             The share that is made. Where it is another, the residual is to be taken again.
         """
-        is_judging = self.merit is not None and self.merit.is_judging
-        settled = share
+        settled, is_judging = share, self.merit.is_judging
         if self._judged is not None and not self.inverts:
             settled = self._pushing_share(positions, share)
         elif self.inverts:
@@ -403,7 +384,7 @@ class Newton:
             self.balance.gather_forces(positions)
         if self._stays_upright:
             settled = self._unfolded_share(positions, settled)
-        self._last_move *= settled / share
+        self.last_move *= settled / share
         return settled
 
     def _lengthened_share(self, positions: np.ndarray, share: float) -> float:
@@ -433,7 +414,7 @@ class Newton:
                 break
             share, best = LONGER * share, tried
         self.move.make(positions, share)
-        self._last_move *= share
+        self.last_move *= share
         return share
 
     def _unfolded_share(self, positions: np.ndarray, share: float) -> float:
@@ -517,11 +498,6 @@ class Newton:
                 high, at_high = share, left
         return share
 
-    @property
-    def last_move(self) -> float:
-        """Longest displacement of a node in the last move that was made [m]."""
-        return self._last_move
-
     def residual(self, positions: np.ndarray, actuation: Actuation) -> float:
         """Largest force out of balance on a node [N]; see `ForceBalance.residual`.
 
@@ -532,7 +508,7 @@ class Newton:
         residual = self.balance.residual(positions, actuation)
         if self._judges_projection:
             self._judges_projection = False
-            is_whole = self._last_move < self._step_limit
+            is_whole = self.last_move < self._step_limit
             self.tangent.judge_projection(self._slope, self._left_slope(), is_whole)
         return residual
 
@@ -548,5 +524,5 @@ class Newton:
         longest_left = self._model.nodes.longest(left)
         if longest_left <= self._round_off:
             return True
-        self.tangent.is_worn = not longest_left <= WORN_CONTRACTION * self._last_move
-        return longest_left <= GREATEST_CONTRACTION * self._last_move
+        self.tangent.is_worn = not longest_left <= WORN_CONTRACTION * self.last_move
+        return longest_left <= GREATEST_CONTRACTION * self.last_move

@@ -38,6 +38,7 @@ class Tangent:
         is_projected: True when the last linearization had to project its tangent.
         is_augmented: True when it augmented its tangent by the rows of the actuators.
         factor_age: Linearizations since the factor was made; None when there is none of use.
+        is_indefinite: Whether the next tangent is augmented by what holds, if that bears.
         is_worn: True when a stale factor corrected too little the last time.
         ahead: A condensed system that the next linearization takes; None without.
         linear: The last condensed system.
@@ -85,7 +86,7 @@ class Tangent:
         self._projection = 1.0
         # Where the exact tangent was indefinite, it is tried again when the augmented one tells
         # that it is definite.
-        self._is_indefinite = self._augmented is not None and self._augmented.comes_first
+        self.is_indefinite = self._augmented is not None and self._augmented.comes_first
 
     @property
     def asks_for_held(self) -> bool:
@@ -151,8 +152,8 @@ class Tangent:
             Whether that tangent has kernels of its own, for which a body that becomes unstable would
             wait if nothing had compiled them.
         """
-        self._is_indefinite = self._augmented is not None
-        return self._is_indefinite and self._augmented.has_kernels
+        self.is_indefinite = self._augmented is not None
+        return self.is_indefinite and self._augmented.has_kernels
 
     def prepare(
         self, positions: np.ndarray, efforts: np.ndarray, clock: StageClock,
@@ -165,11 +166,6 @@ class Tangent:
         self.ahead = self._factored(positions, self._rows.multipliers(efforts), clock)
         self.factor_age = None if self.ahead is None else 0
         return self.ahead is not None
-
-    @property
-    def may_be_prepared(self) -> bool:
-        """False where the tangent may be augmented by what a command holds, or was projected."""
-        return not (self._is_indefinite or self.is_projected)
 
     def linearize(
         self, positions: np.ndarray, efforts: np.ndarray, clock: StageClock,
@@ -203,15 +199,15 @@ class Tangent:
         # Masses hold a body in motion, and what is prescribed follows from either tangent.
         is_inverse = may_augment and not (held.is_prescribed or self._model.is_dynamic)
         may_augment = may_augment and (not is_inverse or self._measure_stiffness(clock))
-        if not (self._is_indefinite and may_augment):
+        if not (self.is_indefinite and may_augment):
             self._rows.limit_stiffness(False)
             linear = self._factored(positions, multipliers, clock)
             if linear is not None:
-                self._is_indefinite = (
+                self.is_indefinite = (
                     is_inverse and may_augment and self._augmented.is_near(linear.W)
                     and self._augmented.choose(efforts, held)
                 )
-                if not self._is_indefinite:
+                if not self.is_indefinite:
                     return linear
         self._rows.limit_stiffness(True)
         may_augment = may_augment and self._measure_stiffness(clock)
@@ -222,11 +218,11 @@ class Tangent:
                 self._rows.limit_stiffness(is_limited)
                 linear = self._factored(positions, multipliers, clock)
                 if linear is not None:
-                    self._is_indefinite = self._augmented.is_needed(
+                    self.is_indefinite = self._augmented.is_needed(
                         linear.W, linear.groups.contacts.start
                     )
                     return linear
-        self.is_augmented, self.is_projected, self._is_indefinite = False, True, False
+        self.is_augmented, self.is_projected, self.is_indefinite = False, True, False
         if self.projects_in_part:
             linear = self._least_projected(positions, multipliers, may_augment, clock)
             if linear is not None:
@@ -320,33 +316,26 @@ class Tangent:
         if self._leaves_out and not self._follows:
             row_starts = model.contacts.row_starts
             pressing = expected_to_press(model.contacts, rows.values[rows.groups.contacts])
-        moves = self._prescribed_moves(positions)
-        if not self.is_augmented:
-            forces = self._balance.forces
-            if rows.told is not None:
-                forces = self._loaded_forces
-                copy_vectors(self._balance.forces, forces)
-                rows.add_forces(np.zeros(rows.row_count), forces)
-            self._condensed_forces = forces
-            return Linearized(
-                model.factorization, rows, forces, moves, row_starts, pressing,
-                multipliers=multipliers,
-            )  # fmt: skip
-        held = self._held
-        reference = model.actuators.limits.drives_within(held.drives, held.bounds)
-        augmentation = self._augmented.augmentation(reference)
-        forces, shift = self._loaded_forces, np.zeros(rows.row_count)
-        copy_vectors(self._balance.forces, forces)
-        a = rows.groups.actuators
-        shift[a] = augmentation.efforts(np.zeros(a.stop), rows.values[a])
-        if augmentation.share is not None:
-            shift[a] *= augmentation.share
-        c = rows.groups.contacts
-        shift[c] = self._augmented.contact_shift(rows.values[c])
-        rows.add_forces(shift, forces)
-        self._condensed_forces = forces
+        moves = None
+        if model.slides is not None:
+            columns = model.slides.columns(rows, self._effector_columns, model.contacts)
+            moves = PrescribedMoves(-model.slides.positions(positions), columns)
+        solver, augmentation, shift = model.factorization, None, np.zeros(rows.row_count)
+        if self.is_augmented:
+            held, solver, (a, _, c) = self._held, self._augmented, rows.groups
+            reference = model.actuators.limits.drives_within(held.drives, held.bounds)
+            augmentation = solver.augmentation(reference)
+            shift[a] = augmentation.efforts(np.zeros(a.stop), rows.values[a])
+            if augmentation.share is not None:
+                shift[a] *= augmentation.share
+            shift[c] = solver.contact_shift(rows.values[c])
+        self._condensed_forces = self._balance.forces
+        if self.is_augmented or rows.told is not None:
+            self._condensed_forces = self._loaded_forces
+            copy_vectors(self._balance.forces, self._loaded_forces)
+            rows.add_forces(shift, self._loaded_forces)
         return Linearized(
-            self._augmented, rows, forces, moves, row_starts, pressing, augmentation
+            solver, rows, self._condensed_forces, moves, row_starts, pressing, augmentation, multipliers
         )
 
     def true_efforts(self, actuation: Actuation) -> Actuation:
@@ -382,14 +371,6 @@ class Tangent:
             self.linear, solver, self._condensed_forces, positions.copy(),
             efforts[self._rows.groups.actuators],
         )  # fmt: skip
-
-    def _prescribed_moves(self, positions: np.ndarray) -> PrescribedMoves | None:
-        """What slides prescribe; None without any."""
-        model = self._model
-        if model.slides is None:
-            return None
-        columns = model.slides.columns(self._rows, self._effector_columns, model.contacts)
-        return PrescribedMoves(-model.slides.positions(positions), columns)
 
     def judge_projection(self, slope: float, left: float, is_whole: bool) -> None:
         """Choose by the last move how much the next tangent is projected.

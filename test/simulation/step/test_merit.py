@@ -39,7 +39,7 @@ def test_good_moves_are_made_without_a_search(beam, searches):
 
 def test_without_a_search_results_are_the_same_bits_as_without_a_merit(beam, rod, searches):
     simulation, plain = beam(rod), beam(rod)
-    plain.newton.merit = None
+    plain.newton.merit.judges = False
     ends = [wind(made, 0.3 * WOUND)[-1].state.positions for made in (simulation, plain)]
     assert not searches
     np.testing.assert_array_equal(*ends)
