@@ -197,7 +197,6 @@ class Simulation(Readouts):
         self._parts_with = parts_by_method(parts)
         self._planner, self._leader = one_of(parts, Planner), one_of(parts, Leader)
         self._keeping = those_with(parts, "memory_at_rest", "may_keep")
-        self._loading = those_with(parts, "loads")
         self._depends_on_time = any(part.depends_on_time for part in parts)
         self._results = StepResults(self.model, parts, self.newton)
         # Dynamic scenes, contacts and some parts remember more than a state that is kept tells of.
@@ -514,8 +513,8 @@ class Simulation(Readouts):
         """Tell the inverse what the step begins with, at node positions [m]."""
         places, is_stable = self._leader.places(positions), not self.newton.tangent.is_projected
         loads, load = NO_LOADS, 0.0
-        if self._loading:
-            loads = np.concatenate([part.loads for part in self._loading])
+        if self._parts_with["loads"]:
+            loads = np.concatenate([part.loads for part in self._parts_with["loads"]])
             load = self._load_of_parts() + self.actuators.load(self.state.efforts)
             load += self.newton.balance.constant_load
         self.inverse.begin_step(self.is_balanced, is_stable, loads, load, places)
@@ -573,7 +572,7 @@ class Simulation(Readouts):
         return 0.0
 
     def _load_of_parts(self) -> float:
-        return sum((part.load for part in self._loading), 0.0)
+        return sum((part.load for part in self._parts_with["loads"]), 0.0)
 
     def _iterate(
         self, positions: np.ndarray, efforts: np.ndarray, goal: Goal, clock: StageClock,
