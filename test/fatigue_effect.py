@@ -13,16 +13,14 @@ class Fatigue(StepPart):
     depends_on_time = True
 
     def __init__(self, model):
-        self._model, self._count = model, 0.0
-
-    def why_not(self):
-        return "contact" if self._model.scene.contact is not None else ""
+        self._count = 0.0
+        self.conflict = "contact" if model.scene.contact is not None else ""
 
     def memory_at_rest(self):
         return {"steps": np.zeros(1)}
 
     def recall(self, state):
-        (self._count,) = self.recalled(state)["steps"]
+        (self._count,) = state.memory_of(self.name)["steps"]
 
     @property
     def _rests(self):
@@ -34,6 +32,6 @@ class Fatigue(StepPart):
     def end(self, positions, efforts):
         return {"steps": np.array([self._count + 1.0])}
 
-    def report(self, state):
+    def report(self, state, newton):
         limits = ("fatigue.rest",) if self._rests else ()
         return PartReport(limits, {"steps": self._count + 1.0})

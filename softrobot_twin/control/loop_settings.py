@@ -260,7 +260,7 @@ def check_settings(settings: LoopSettings, simulation: Simulation, mode: Mode) -
 def _positions_at_rest(simulation: Simulation, mode: Mode) -> dict[str, np.ndarray]:
     """Positions at rest of the effectors that follow targets, and of guided bodies [m], by name."""
     model, positions = simulation.model, {}
-    if mode is Mode.INVERSE and model.effectors is not None:
+    if mode is Mode.INVERSE:
         effectors = model.effectors.positions(model.nodes.rest_positions)
         positions = dict(zip(simulation.effector_names, effectors, strict=True))
     guided = simulation.guided_names

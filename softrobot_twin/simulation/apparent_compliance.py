@@ -121,7 +121,7 @@ class HeldTangent:
         """
         self._simulation, self._model = simulation, simulation.model
         model, effectors = self._model, simulation.model.effectors
-        self._count = 0 if effectors is None else len(effectors.effectors)
+        self._count = len(effectors.effectors)
         self.own_rows = effector_rows(effectors, model.nodes)
         self._storage = self._own = self._lu = None
         # A free body, or a beam that only a motor holds, has a singular stiffness, of which a

@@ -70,7 +70,7 @@ class Terms(NamedTuple):
         layout: The bodies and their unknowns.
         forces: Force terms.
         actuators: The actuators of all kinds.
-        effectors: Constraint term of the effectors; None without any.
+        effectors: Constraint term of the effectors, without rows where there are none.
         markers: See `marker_mapping`.
         contacts: Constraint term of contacts; None without any.
         notes: Repairs and warnings, a sentence each.
@@ -91,9 +91,9 @@ class Terms(NamedTuple):
     @property
     def constraints(self) -> list:
         """The constraint terms, in the order of their rows."""
-        optional = self.effectors, self.wanted_sensors, self.contacts
-        others = [term for term in optional if term is not None]
-        return [*self.actuators.terms, *others]
+        effectors = [self.effectors] if self.effectors.effectors else []
+        optional = self.wanted_sensors, self.contacts
+        return [*self.actuators.terms, *effectors, *(term for term in optional if term is not None)]
 
     def bind_alone(self, besides: Collection[int] = ()) -> None:
         """Bind terms of which forces and rows are asked, and no stiffness.
@@ -177,7 +177,8 @@ def _model_of(scene: Scene, factorization_type: type | None, mounted: np.ndarray
     if dense:
         factorization = DenseStiffness(factorization, dense)
     factorization.prepare_rows(rows.reached_nodes, rows.row_capacity)
-    guided = any(part.is_guided for part in layout.rigid)
+    sliding = {slide.body for slide in scene.slides}
+    guided = any(part.is_guided and part.name not in sliding for part in layout.rigid)
     guides = Guides(layout) if guided else None
     remembering = [term for term in forces if term.remembers_start]
     remembering += [term for term in constraints if term.varies]
@@ -198,8 +199,7 @@ def _terms(layout: Layout, notes: list[str]) -> Terms:
     sensors = sensor_term(layout, notes) if scene.sensors else None
     wanted = sensor_term(layout, [], True) if scene.sensors else None
     return Terms(
-        layout, forces + actuators.held_forces, actuators,
-        effector_term(layout, notes) if scene.effectors or wanted is not None else None,
+        layout, forces + actuators.held_forces, actuators, effector_term(layout, notes),
         marker_mapping(layout, notes),
         contact_term(layout, notes) if scene.contact is not None else None, notes, sensors, wanted,
     )  # fmt: skip

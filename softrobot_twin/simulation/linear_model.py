@@ -314,7 +314,7 @@ def why_no_linear_model(simulation: Simulation) -> str:
     scene, model = simulation.scene, simulation.model
     if scene.integration != "dynamic":
         return f"needs integration dynamic, and that of scene {scene.name} is {scene.integration}"
-    if model.effectors is None:
+    if not model.target_rows.count:
         return "needs an effector"
     if scene.slides:
         return f"is not built for slides, which slides[0] {scene.slides[0].name} is"

@@ -141,7 +141,7 @@ class MarkerCompliance(HeldTangent):
     def _left(self, holding) -> tuple[np.ndarray, np.ndarray]:
         """What the last step left: forces out of balance [N], and displacements of what holds."""
         model, state = self._model, self._simulation.state
-        forces, apart = self._simulation.newton.forces, np.zeros(len(holding.places))
+        forces, apart = self._simulation.newton.balance.forces, np.zeros(len(holding.places))
         if model.is_dynamic:
             return np.zeros_like(forces), apart
         a = model.rows.groups.actuators
@@ -152,7 +152,7 @@ class MarkerCompliance(HeldTangent):
 
     def _factorization(self, positions: np.ndarray, holding) -> Factorization | None:
         """A⁻¹ of statics while what holds holds; None where it is not definite."""
-        found = self._simulation.newton.held_factorization(holding.held)
+        found = self._simulation.newton.tangent.held_factorization(holding.held)
         if found is None:
             return self._definite(positions)
         if isinstance(found, Multifrontal) and found is not self._of_step:

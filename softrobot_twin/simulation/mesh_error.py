@@ -380,7 +380,7 @@ def response(newton: Newton, model) -> Response:
     """
     rest = model.nodes.rest_positions.copy()
     linear = newton.linearize(rest, np.zeros(len(model.actuators.names)), StageClock(perf_counter))
-    if linear is None or newton.projected_tangent:
+    if linear is None or newton.tangent.is_projected:
         raise MeshErrorUnknown("the body has no stable equilibrium at rest")
     count, rows = len(model.actuators.names), model.rows.row_count
     # No load but gravity, and each actuator with an effort of one beside it.

@@ -193,8 +193,6 @@ class Readouts:
 
     def effector_positions(self) -> np.ndarray:
         """Positions of the effectors [m], shape (effector_count, 3)."""
-        if self.model.effectors is None:
-            return np.empty((0, 3))
         return self.model.effectors.positions(self.state.positions)
 
     @property

@@ -454,7 +454,7 @@ def stability_notes(simulation: Steppable) -> Iterator[str]:
             result = simulation.step(CommandSetpoints(actuators.setpoints(share * travel), LONG))
         if result.status.is_failure or result.report.projected_tangent:
             break
-        if simulation.newton.is_augmented:
+        if simulation.newton.tangent.is_augmented:
             yield (
                 f"{names}: where all cables are wound in by {100.0 * share:g} % of what they may "
                 f"be, it is stable only because they hold their lengths; at the same tensions, "

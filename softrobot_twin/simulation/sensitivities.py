@@ -300,7 +300,7 @@ class Sensitivities(HeldTangent):
     def _load(self) -> float:
         """Sum of the weight and of the forces of the actuators, by magnitude [N]."""
         own = self._model.actuators.load(self._simulation.state.efforts)
-        return self._simulation.newton.constant_load + own
+        return self._simulation.newton.balance.constant_load + own
 
     def _check_balance(self) -> None:
         """Refuses a state of statics that is far from its equilibrium."""
@@ -407,7 +407,7 @@ class Sensitivities(HeldTangent):
     def _check_memory(self, key: str, value: float, terms: Terms) -> None:
         """Refuses a number whose effect remembers what it did, and is not there at its value."""
         state = self._simulation.state
-        if any(part.memory_at_rest() and not any(part.own(state)) for part in memories_of_terms(terms)):
+        if any(part.memory_at_rest() and not state.memory_of(part.name) for part in memories_of_terms(terms)):
             raise SensitivityError(key, f"is {value:g}, and its effect is not in the scene: give it a "
                                    "first value above zero")
 

@@ -39,7 +39,14 @@ from softrobot_twin.simulation.step.goals import Goal, Goals
 from softrobot_twin.simulation.step.inverse_choice import build_inverse
 from softrobot_twin.simulation.step.linearized import Linearized
 from softrobot_twin.simulation.step.newton import Newton
-from softrobot_twin.simulation.step.step_part import StepPart, parts_by_method, those_with
+from softrobot_twin.simulation.step.step_part import (
+    Leader,
+    Planner,
+    StepPart,
+    one_of,
+    parts_by_method,
+    those_with,
+)
 from softrobot_twin.simulation.step.step_report import NEAR_BALANCE, Balance, Outcome, StepResults
 from softrobot_twin.simulation.step.situation import NO_LOADS
 from softrobot_twin.simulation.step.time_budget import StageClock, TimeBudget
@@ -183,15 +190,13 @@ class Simulation(Readouts):
         if with_warnings:
             self.model.notes.extend(stability_notes(self))
             self.model.notes.extend(branch_notes(self) if scene.mounting else ())
-        for part in self.parts:
-            part.attach(self)
 
     def _take_parts(self, parts: tuple[StepPart, ...]) -> None:
         """Step with these optional effects around."""
         self.parts = parts
         self._parts_with = parts_by_method(parts)
+        self._planner, self._leader = one_of(parts, Planner), one_of(parts, Leader)
         self._keeping = those_with(parts, "memory_at_rest", "may_keep")
-        self._loading = those_with(parts, "loads", "load")
         self._depends_on_time = any(part.depends_on_time for part in parts)
         self._results = StepResults(self.model, parts, self.newton)
         # Dynamic scenes, contacts and some parts remember more than a state that is kept tells of.
@@ -246,7 +251,7 @@ class Simulation(Readouts):
             self.model.nodes.rest_positions.copy(), self.rest_setpoints.copy(),
             np.zeros(count) if self.mounted is None else self.mounted.efforts.copy(),
             velocities=self._motion.at_rest(), memory=self._memory(
-                part.remembered(part.memory_at_rest()) for part in self.parts
+                (part, part.memory_at_rest()) for part in self.parts
             ),
         )  # fmt: skip
         for part in self.parts:
@@ -254,9 +259,11 @@ class Simulation(Readouts):
         self._begin_anew()
 
     @staticmethod
-    def _memory(parts: Iterable[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    def _memory(parts: Iterable[tuple[StepPart, dict[str, np.ndarray]]]) -> dict[str, np.ndarray]:
         """The memory of all parts; see `State`."""
-        return {key: array for part in parts for key, array in part.items()}
+        return {
+            f"{part.name}.{field}": array for part, fields in parts for field, array in fields.items()
+        }
 
     def restore(self, state: State) -> None:
         """Put a saved state back.
@@ -303,8 +310,7 @@ class Simulation(Readouts):
     def _begin_anew(self) -> None:
         """Forget the steps before."""
         self.kept: Kept | None = None
-        for part in self.parts:
-            part.forget()
+        self._planner.forget()
         self.forget_solvers()
 
     def forget_solvers(self) -> None:
@@ -324,19 +330,17 @@ class Simulation(Readouts):
     @property
     def static_factorization(self) -> Factorization | None:
         """A⁻¹ of the last linearization; None where it is not exactly that of statics."""
-        return self.newton.static_factorization
+        return self.newton.tangent.static_factorization
 
     def warm_up(self) -> None:
         """Run every path once, so that nothing is compiled or set up later; state unchanged."""
         before = self.state
         # No move of a warm-up folds elements, and most scenes never see one that does.
         # It ends beside the state, of which elements know their deformation already.
-        self.newton.folds(before.positions, before.positions + np.spacing(1.0))
+        self.newton.balance.folds(before.positions, before.positions + np.spacing(1.0))
         run_every_path(self)
         self.direct.warm_up()
         self.restore(before)
-        for part in self.parts:
-            part.warm_up(self)
         self._time_budget = TimeBudget()
 
     def prepare(self, command: Command) -> None:
@@ -355,7 +359,7 @@ class Simulation(Readouts):
             CommandError: The command does not fit this scene, or is not finite.
         """
         self.finish_result()
-        if self._parts_with["begin"] or self._parts_with["lead"]:
+        if self._parts_with["begin"] or self._leader.prescribes:
             return
         clock = StageClock(self.now)
         goal = self._goals.read(command, self.state)
@@ -390,10 +394,9 @@ class Simulation(Readouts):
         """
         clock = StageClock(self.now)
         self._make_result()
-        for part in self._parts_with["step_in_place"]:
-            done = part.step_in_place(self, command, budget, measured, clock)
-            if done is not None:
-                return done
+        in_place = self._planner.step_in_place(self, command, budget, measured)
+        if in_place is not None:
+            return in_place
         command, has_other_stiffness = self._begin_parts(command, measured)
         goal = self._goals.read(command, self.state)
         positions, efforts = self._positions, self.state.efforts
@@ -402,14 +405,11 @@ class Simulation(Readouts):
         if self.inverse is not None:
             self._begin_inverse(positions)
         pressed = not ahead and time_budget.must_hurry(budget)
-        led = all(
-            part.lead(self, positions, efforts, command.time_step, clock)
-            for part in self._parts_with["lead"]
-        )
-        hurry = pressed and newton.may_keep_factor
+        led = self._leader.lead(self, positions, efforts, command.time_step, clock)
+        hurry = pressed and newton.tangent.may_keep_factor
         first, iterations, enough, rows = None, 0, False, self.model.rows
         doing, sought = goal, None
-        inverted = newton.inverted_count
+        inverted = newton.balance.inverted_count
         while not enough:
             iterations, begin, ahead = iterations + 1, clock.total - ahead, 0.0
             before = positions.copy() if hurry else positions
@@ -481,7 +481,7 @@ class Simulation(Readouts):
             return None
         if any(one.is_any for one in _each(measured)):
             return None
-        if any(part.is_stepping for part in self._parts_with["step_in_place"]):
+        if self._planner.is_stepping:
             return None
         return self.stay_by(command, kept.result)
 
@@ -511,16 +511,13 @@ class Simulation(Readouts):
 
     def _begin_inverse(self, positions: np.ndarray) -> None:
         """Tell the inverse what the step begins with, at node positions [m]."""
-        prescribed = [part.prescribed(positions) for part in self._parts_with["prescribed"]]
-        places = np.concatenate(prescribed) if prescribed else NO_LOADS
-        is_stable = not self.newton.projected_tangent
-        loads = [part.loads for part in self._loading if part.loads is not None]
-        if not loads:
-            self.inverse.begin_step(self.is_balanced, is_stable, NO_LOADS, 0.0, places)
-            return
-        own = self._load_of_parts() + self.actuators.load(self.state.efforts)
-        own += self.newton.constant_load
-        self.inverse.begin_step(self.is_balanced, is_stable, np.concatenate(loads), own, places)
+        places, is_stable = self._leader.places(positions), not self.newton.tangent.is_projected
+        loads, load = NO_LOADS, 0.0
+        if self._parts_with["loads"]:
+            loads = np.concatenate([part.loads for part in self._parts_with["loads"]])
+            load = self._load_of_parts() + self.actuators.load(self.state.efforts)
+            load += self.newton.balance.constant_load
+        self.inverse.begin_step(self.is_balanced, is_stable, loads, load, places)
 
     def _begin_parts(self, command: Command, measured: object | None) -> tuple[Command, bool]:
         """Let all parts begin a step.
@@ -570,12 +567,12 @@ class Simulation(Readouts):
         if is_changed or has_other_stiffness:
             self.newton.take_other_tangent()
         self.newton.expect(goal.command.time_step)
-        if self._goes_on and not self.newton.projected_tangent:
+        if self._goes_on and not self.newton.tangent.is_projected:
             self.newton.go_on()
         return 0.0
 
     def _load_of_parts(self) -> float:
-        return sum((part.load for part in self._loading), 0.0)
+        return sum((part.load for part in self._parts_with["loads"]), 0.0)
 
     def _iterate(
         self, positions: np.ndarray, efforts: np.ndarray, goal: Goal, clock: StageClock,
@@ -595,7 +592,7 @@ class Simulation(Readouts):
         """
         linear = self.newton.linearize(
             positions, efforts, clock, with_stale_factor,
-            goal.held if self.newton.asks_for_held else None,
+            goal.held if self.newton.tangent.asks_for_held else None,
         )  # fmt: skip
         if linear is None:
             return None
@@ -622,7 +619,7 @@ class Simulation(Readouts):
         parts = self._parts_with["rows"] if goal.follows else ()
         if not parts or any(part.holds_robot for part in self.parts):
             return None
-        state = self.newton.linearized_state(positions, efforts)
+        state = self.newton.tangent.linearized_state(positions, efforts)
         for part in parts:
             rows = part.rows(state, goal.command)
             if rows is not None:
@@ -681,7 +678,7 @@ class Simulation(Readouts):
         Near is where the scene or the deadline stopped the linearizations before they could converge,
         and the residual is small beside the forces at rest, and of actuators, contacts and parts.
         """
-        solver, weight = self.model.scene.solver, self.newton.constant_load
+        solver, weight = self.model.scene.solver, self.newton.balance.constant_load
         actuation = done.actuation
         if done.share != 1.0 or not actuation.is_exact:
             return Balance.MISSED
@@ -705,7 +702,7 @@ class Simulation(Readouts):
         """
         newton, residual = self.newton, math.nan
         share, actuation = newton.correct(positions, actuation, is_judged)
-        if newton.is_augmented:
+        if newton.tangent.is_augmented:
             self.direct.remember(actuation.efforts)
         clock.mark("correct")
         if share:
@@ -751,7 +748,7 @@ class Simulation(Readouts):
             if newton.inverts:
                 # It cannot even stay: the last good state is kept.
                 share, inverts = 0.0, True
-                newton.forget_folds()
+                newton.balance.forget_folds()
         if tried is not actuation:
             self.direct.remember(done.efforts)
             inverse.refuse(tried is held and share == 0.0)
@@ -762,7 +759,7 @@ class Simulation(Readouts):
         """Whether a correction by the factor of an earlier step may be kept."""
         newton = self.newton
         is_near = self._balance(done, 0.0) is not Balance.MISSED
-        return is_near and newton.inverted_count <= inverted and newton.makes_progress()
+        return is_near and newton.balance.inverted_count <= inverted and newton.makes_progress()
 
     def _succeeded(self, goal: Goal, outcome: Outcome, clock: StageClock) -> StepResult:
         before, time_step, newton = self.state, goal.command.time_step, self.newton
@@ -774,14 +771,14 @@ class Simulation(Readouts):
             self.actuators.setpoints(outcome.actuation.drives(self.limits)),
             outcome.actuation.efforts, before.step_count + 1, before.time + time_step,
             motion.velocities, motion.past, self._memory([
-                part.remembered(part.end(outcome.positions, outcome.actuation.efforts))
+                (part, part.end(outcome.positions, outcome.actuation.efforts))
                 for part in self._parts_with["end"]
             ]),
         )  # fmt: skip
         # What is changed by nothing but round-off is kept.
         is_kept = (
-            self.may_rest and outcome.balance is Balance.REACHED and not newton.inverted_count
-            and goal.keeps(before, state, not newton.projected_tangent)
+            self.may_rest and outcome.balance is Balance.REACHED and not newton.balance.inverted_count
+            and goal.keeps(before, state, not newton.tangent.is_projected)
             and all(part.may_keep(before, state) for part in self._keeping)
         )  # fmt: skip
         self.state = before.kept_through(time_step) if is_kept else state
@@ -809,16 +806,13 @@ class Simulation(Readouts):
         count = before.count + 1 if is_again else 0
         if goal.follows:
             self.direct.remember(self.state.efforts)
-            waits = [
-                part.steps_until_rest(command, result)
-                for part in self._parts_with["steps_until_rest"]
-            ]
-            is_again = count >= max(STEPS_UNTIL_REST, *waits, 0) + len(self.state.setpoints)
+            wait = max(STEPS_UNTIL_REST, self._planner.steps_until_rest(command, result))
+            is_again = count >= wait + len(self.state.setpoints)
         else:
-            age = newton.factor_age
+            age = newton.tangent.factor_age
             self._begin_anew()
             # The factor is that of the kept state, for whoever asks for compliances there.
-            newton.factor_age = 0 if age == 0 else None
+            newton.tangent.factor_age = 0 if age == 0 else None
         if not is_again:
             self.kept = Kept(command, count, None)
             return
@@ -828,8 +822,7 @@ class Simulation(Readouts):
         )  # fmt: skip
         self.kept = Kept(command, count, replace(result, report=report))
         if goal.follows:
-            for part in self._parts_with["rest"]:
-                part.rest(self, command, self.kept.result)
+            self._planner.rest(self, command, self.kept.result)
 
     def _failed(self, goal, clock, iterations, status=Status.DIVERGED, limits=()) -> StepResult:
         """The last good state, told as a failure. Its time has passed all the same."""

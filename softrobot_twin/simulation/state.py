@@ -66,6 +66,15 @@ class State:
         for array in (*arrays, *self.memory.values()):
             array.setflags(write=False)
 
+    def memory_of(self, part: str) -> dict[str, np.ndarray]:
+        """What a part remembers, by field.
+
+        Args:
+            part: Name of the part.
+        """
+        start = f"{part}."
+        return {key.removeprefix(start): array for key, array in self.memory.items() if key.startswith(start)}
+
     def kept_through(self, time_step: float) -> State:
         """The same state, with time and count of one more step: the result of a failed step.
 

@@ -29,13 +29,13 @@ def run_every_path(simulation) -> None:
         step(CommandSetpoints(setpoints, TIME_STEP))
         none = np.where(actuators.takes_efforts, 0.0, np.nan)
         step(CommandEfforts(none, TIME_STEP))
-        if simulation.newton.take_augmented_tangent():
+        if simulation.newton.tangent.take_augmented_tangent():
             taut = actuators.setpoints(TAUT * actuators.limits.drive_scale)
             step(CommandSetpoints(taut, TIME_STEP))
-            simulation.newton.take_augmented_tangent()
+            simulation.newton.tangent.take_augmented_tangent()
             step(CommandSetpoints(taut, TIME_STEP))
     for part in simulation.parts:
-        for measured in part.measurements_to_warm_up(simulation.state):
+        for measured in part.samples:
             step(Hold(TIME_STEP), None, measured)
     if not why_not_followed(simulation.model):
         here, turns = simulation.effector_positions(), simulation.effector_orientations()

@@ -55,7 +55,7 @@ def test_only_contacts_of_the_pair_that_rubs_have_three_rows(scene_of):
     pair = contacts.pair[: contacts.count]
     assert np.count_nonzero(pair == 0) == np.count_nonzero(pair == 1) == 4
     np.testing.assert_array_equal(np.diff(contacts.row_starts), np.where(pair == 0, 3, 1))
-    assert contacts.row_count == len(simulation.newton.multipliers) == 16
+    assert contacts.row_count == len(simulation.newton.balance.multipliers) == 16
     # Forces and pairs of a report agree, whatever the order of rows.
     weight = MASS * G * np.cos(np.arctan(0.9 * FRICTION))
     pairs = result.contacts.of_pairs()

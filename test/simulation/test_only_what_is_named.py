@@ -52,7 +52,7 @@ def test_an_effect_alone_adds_only_its_own_terms_and_stages(bar, effect):
     assert set(stages) <= set(simulation.stages)
     assert (model.contacts is not None) == (effect == "contact")
     assert (model.guides is not None) == (effect == "guided")
-    assert model.slides is None and not model.actuators.count and model.effectors is None
+    assert model.slides is None and not model.actuators.count and not model.effectors.effectors
 
 
 def test_the_diamond_stores_no_contacts_frames_or_velocities(diamond):

@@ -76,7 +76,7 @@ def test_noisy_and_jumping_targets_invert_no_element(request, overloaded, robot,
         assert not result.status.is_failure and result.status is not Status.INVERTED
         assert report.is_overloaded and report.is_late == (report.factor_age == 0)
         if report.factor_age:
-            near = NEAR_BALANCE * (simulation.newton.constant_load + result.efforts.sum())
+            near = NEAR_BALANCE * (simulation.newton.balance.constant_load + result.efforts.sum())
             # Slack cables load nothing: then it is in balance as exactly as the scene asks for.
             assert report.residual <= max(near, simulation.model.scene.solver.residual_tolerance)
 

@@ -269,6 +269,6 @@ def test_the_change_of_its_merit_is_that_of_the_energy_by_finite_differences(
     assert begin.energy_slope == pytest.approx(slope, rel=1e-5)
     at = move.start.copy()
     change = merit.try_share(at, 1.0, begin).change
-    newton.gather_forces(at)
+    newton.balance.gather_forces(at)
     penalties = merit.penalty(at) - begin.penalty
     assert change - penalties == pytest.approx(energy(1.0) - energy(0.0), rel=1e-3)

@@ -55,9 +55,9 @@ def test_by_the_augmented_tangent_it_comes_to_the_same_rest(fingers):
         count = 0
         for k in range(60):
             wound = np.array([min(0.0015 * k, 0.06), min(0.0012 * k, 0.05)])
-            simulation.newton.take_augmented_tangent()
+            simulation.newton.tangent.take_augmented_tangent()
             simulation.step(CommandSetpoints(simulation.rest_setpoints - wound, 0.05))
-            count += simulation.newton.is_augmented
+            count += simulation.newton.tangent.is_augmented
         augmented.append(count)
         ends.append(simulation.state.positions.copy())
     assert min(augmented) > 20

@@ -126,14 +126,14 @@ def test_a_column_that_just_buckles_comes_to_rest_within_ten_steps(
         middle = np.sqrt(buckling * standing)
         upright = column(middle, 0.0)
         upright.step(Hold(0.05))
-        if upright.newton.projected_tangent:
+        if upright.newton.tangent.is_projected:
             buckling = middle
         else:
             standing = middle
     for weaker in np.exp(drawn_rng.uniform(np.log(2e-4), np.log(0.1), 5)):
         leaning = column(buckling * (1.0 - weaker), 1e-4)
         aside = balanced(leaning, Hold(0.05), 10)[:, 1] - leaning.model.nodes.rest_positions[:, 1]
-        assert 0.01 < aside.max() < 0.15 and not leaning.newton.projected_tangent
+        assert 0.01 < aside.max() < 0.15 and not leaning.newton.tangent.is_projected
 
 
 @pytest.mark.sampled

@@ -55,7 +55,7 @@ class Model:
         beginners: Objects that use the state at the beginning of a step: terms of motion, which
             store it, and guided bodies, which are moved. Empty in statics without guided bodies.
         actuators: The actuators of all kinds.
-        effectors: Constraint term of the effectors, or None when the scene names none.
+        effectors: Constraint term of the effectors, without rows where the scene names none.
         contacts: Constraint term of contacts, or None when the scene names none.
         rows: All constraint rows: the actuators', the effectors', then the contacts'.
         markers: Mapping of the markers onto the bodies.
@@ -79,7 +79,7 @@ class Model:
     forces: tuple[ForceTerm, ...]
     beginners: tuple
     actuators: Actuators
-    effectors: object | None
+    effectors: Any
     contacts: object | None
     rows: RowStack
     markers: BarycentricMapping

@@ -144,13 +144,11 @@ class Slides:
         shift_riders(positions, self._slide_of_node, self.axes, moves)
 
     def effector_columns(self, effectors) -> np.ndarray:
-        """G_e, shape (effector_row_count, count); without rows where there are no effectors.
+        """G_e, shape (effector_row_count, count).
 
         Args:
-            effectors: The term of the effectors; None for none.
+            effectors: The term of the effectors.
         """
-        if effectors is None:
-            return np.empty((0, self.count))
         columns = np.zeros((effectors.row_count, self.count))
         for row, (index, axis) in enumerate(
             zip(effectors.row_effector, effectors.row_axis, strict=True)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.simulation.building.model import Model
-from softrobot_twin.simulation.effects.exploration import explorer_of
+from softrobot_twin.simulation.effects.exploration import Explorer
 from softrobot_twin.simulation.effects.grip_margins import grip_margins_of
 from softrobot_twin.simulation.effects.gripping import Gripping
 from softrobot_twin.simulation.effects.guiding import Guiding
@@ -34,8 +34,8 @@ def _where(is_asked: Callable[[Model], object], part: Callable[[Model], StepPart
 
 
 EFFECTS: list[PartsOf] = [
-    explorer_of,
-    _where(lambda model: model.guides is not None and model.guides.limits, Guiding),
+    _where(lambda model: model.scene.solver.exploration, lambda model: Explorer()),
+    _where(lambda model: model.guides is not None, Guiding),
     _where(lambda model: model.superelements or reduced_bodies(model), SampledRanges),
     _where(lambda model: model.strain_watches, StrainRanges),
     _where(lambda model: model.compression_watches, HexahedraRange),
@@ -64,8 +64,8 @@ def step_parts(model: Model) -> tuple[StepPart, ...]:
     """
     parts = tuple(part for parts_of in EFFECTS for part in parts_of(model))
     for part in parts:
-        if reason := part.why_not():
+        if part.conflict:
             scene, (key, value) = model.scene, part.entry
-            error = SceneError(scene.path, key or part.name, value, "", part.refusal.format(reason))
+            error = SceneError(scene.path, key or part.name, value, "", part.refusal.format(part.conflict))
             raise scene.source.error(error)
     return parts

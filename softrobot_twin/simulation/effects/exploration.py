@@ -18,13 +18,11 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.simulation.building.actuators import Actuators
-from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.command import Command, FollowTargets
 from softrobot_twin.simulation.result import Status, StepResult
 from softrobot_twin.simulation.state import State
-from softrobot_twin.simulation.step.step_part import Steppable, StepPart
+from softrobot_twin.simulation.step.step_part import Planner, Steppable, StepPart
 from softrobot_twin.simulation.step.situation import CALM
-from softrobot_twin.simulation.step.time_budget import StageClock
 from softrobot_twin.solvers.direct_problem import solve_by_daqp
 
 # Moves of one actuator, as shares of its scale, in the order in which they are tried; a move that
@@ -211,7 +209,7 @@ class Exploration:
         return self._within(place if moves is None else place + np.where(self._is_free, moves, 0.0) * scale)
 
 
-class Explorer(StepPart):
+class Explorer(StepPart, Planner):
     """Lets a robot at rest away from its targets explore in place of steps that change nothing."""
 
     name = "exploration"
@@ -221,7 +219,7 @@ class Explorer(StepPart):
         self._exploration: Exploration | None = None
 
     def forget(self) -> None:
-        """See `StepPart`."""
+        """See `Planner`."""
         self._exploration = None
 
     @property
@@ -250,10 +248,9 @@ class Explorer(StepPart):
             before.end(result)
 
     def step_in_place(
-        self, simulation: Steppable, command: Command, budget: float | None,
-        measured: object | None, clock: StageClock,
-    ) -> StepResult | None:  # fmt: skip
-        """A step of a trial; None where the robot steps itself. See `StepPart`."""
+        self, simulation: Steppable, command: Command, budget: float | None, measured: object | None
+    ) -> StepResult | None:
+        """A step of a trial; None where the robot steps itself. See `Planner`."""
         exploration = self._exploration
         if exploration is None:
             return None
@@ -282,7 +279,7 @@ class Explorer(StepPart):
         """Make a step of a trial in place of one of the robot, which would keep its state."""
         newton, inverse = simulation.newton, simulation.inverse
         stays = simulation.state, simulation.kept
-        simulation.state, newton.factor_age = exploration.state, exploration.factor_age
+        simulation.state, newton.tangent.factor_age = exploration.state, exploration.factor_age
         self._exploration = simulation.kept = None
         try:
             tried = simulation.step(command, budget, measured)
@@ -294,10 +291,10 @@ class Explorer(StepPart):
         finally:
             simulation.state, simulation.kept = stays
             # The factor is that of another state.
-            exploration.factor_age, newton.factor_age = newton.factor_age, None
+            exploration.factor_age, newton.tangent.factor_age = newton.tangent.factor_age, None
         self._exploration = exploration
         has_gone = not inverse.is_departing
-        is_stable = simulation.is_balanced and not newton.projected_tangent
+        is_stable = simulation.is_balanced and not newton.tangent.is_projected
         is_calm = bool((moved <= CALM * simulation.limits.drive_scale).all())
         trial = exploration.trial
         if tried.status.is_failure:
@@ -314,13 +311,3 @@ class Explorer(StepPart):
             is_resting=False,
         )  # fmt: skip
         return replace(exploration.result, state=simulation.state, report=report)
-
-
-def explorer_of(model: Model) -> Iterator[StepPart]:
-    """The part of a scene that asks for exploration.
-
-    Args:
-        model: The model of a simulation.
-    """
-    if model.scene.solver.exploration:
-        yield Explorer()

@@ -19,6 +19,7 @@ from softrobot_twin.constraints.contact import Contacts
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.result import GRIP
 from softrobot_twin.simulation.state import State
+from softrobot_twin.simulation.step.newton import Newton
 from softrobot_twin.simulation.step.step_part import PartReport, StepPart
 
 
@@ -44,16 +45,16 @@ class GripMargins(StepPart):
 
     def recall(self, state: State) -> None:
         """See `StepPart`."""
-        self._contacts.sums_at_start[:] = self.recalled(state)["sums"]
+        self._contacts.sums_at_start[:] = state.memory_of(self.name)["sums"]
 
     def end(self, positions: np.ndarray, efforts: np.ndarray) -> dict[str, np.ndarray]:
         """See `StepPart`."""
         solution = self._contacts.memory
         return {"sums": self._contacts.sums_of_pairs(solution.pairs, solution.forces)}
 
-    def report(self, state: State) -> PartReport:
+    def report(self, state: State, newton: Newton) -> PartReport:
         """See `StepPart`; NaN of pairs that do not press."""
-        sums = self.recalled(state)["sums"]
+        sums = state.memory_of(self.name)["sums"]
         margins = 1.0 - self._contacts.friction_used(self._groups, sums)
         low = tuple(f"{name}.{GRIP}" for name, few in zip(self.figures, margins < self._least) if few)
         return PartReport(low, dict(zip(self.figures, margins.tolist())))

@@ -13,6 +13,7 @@ from softrobot_twin.mechanics.grips import Grips, Held
 from softrobot_twin.scene.refusal_messages import nearest
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.state import State
+from softrobot_twin.simulation.step.newton import Newton
 from softrobot_twin.simulation.step.step_part import PartReport, StepPart
 
 # Endings of the names of limits: a body is out of reach, or more was borne than a grip can.
@@ -65,7 +66,7 @@ class Gripping(StepPart):
 
     def begin(self, state: State, measured: object | None) -> bool:
         """See `StepPart`; takes hold of what is in reach, and lets go."""
-        memory = self.recalled(state)
+        memory = state.memory_of(self.name)
         before = Held(*(memory[field] for field in Held._fields))
         self._term.held, self._missed = before, []
         for grip, (entry, shape) in enumerate(zip(self._entries, self._shapes, strict=True)):
@@ -100,10 +101,10 @@ class Gripping(StepPart):
 
     def may_keep(self, before: State, after: State) -> bool:
         """See `StepPart`: whether nothing changes hands."""
-        holds = self.recalled(after)["holds"]
-        return all(np.array_equal(holds, one) for one in (self._told, self.recalled(before)["holds"]))
+        holds = after.memory_of(self.name)["holds"]
+        return all(np.array_equal(holds, one) for one in (self._told, before.memory_of(self.name)["holds"]))
 
-    def report(self, state: State) -> PartReport:
+    def report(self, state: State, newton: Newton) -> PartReport:
         """See `StepPart`."""
         return PartReport(tuple(self._missed))
 
@@ -114,5 +115,5 @@ class Gripping(StepPart):
 
     def restore(self, state: State) -> None:
         """See `StepPart`: grips are told what they do there."""
-        told = self.recalled(state)["told"] > 0.0
+        told = state.memory_of(self.name)["told"] > 0.0
         self.wanted = dict(zip(self.wanted, told.tolist(), strict=True)) | self._pending

@@ -7,17 +7,17 @@ import numpy as np
 from softrobot_twin.simulation.building.guided_bodies import Guides
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.state import State
-from softrobot_twin.simulation.step.step_part import Steppable, StepPart
+from softrobot_twin.simulation.step.step_part import Leader, Steppable, StepPart
 from softrobot_twin.simulation.step.time_budget import StageClock
 
 # Parts of the move of guided bodies, and halvings of a part that would fold elements, at most.
 MOST_PARTS, MOST_HALVINGS = 100, 20
 
 
-class Guiding(StepPart):
+class Guiding(StepPart, Leader):
     """Steps of a scene with guided bodies."""
 
-    name, may_rest = "guides", False
+    name, may_rest, prescribes = "guides", False, True
 
     def __init__(self, model: Model):
         """Take the guided bodies."""
@@ -31,8 +31,8 @@ class Guiding(StepPart):
         """See `StepPart`."""
         self._guides.stay(state.positions)
 
-    def prescribed(self, positions: np.ndarray) -> np.ndarray:
-        """See `StepPart`."""
+    def places(self, positions: np.ndarray) -> np.ndarray:
+        """See `Leader`."""
         return self._guides.points(positions)
 
     def lead(
@@ -41,7 +41,7 @@ class Guiding(StepPart):
     ) -> bool:  # fmt: skip
         """Make the move in parts, none of which takes most of an element's volume.
 
-        The bodies come near balance after each part but the last. See `StepPart.lead`.
+        The bodies come near balance after each part but the last. See `Leader`.
         """
         guides, newton, contacts = self._guides, simulation.newton, simulation.model.contacts
         if not guides.moved:
@@ -53,9 +53,9 @@ class Guiding(StepPart):
                 before = before.copy()
                 guides.place(before, share)
             contacts.begin_prescribed_move(before)
-        if newton.is_folded:
+        if newton.balance.is_folded:
             return True
-        if not newton.folds(simulation.state.positions, positions):
+        if not newton.balance.folds(simulation.state.positions, positions):
             return True
         positions[:], gone, tried = simulation.state.positions, 0.0, positions.copy()
         for _ in range(MOST_PARTS):
@@ -63,11 +63,11 @@ class Guiding(StepPart):
             for _ in range(MOST_HALVINGS):
                 tried[:] = positions
                 guides.place(tried, gone + part)
-                if not newton.folds(positions, tried):
+                if not newton.balance.folds(positions, tried):
                     break
                 part *= 0.5
             else:
-                newton.forget_folds()
+                newton.balance.forget_folds()
                 return False
             if contacts is not None:
                 contacts.begin_prescribed_move(positions)

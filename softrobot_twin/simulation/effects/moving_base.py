@@ -126,7 +126,8 @@ class MovingBase(StepPart):
         self.track = BaseTrack(model.scene.moving_base.most_acceleration)
         self.reset()
 
-    def why_not(self) -> str:
+    @property
+    def conflict(self) -> str:
         """See `StepPart`."""
         model = self._model
         cases = (
@@ -192,5 +193,5 @@ class MovingBase(StepPart):
         """See `StepPart`; the base moves as in the step that led to the state, if nothing came since."""
         if self._is_told:
             return
-        memory = self.recalled(state)
+        memory = state.memory_of(self.name)
         self.motion = BaseMotion(*(memory[field] for field in BaseMotion._fields))

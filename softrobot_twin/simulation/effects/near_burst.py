@@ -14,7 +14,8 @@ from softrobot_twin.simulation.building.limits import efforts_at_scale
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.result import BURST
 from softrobot_twin.simulation.state import State
-from softrobot_twin.simulation.step.step_part import PartReport, StepPart, Steppable
+from softrobot_twin.simulation.step.newton import Newton
+from softrobot_twin.simulation.step.step_part import PartReport, StepPart
 
 MOST_COMPLIANT = 5.0
 """A cavity is near its limit point where C is this many times that at rest. A thick sphere of rubber
@@ -36,13 +37,9 @@ class NearBurst(StepPart):
         """
         self._names, self._rows, self._least = names, rows, MOST_COMPLIANT * compliances
 
-    def attach(self, simulation: Steppable) -> None:
+    def report(self, state: State, newton: Newton) -> PartReport:
         """See `StepPart`."""
-        self._newton = simulation.newton
-
-    def report(self, state: State) -> PartReport:
-        """See `StepPart`."""
-        is_near = self._newton.actuator_compliances[self._rows] > self._least
+        is_near = newton.tangent.actuator_compliances[self._rows] > self._least
         return PartReport(tuple(f"{name}.{BURST}" for name, near in zip(self._names, is_near) if near))
 
 

@@ -54,4 +54,4 @@ class Reactions(StepPart):
 
     def may_keep(self, before: State, after: State) -> bool:
         """See `StepPart`; reactions are those of the state."""
-        return bool(np.isfinite(self.recalled(before)["wrenches"]).all())
+        return bool(np.isfinite(before.memory_of(self.name)["wrenches"]).all())

@@ -132,7 +132,7 @@ class BetterModel:
         """
         effectors, better = self.model.effectors, self.better
         self.linearizations = 0
-        if effectors is None:
+        if not effectors.effectors:
             return np.empty(0)
         better.restore(self.lifted(state))
         begin = places = effectors.positions(state.positions)
@@ -228,8 +228,6 @@ def shares_of_displacement(model: Model, moves: np.ndarray, state: State) -> np.
         state: Its state.
     """
     effectors = model.effectors
-    if effectors is None:
-        return moves
     places = effectors.positions(state.positions)
     distances = np.linalg.norm(places - effectors.positions(model.nodes.rest_positions), axis=1)
     return np.divide(moves, distances, out=np.full_like(moves, np.nan), where=distances > 0.0)

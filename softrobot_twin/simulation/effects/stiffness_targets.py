@@ -27,6 +27,7 @@ from softrobot_twin.simulation.step.apparent_stiffness import (
     why_no_stiffness,
 )
 from softrobot_twin.simulation.step.linearized import LinearizedState
+from softrobot_twin.simulation.step.newton import Newton
 from softrobot_twin.simulation.step.step_part import PartReport, StepPart
 
 # ℓ by default, as a share of the robot's size.
@@ -55,12 +56,9 @@ class StiffnessTargets(StepPart):
         ]).T.copy()  # fmt: skip
         first = int(np.argmax(self._weights > 0.0))
         self.entry = f"effectors[{first}].stiffness", effectors[first].name
+        self.conflict = why_no_stiffness(model)
         self._begun: tuple[StiffnessRows, LinearizedState] | None = None
         self._told = PartReport()
-
-    def why_not(self) -> str:
-        """See `StepPart`."""
-        return why_no_stiffness(self._model)
 
     @cached_property
     def _stiffness(self) -> ApparentStiffness:
@@ -146,7 +144,7 @@ class StiffnessTargets(StepPart):
             },
         )  # fmt: skip
 
-    def report(self, state: State) -> PartReport:
+    def report(self, state: State, newton: Newton) -> PartReport:
         """See `StepPart`."""
         return self._told
 

@@ -84,7 +84,8 @@ class Touches(StepPart):
         Args:
             model: The built scene.
         """
-        self._term, self._rest = touch_term(model), model.nodes.rest_positions
+        self._term = touch_term(model)
+        self._points = self._rest = self._term.points(model.nodes.rest_positions)
         self._names = tuple(touch.name for touch in model.scene.touches)
         holds = [touch.while_touched == "hold_actuators" for touch in model.scene.touches]
         self._holds = np.array(holds)
@@ -94,7 +95,7 @@ class Touches(StepPart):
         """The fields of a `TouchState` that nothing touches."""
         count = len(self._names)
         return TouchState(
-            np.zeros((count, 3)), np.full((count, 3), np.nan), self._term.points(self._rest)
+            np.zeros((count, 3)), np.full((count, 3), np.nan), self._rest.copy()
         )._asdict()
 
     def begin(self, state: State, measured: Touched | None) -> bool:
@@ -111,7 +112,7 @@ class Touches(StepPart):
             CommandError: An array has another shape, or holds infinite values, or a touch has both a
                 force and a place.
         """
-        before, count = TouchState(**self.recalled(state)), len(self._names)
+        before, count = TouchState(**state.memory_of(self.name)), len(self._names)
         forces, places = np.zeros((count, 3)), np.full((count, 3), np.nan)
         if measured is not None:
             forces, places = self._checked(measured)
@@ -134,9 +135,10 @@ class Touches(StepPart):
             raise CommandError("touch forces", f"{name} has a force and a place: give one of them")
         return forces, places
 
-    def measurements_to_warm_up(self, state: State) -> tuple[Touched, Touched]:
+    @property
+    def samples(self) -> tuple[Touched, Touched]:
         """A force and a place that change nothing."""
-        here = TouchState(**self.recalled(state)).points
+        here = self._points
         none = np.full_like(here, np.nan)
         return Touched(np.zeros_like(here), none), Touched(none, here)
 
@@ -160,11 +162,12 @@ class Touches(StepPart):
     def end(self, positions: np.ndarray, efforts: np.ndarray) -> dict[str, np.ndarray]:
         """The fields of the `TouchState` where a step ended."""
         forces = np.where(self._term.axes, self._term.forces(positions), 0.0)
-        return TouchState(forces, self._origins, self._term.points(positions))._asdict()
+        self._points = self._term.points(positions)
+        return TouchState(forces, self._origins, self._points)._asdict()
 
     def may_keep(self, before: State, after: State) -> bool:
         """Whether nothing touches."""
-        return not TouchState(**self.recalled(after)).is_touched.any()
+        return not TouchState(**after.memory_of(self.name)).is_touched.any()
 
     @property
     def loads(self) -> np.ndarray:

@@ -20,6 +20,7 @@ from softrobot_twin.simulation.building.deformable_body import Body
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.result import COARSE, SAMPLED, STRAINED
 from softrobot_twin.simulation.state import State
+from softrobot_twin.simulation.step.newton import Newton
 from softrobot_twin.simulation.step.step_part import PartReport, StepPart
 
 
@@ -60,7 +61,7 @@ class SampledRanges(StepPart):
         """
         self._superelements, self._coordinates = model.superelements, coordinate_ranges(model)
 
-    def report(self, state: State) -> PartReport:
+    def report(self, state: State, newton: Newton) -> PartReport:
         """See `StepPart`."""
         shares = {name: one.ranges.max() for name, one in self._superelements.items()}
         shares |= {one.name: one.share(state.positions) for one in self._coordinates}
@@ -119,7 +120,7 @@ class StrainRanges(StepPart):
         self._outside = [outside for outside in watched if outside is not None]
         return {}
 
-    def report(self, state: State) -> PartReport:
+    def report(self, state: State, newton: Newton) -> PartReport:
         """See `StepPart`."""
         limits = dict.fromkeys(f"{outside.body}.{STRAINED}" for outside in self._outside)
         return PartReport(tuple(limits), entries={"strains": tuple(self._outside)})
@@ -145,6 +146,6 @@ class HexahedraRange(StepPart):
         self._coarse = tuple(dict.fromkeys(f"{body}.{COARSE}" for body in bodies))
         return {}
 
-    def report(self, state: State) -> PartReport:
+    def report(self, state: State, newton: Newton) -> PartReport:
         """See `StepPart`."""
         return PartReport(self._coarse, is_trusted=not self._coarse)

@@ -131,15 +131,14 @@ class StiffnessRows(NamedTuple):
         return k - k * k * (moved + found.by_effort @ change)
 
 
-def effector_rows(effectors: Effectors | None, nodes: Nodes) -> RowStack:
+def effector_rows(effectors: Effectors, nodes: Nodes) -> RowStack:
     """Three rows for each effector, whatever directions a scene controls.
 
     Args:
-        effectors: The effectors of a scene; None without any.
+        effectors: The effectors of a scene.
         nodes: The nodes of the scene.
     """
-    points = [] if effectors is None else [along_all_axes(effectors, nodes.free_index, nodes.size)]
-    return RowStack(points, nodes.carried)
+    return RowStack([along_all_axes(effectors, nodes.free_index, nodes.size)], nodes.carried)
 
 
 def sharing(diagonal: np.ndarray) -> np.ndarray:

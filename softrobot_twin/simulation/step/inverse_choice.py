@@ -16,7 +16,7 @@ def why_not_followed(model: Model) -> str:
     Args:
         model: The model of a simulation.
     """
-    if model.effectors is None or not model.actuators.count:
+    if not model.target_rows.count or not model.actuators.count:
         return "this scene has no effectors or no actuators"
     return ""
 

@@ -10,7 +10,7 @@ A `Steppable` is what other models of a scene, which judge or replace a simulati
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
@@ -23,7 +23,10 @@ from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.step.inverse_actuation import InverseActuation
 from softrobot_twin.simulation.step.linearized import LinearizedState
 from softrobot_twin.simulation.step.newton import Newton
+from softrobot_twin.simulation.step.situation import NO_LOADS
 from softrobot_twin.simulation.step.time_budget import StageClock
+
+Kind = TypeVar("Kind")
 
 
 class PartReport(NamedTuple):
@@ -56,48 +59,29 @@ class StepPart:
         figures: Names of what it reports of each step, which end in their units; tables, results,
             records and ``~/figures`` of a twin show them.
         takes: Class of what it takes of a step's measurements; None if it needs none.
+        samples: Measurements that change nothing, by which all that a step may need of it is compiled.
         may_rest: Whether a state in balance may be kept while the command stays.
         depends_on_time: Whether it matters how long actuators are held.
         holds_robot: Whether it holds the robot at places, where none but the hand's stiffness shows.
-        is_stepping: Whether a robot at rest has steps to make, see `step_in_place`.
-        load: Sum of its forces on the robot by magnitude [N].
+        loads: Its forces on the robot [N], shape (n,).
+        load: Sum of these by magnitude [N].
         entry: Key and value of the scene's entry that asks for it; its name by default.
-        refusal: Why it is refused, with a place for what `why_not` tells.
+        conflict: With what of its scene it is not built; empty if it is.
+        refusal: Why it is refused, with a place for the conflict.
     """
 
     name: str
     figures: tuple[str, ...] = ()
     takes: type | None = None
+    samples: tuple = ()
     may_rest: bool = True
     depends_on_time: bool = False
     holds_robot: bool = False
-    is_stepping: bool = False
+    loads: np.ndarray = NO_LOADS
     load: float = 0.0
     entry: tuple[str, str] = ("", "")
+    conflict: str = ""
     refusal: str = "is not built beside {}"
-
-    def why_not(self) -> str:
-        """With what of its scene it is not built; empty if it is."""
-        return ""
-
-    def attach(self, simulation: Steppable) -> None:
-        """Build what takes the whole simulation, at rest.
-
-        Args:
-            simulation: The simulation that has this part.
-        """
-
-    def warm_up(self, simulation: Steppable) -> None:
-        """Run once what steps of the simulation alone do not run; see `Simulation.warm_up`.
-
-        Args:
-            simulation: The simulation that has this part.
-        """
-
-    @property
-    def loads(self) -> np.ndarray | None:
-        """Its forces on the robot [N], shape (n,); None if it has none at all."""
-        return None
 
     def memory_at_rest(self) -> dict[str, np.ndarray]:
         """What it remembers of a robot at rest, by field; steps change values, not shapes."""
@@ -124,14 +108,6 @@ class StepPart:
             CommandError: What is measured does not fit the scene.
         """
         return False
-
-    def measurements_to_warm_up(self, state: State) -> Iterable[object]:
-        """Measurements at rest by which everything that a step may need of it is compiled.
-
-        Args:
-            state: The state at rest.
-        """
-        return ()
 
     def command(self, command: Command, state: State) -> Command:
         """The command that is carried out, in place of one that is asked.
@@ -172,53 +148,37 @@ class StepPart:
             state: The saved state.
         """
 
+    def may_keep(self, before: State, after: State) -> bool:
+        """Whether a step between two states in balance changed nothing of it.
+
+        Args:
+            before: State where the step began.
+            after: State where it ended.
+        """
+        now = after.memory_of(self.name)
+        return all(np.array_equal(one, now[field]) for field, one in before.memory_of(self.name).items())
+
+    def report(self, state: State, newton: Newton) -> PartReport:
+        """What it tells of the step that led to a state.
+
+        Args:
+            state: The state where the step ended.
+            newton: Made the last linearization of the step.
+        """
+        return PartReport()
+
+
+class Planner:
+    """Takes the place of steps of a robot at rest that would change nothing; this one of none.
+
+    Attributes:
+        is_stepping: Whether a robot at rest has steps to make.
+    """
+
+    is_stepping = False
+
     def forget(self) -> None:
         """Forget the steps before; the state tells all that the next one depends on."""
-
-    def lead(
-        self, simulation: Steppable, positions: np.ndarray, efforts: np.ndarray, time_step: float,
-        clock: StageClock,
-    ) -> bool:  # fmt: skip
-        """Bring the bodies after what a step prescribes, where one linearization cannot.
-
-        Args:
-            simulation: The simulation, whose state is that before the step.
-            positions: Node positions after what is prescribed has moved [m], shape (node_count, 3);
-                moved.
-            efforts: Efforts of the actuators before the step, shape (actuator_count,).
-            time_step: h [s].
-            clock: Books the stages.
-
-        Returns:
-            Whether all that is prescribed is reached; else it goes on in the next step.
-        """
-        return True
-
-    def prescribed(self, positions: np.ndarray) -> np.ndarray:
-        """Coordinates of what it prescribes [m], shape (n,); another pose is another task.
-
-        Args:
-            positions: Node positions [m], shape (node_count, 3).
-        """
-        return np.empty(0)
-
-    def step_in_place(
-        self, simulation: Steppable, command: Command, budget: float | None,
-        measured: object | None, clock: StageClock,
-    ) -> StepResult | None:  # fmt: skip
-        """Take the place of a step.
-
-        Args:
-            simulation: The simulation, before the step.
-            command: What is asked.
-            budget: Time for the step [s], or None.
-            measured: What is measured; see `Simulation.step`.
-            clock: Books the stages of a step that is made as usual.
-
-        Returns:
-            Its result; None where the step is to be made as usual.
-        """
-        return None
 
     def steps_until_rest(self, command: FollowTargets, result: StepResult) -> int:
         """Steps towards targets that must keep the state before further ones need not be made.
@@ -238,47 +198,68 @@ class StepPart:
             result: The result that they would have.
         """
 
-    def may_keep(self, before: State, after: State) -> bool:
-        """Whether a step between two states in balance changed nothing of it.
+    def step_in_place(
+        self, simulation: Steppable, command: Command, budget: float | None, measured: object | None
+    ) -> StepResult | None:
+        """Take the place of a step.
 
         Args:
-            before: State where the step began.
-            after: State where it ended.
-        """
-        return all(np.array_equal(array, after.memory[key]) for key, array in self.own(before))
+            simulation: The simulation, before the step.
+            command: What is asked.
+            budget: Time for the step [s], or None.
+            measured: What is measured; see `Simulation.step`.
 
-    def report(self, state: State) -> PartReport:
-        """What it tells of the step that led to a state.
+        Returns:
+            Its result; None where the step is to be made as usual.
+        """
+        return None
+
+
+class Leader:
+    """Brings bodies after what a step prescribes; this one where nothing is prescribed.
+
+    Attributes:
+        prescribes: Whether it may move bodies before a step is linearized.
+    """
+
+    prescribes = False
+
+    def places(self, positions: np.ndarray) -> np.ndarray:
+        """Coordinates of what is prescribed [m], shape (n,); another pose is another task.
 
         Args:
-            state: The state where the step ended.
+            positions: Node positions [m], shape (node_count, 3).
         """
-        return PartReport()
+        return NO_LOADS
 
-    def own(self, state: State) -> Iterator[tuple[str, np.ndarray]]:
-        """Keys and arrays of its memory in a state.
+    def lead(
+        self, simulation: Steppable, positions: np.ndarray, efforts: np.ndarray, time_step: float,
+        clock: StageClock,
+    ) -> bool:  # fmt: skip
+        """Bring the bodies after it, where one linearization cannot.
 
         Args:
-            state: The state.
+            simulation: The simulation, whose state is that before the step.
+            positions: Node positions after what is prescribed has moved [m], shape (node_count, 3);
+                moved.
+            efforts: Efforts of the actuators before the step, shape (actuator_count,).
+            time_step: h [s].
+            clock: Books the stages.
+
+        Returns:
+            Whether all that is prescribed is reached; else it goes on in the next step.
         """
-        start = f"{self.name}."
-        return ((key, array) for key, array in state.memory.items() if key.startswith(start))
+        return True
 
-    def recalled(self, state: State) -> dict[str, np.ndarray]:
-        """Its memory in a state, by field.
 
-        Args:
-            state: The state.
-        """
-        return {key.removeprefix(f"{self.name}."): array for key, array in self.own(state)}
+def one_of(parts: Iterable[StepPart], kind: type[Kind]) -> Kind:
+    """The part that is a planner or a leader; one that does nothing where none is.
 
-    def remembered(self, fields: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Memory by field, with the keys that it has in a state.
-
-        Args:
-            fields: Arrays by field, as of `memory_at_rest`.
-        """
-        return {f"{self.name}.{field}": array for field, array in fields.items()}
+    Args:
+        parts: All parts of a simulation.
+        kind: The class.
+    """
+    return next((part for part in parts if isinstance(part, kind)), kind())
 
 
 def those_with(parts: Iterable[StepPart], *methods: str) -> tuple[StepPart, ...]:
@@ -321,7 +302,7 @@ class TermMemory(StepPart):
 
     def recall(self, state: State) -> None:
         """See `StepPart`."""
-        self._term.recall(self.recalled(state), state.positions, state.efforts)
+        self._term.recall(state.memory_of(self.name), state.positions, state.efforts)
 
     def end(self, positions: np.ndarray, efforts: np.ndarray) -> dict[str, np.ndarray]:
         """See `StepPart`."""

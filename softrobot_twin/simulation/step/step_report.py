@@ -150,19 +150,17 @@ class StepResults:
             state: The new state.
         """
         model, newton, actuation = self._model, self._newton, outcome.actuation
-        places = np.empty((0, 3))
-        if model.effectors is not None:
-            places = model.effectors.positions(state.positions)
+        places = model.effectors.positions(state.positions)
         errors, angles = goal.errors(places, outcome.positions)
-        told = [part.report(state) for part in self._parts]
+        told = [part.report(state, newton) for part in self._parts]
         missed = self._missed(errors, angles, told, 0)
         missed = np.concatenate([missed, goal.misses_of_sensors(outcome.positions)])
         active = goal.limits_met(actuation)
-        if newton.is_nearly_flat and INVERSION not in active:
+        if newton.balance.is_nearly_flat and INVERSION not in active:
             active = (*active, INVERSION)
         doubted = [part for part in told if not part.is_trusted]
         active = (*active, *(limit for part in doubted for limit in part.limits))
-        met = not newton.is_nearly_flat and not doubted and goal.is_met(actuation, missed)
+        met = not newton.balance.is_nearly_flat and not doubted and goal.is_met(actuation, missed)
         if goal.follows and not met and not any(limit.endswith(RATE) for limit in active):
             was_at = model.effectors.positions(before.positions)
             missed_before = self._missed(*goal.errors(was_at, before.positions), told, 1)
@@ -171,11 +169,11 @@ class StepResults:
                 outcome.linear, outcome.held, missed_before, missed
             ))  # fmt: skip
         status = judge(
-            actuation, newton.inverted_count, outcome.balance, met, active, goal.follows
+            actuation, newton.balance.inverted_count, outcome.balance, met, active, goal.follows
         )
         if status is Status.NOT_CONVERGED and outcome.iterations >= model.scene.solver.newton_iterations:
             active = (*active, ITERATIONS)
-        if goal.held is None and newton.projected_tangent:
+        if goal.held is None and newton.tangent.is_projected:
             active = (*active, UNSTABLE)
         if goal.follows and not met and model.contacts is not None and model.contacts.rubs:
             active = (*active, *what_touches(model.contacts, actuation.contact.multipliers))
@@ -190,14 +188,14 @@ class StepResults:
             loads = model.actuators.load(actuation.efforts) + actuation.contact.load
             touching = contact_forces(
                 model.contacts, actuation.contact.multipliers, outcome.positions,
-                newton.constant_load + loads,
+                newton.balance.constant_load + loads,
             )
         report = StepReport(
             clock.times, clock.total, outcome.residual, outcome.iterations, active,
-            projected_tangent=newton.projected_tangent, inverted_count=newton.inverted_count,
+            projected_tangent=newton.tangent.is_projected, inverted_count=newton.balance.inverted_count,
             linearization_error=imbalance(model.effectors, *outcome.first),
-            factor_age=newton.factor_age,
-            is_late=outcome.pressed and newton.factor_age == 0,
+            factor_age=newton.tangent.factor_age,
+            is_late=outcome.pressed and newton.tangent.factor_age == 0,
             qp_solver=actuation.qp_solver,
             driven_by=goal.driven_by, figures=figures, **entries,
             **_of_contacts(actuation.contact, touching),
@@ -230,7 +228,7 @@ class StepResults:
     def _quaternions(self, positions: np.ndarray) -> np.ndarray | None:
         """Turns of the effectors from rest; None in a scene without orientations."""
         effectors = self._model.effectors
-        if effectors is None or not effectors.orientations:
+        if not effectors.orientations:
             return None
         return effectors.quaternions(positions)
 
@@ -252,7 +250,7 @@ class StepResults:
         errors, angles = goal.errors(places, state.positions)
         report = StepReport(
             clock.times, clock.total, math.nan, iterations, limits,
-            projected_tangent=self._newton.projected_tangent, driven_by=goal.driven_by,
+            projected_tangent=self._newton.tangent.is_projected, driven_by=goal.driven_by,
         )  # fmt: skip
         displacements = self._model.actuators.displacements(state.setpoints, state.positions)
         return StepResult(
@@ -284,14 +282,14 @@ def imbalance(effectors, linear: Linearized, held: Actuation | None) -> float:
     """Distance of the effectors from equilibrium at held displacements, by the linearization.
 
     Args:
-        effectors: The effector term, or None.
+        effectors: The effector term.
         linear: The system condensed around the state.
         held: Actuation with all actuators held.
 
     Returns:
         Largest distance over the effectors [m]; NaN without effectors, and in contact.
     """
-    if effectors is None or held is None or linear.contact_row_count:
+    if not effectors.effectors or held is None or linear.contact_row_count:
         return float("nan")
     places = linear.effector_places(held.efforts, held.contact.multipliers)
     return largest_distance(

@@ -258,7 +258,7 @@ def test_the_compliance_and_its_derivative_are_those_of_the_full_model(pair):
         newton, positions = simulation.newton, simulation.state.positions.copy()
         newton.linearize(positions, efforts, StageClock())
         stiffness = ApparentStiffness(simulation.model)
-        found.append(stiffness.gradient(newton.linearized_state(positions, efforts), np.arange(3)))
+        found.append(stiffness.gradient(newton.tangent.linearized_state(positions, efforts), np.arange(3)))
     full, reduced = found
     np.testing.assert_allclose(reduced.compliance, full.compliance, rtol=1e-8)
     scale = np.abs(full.by_multiplier).max()

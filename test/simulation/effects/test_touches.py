@@ -53,7 +53,7 @@ def press(simulation, touched, steps=3):
 
 
 def test_a_small_force_displaces_the_point_by_its_compliance(pressed):
-    linear = pressed.newton.linearized_state(pressed.state.positions, pressed.state.efforts).linear
+    linear = pressed.newton.tangent.linearized_state(pressed.state.positions, pressed.state.efforts).linear
     compliance = linear.W[linear.groups.effectors, linear.groups.effectors]  # x and y
     force = np.array([1e-5, -2e-5, 0.0])
     moved = press(pressed, by_force(*force)).touches.displacements[0]

@@ -73,7 +73,7 @@ def linearized(simulation, lengths=None):
         reach = simulation.limits.bounds(drives, 0.0)
         held = HeldActuators(drives, reach, reach, True)
     newton.linearize(state.positions, state.efforts, StageClock(time.perf_counter), held=held)
-    return newton.linearized_state(state.positions, state.efforts)
+    return newton.tangent.linearized_state(state.positions, state.efforts)
 
 
 def test_it_is_what_a_force_meets_while_the_cables_hold_their_lengths(pulled):
@@ -139,7 +139,7 @@ def test_its_derivatives_are_right_where_the_tangent_alone_is_indefinite():
     lengths = simulation.rest_setpoints - 1e-3 * np.array([16.3, 18.3, 12.1, 14.6])
     settle(simulation, lengths)
     state = linearized(simulation, lengths)
-    assert simulation.newton.is_augmented
+    assert simulation.newton.tangent.is_augmented
     gradient = stiffness.gradient(state, ALL_AXES)
     here = gradient.free + gradient.by_multiplier @ simulation.state.efforts
     np.testing.assert_allclose(here, gradient.compliance, rtol=1e-8)

@@ -37,9 +37,9 @@ def tangents(diamond):
             self.newton, self.model = simulation.newton, simulation.model
             self.positions, self.efforts = simulation.state.positions, simulation.state.efforts
             rows, factorization = self.model.rows, self.model.factorization
-            self.newton.assemble(self.positions, rows.multipliers(self.efforts), False)
+            self.newton.balance.assemble(self.positions, rows.multipliers(self.efforts), False)
             assert factorization.factor()
-            self.b = self.newton.forces.copy()
+            self.b = self.newton.balance.forces.copy()
             self.H = NodeRows(rows.row_index, rows.node_index, rows.blocks.copy(), rows.row_count)
             self.exact = factorization.condense(self.H, self.b)
 
@@ -54,7 +54,7 @@ def tangents(diamond):
             held = held_within(count, 9.0)
             assert augmented.choose(efforts, held)
             rows = self.model.rows
-            self.newton.assemble(self.positions, rows.multipliers(self.efforts), False)
+            self.newton.balance.assemble(self.positions, rows.multipliers(self.efforts), False)
             assert augmented.factor(self.positions)
             return augmented, augmented.condense(self.H, self.b)
 
@@ -78,7 +78,7 @@ def test_the_displacement_is_that_of_the_exact_tangent_under_the_same_efforts(ta
     multipliers[:4] = [3.0, 1.0, 0.0, 2.0]
     exact, factorization = tangents.exact, tangents.model.factorization
     rows = tangents.model.rows
-    tangents.newton.assemble(tangents.positions, rows.multipliers(tangents.efforts), False)
+    tangents.newton.balance.assemble(tangents.positions, rows.multipliers(tangents.efforts), False)
     assert factorization.factor()
     factorization.condense(tangents.H, tangents.b)
     expected = factorization.expand(multipliers).copy()
@@ -120,14 +120,14 @@ def test_the_solution_for_any_forces_is_that_of_the_condensed_system(beam, kind)
         augmented = AugmentedTangent(rows, factorization, np.ones(4, bool))
     else:
         augmented = AugmentedLU(rows, factorization, np.ones(4, bool))
-    newton.assemble(state.positions, rows.multipliers(state.efforts), False)
+    newton.balance.assemble(state.positions, rows.multipliers(state.efforts), False)
     assert factorization.factor()
     H = NodeRows(rows.row_index, rows.node_index, rows.blocks.copy(), rows.row_count)
-    b = newton.forces.copy()
+    b = newton.balance.forces.copy()
     augmented.measure(factorization.condense(H, b).W[:4, :4])
     held = held_within(4, 9.0)
     assert augmented.choose(np.array([1.0, 1.0, 0.0, 1.0]), held)
-    newton.assemble(state.positions, rows.multipliers(state.efforts), False)
+    newton.balance.assemble(state.positions, rows.multipliers(state.efforts), False)
     assert augmented.factor(state.positions)
     augmented.condense(H, b)
     expected = augmented.expand(np.zeros(rows.row_count)).copy()
@@ -159,7 +159,7 @@ def test_a_fine_mesh_converges_quadratically_where_its_tangent_is_indefinite(dia
         report = simulation.step(command).report
         assert not report.projected_tangent
         residuals.append(report.residual)
-    assert newton.is_augmented
+    assert newton.tangent.is_augmented
     assert residuals[-1] < 1e-11
     first = next(k for k, residual in enumerate(residuals) if residual < 1e-6)
     # Quadratic: each linearization doubles the digits, down to the round-off.
@@ -183,10 +183,10 @@ def test_contacts_that_press_are_augmented_too(leaning):
     positions, efforts = simulation.state.positions, simulation.state.efforts
     rows, factorization, contacts = model.rows, model.factorization, model.contacts
     rows.detect(positions)
-    newton.assemble(positions, rows.multipliers(efforts), False)
+    newton.balance.assemble(positions, rows.multipliers(efforts), False)
     assert factorization.factor()
     H = NodeRows(rows.row_index, rows.node_index, rows.blocks.copy(), rows.row_count)
-    exact = factorization.condense(H, newton.forces.copy())
+    exact = factorization.condense(H, newton.balance.forces.copy())
     augmented = AugmentedTangent(rows, factorization, np.ones(4, bool), contacts=contacts)
     augmented.measure(exact.W[:4, :4])
     held = held_within(4, 40.0)
@@ -194,9 +194,9 @@ def test_contacts_that_press_are_augmented_too(leaning):
     pressing = contacts.last_multipliers > 0.0
     np.testing.assert_array_equal(augmented.contact_stiffness > 0.0, pressing)
     assert pressing.any()
-    newton.assemble(positions, rows.multipliers(efforts), False)
+    newton.balance.assemble(positions, rows.multipliers(efforts), False)
     assert augmented.factor(positions)
-    found = augmented.condense(H, newton.forces.copy())
+    found = augmented.condense(H, newton.balance.forces.copy())
     rho = np.zeros(rows.row_count)
     rho[:4], rho[rows.groups.contacts] = augmented.stiffness, augmented.contact_stiffness
     expected = np.linalg.solve(np.eye(len(rho)) + exact.W * rho, exact.W)
@@ -214,7 +214,7 @@ def test_a_beam_that_its_contacts_stabilise_rests_without_projection(leaning, wo
     """By the projected tangent residuals of 1e-5 to 1e-4 N are left after 150 linearizations."""
     simulation, result = leaning("quadratic", wound)
     assert result.report.residual < 1e-6
-    assert simulation.newton.is_augmented and not simulation.newton.projected_tangent
+    assert simulation.newton.tangent.is_augmented and not simulation.newton.tangent.is_projected
 
 
 @pytest.mark.exhaustive

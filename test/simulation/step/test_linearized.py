@@ -107,7 +107,7 @@ def test_the_answer_without_open_contacts_solves_the_problem_of_all(rubbing, cou
         with monkeypatch.context() as everything:
             everything.setattr(linearized, "worth_leaving_out", lambda *_: False)
             rub(whole, step, step + 1)
-        multipliers = simulation.newton.multipliers
+        multipliers = simulation.newton.balance.multipliers
         judged = judge.solve(problems[-1].with_matrix(), multipliers)
         assert judged.gap_residual <= TOLERANCE
         assert judged.force_residual <= 1.1e-6 * multipliers.max()
@@ -224,7 +224,7 @@ def linearized_now(simulation):
 
 def of_stacked_rows(simulation):
     """W = H A⁻¹ Hᵀ and δ_free of all stacked rows, by one solve for each row."""
-    model, forces = simulation.model, simulation.newton.forces
+    model, forces = simulation.model, simulation.newton.balance.forces
     rows, solve = model.rows, model.factorization.solve
     H = NodeRows(rows.row_index, rows.node_index, rows.blocks, rows.row_count)
     columns = H.transposed(len(forces))

@@ -39,7 +39,7 @@ def test_good_moves_are_made_without_a_search(beam, searches):
 
 def test_without_a_search_results_are_the_same_bits_as_without_a_merit(beam, rod, searches):
     simulation, plain = beam(rod), beam(rod)
-    plain.newton.merit = None
+    plain.newton.merit.judges = False
     ends = [wind(made, 0.3 * WOUND)[-1].state.positions for made in (simulation, plain)]
     assert not searches
     np.testing.assert_array_equal(*ends)
@@ -75,7 +75,7 @@ def test_a_move_that_is_too_long_is_shortened_until_it_lowers_the_merit(beam, ro
 
     change = energy_change(share)
     for sign, at in ((1.0, positions), (-1.0, start)):
-        newton.gather_forces(at)
+        newton.balance.gather_forces(at)
         change += sign * merit.penalty(at)
     assert change < 0.0
 
@@ -88,7 +88,7 @@ def test_a_second_try_is_judged_by_the_forces_where_it_begins(beam, monkeypatch)
     def noted(merit, actuation, slope):
         begin(merit, actuation, slope)
         newton.residual(newton.move.start, actuation)
-        slopes.append((slope, float(np.vdot(newton.forces, newton.move.displacement))))
+        slopes.append((slope, float(np.vdot(newton.balance.forces, newton.move.displacement))))
 
     monkeypatch.setattr(Merit, "begin", noted)
     monkeypatch.setattr(newton, "accepts", lambda *_: len(slopes) == 2)

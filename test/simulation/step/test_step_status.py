@@ -39,7 +39,7 @@ def with_weight(weight):
 
 
 def load_of(simulation, result) -> float:
-    return simulation.newton.constant_load + result.efforts.sum()
+    return simulation.newton.balance.constant_load + result.efforts.sum()
 
 
 @pytest.mark.parametrize("limits", [(), ("east.rate",), ("east.tension_max",), (REACH,)])
