@@ -43,9 +43,9 @@ class MarkerPlausibility:
     The misfit of a marker is its measured minus its predicted position. For a correct measurement
     the misfit is the model's error at the marker: it changes slowly, and nearly as much as the
     misfits of the markers around it. The expected misfit of a marker is its last accepted misfit. A
-    marker is accepted when its misfit is as expected, or when its misfit has changed as those of
-    most markers around it, no faster than the robot moves. This common change is the median over
-    the markers around; one wrong marker of four does not change the median, nor do two markers with
+    marker is accepted when its misfit is as expected, or none, or when its misfit has changed as those of
+    most markers around it, or is the same, no faster than the robot moves. This common change is the median
+    over the markers around; one wrong marker of four does not change the median, nor do two markers with
     swapped ids. Where that leaves out more than half of the markers that are seen, those that changed
     together are accepted at any speed, and further from the model as long as others are near it: a
     robot, or its model, snaps to another equilibrium in one frame.
@@ -137,7 +137,7 @@ class MarkerPlausibility:
         # All medians in one call: this runs in every tick with a new frame.
         others = [] if bare is None else [bare]
         medians = self._common(np.concatenate([changes, misfits, *others], axis=1), votes)
-        common = medians[:, :3]
+        common, typical = medians[:, :3], medians[:, 3:6]
         apart = np.linalg.norm(changes - common, axis=1)
         shared, as_seen = np.linalg.norm(common, axis=1), np.linalg.norm(changes, axis=1)
         # The median of one or two markers is their own change: then the change is the noise.
@@ -149,10 +149,11 @@ class MarkerPlausibility:
         tolerance = noise + JUMP_SHARE * self._size
         with np.errstate(invalid="ignore"):
             possible = self._is_possible(GREATEST_MISFIT, noise, misfits, bare, medians[:, 3:])
-            as_before = as_seen <= tolerance
-            speed = SPEED_SHARE * self._size * (now - self._accepted_at)
+            # A marker that was left out has an old expected misfit: that of the model, or of others, will do.
+            as_before = np.minimum(as_seen, np.linalg.norm(misfits, axis=1)) <= tolerance
             together = apart <= tolerance + STRAIN * shared
-            as_others = together & (shared <= tolerance + speed)
+            together |= np.linalg.norm(misfits - typical, axis=1) <= tolerance
+            as_others = together & (shared <= tolerance + SPEED_SHARE * self._size * (now - self._accepted_at))
             for_long = now - self._out_since >= ACCEPT_AFTER
         accepted = seen & possible & (~known | as_before | as_others | for_long)
         if 2 * accepted.sum() < seen.sum():

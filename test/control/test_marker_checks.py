@@ -95,8 +95,7 @@ def test_one_marker_far_off_is_rejected_alone_until_it_returns(simulation, seed,
     off = shift(wrong, by=distance * direction / np.linalg.norm(direction))
     for _ in range(200):
         assert frames.show(added=off) == {wrong}
-    assert frames.show(1) in (set(), {wrong})
-    assert frames.show(100) <= {wrong} and frames.show(10) == set()
+    assert frames.show(100) == set()
 
 
 @pytest.mark.parametrize("pair", [(4, 5), (4, 6), (5, 6), (0, 4), (3, 7)])
@@ -107,8 +106,7 @@ def test_swapped_ids_are_both_rejected(simulation, pair, settled):
     added = swap(simulation, *pair)
     for _ in range(100):
         assert frames.show(added=added) == set(pair)
-    frames.show(60)
-    assert frames.show(10) == set()
+    assert frames.show(70) == set()
 
 
 def test_cyclically_exchanged_ids_are_all_rejected(simulation):
@@ -175,7 +173,7 @@ def test_a_displacement_that_no_model_error_explains_is_never_accepted(simulatio
         assert frames.show(added=camera) == set(range(8))
 
 
-def test_a_marker_that_slipped_by_a_distance_that_a_rotation_explains_is_accepted_after_a_second(
+def test_a_marker_that_slipped_by_a_distance_that_a_rotation_explains_is_accepted_after_a_second_and_back(
     simulation,
 ):
     frames = Frames(simulation, noise=5e-5)
@@ -183,7 +181,10 @@ def test_a_marker_that_slipped_by_a_distance_that_a_rotation_explains_is_accepte
     slipped = shift(6, by=[0.0, 0.0045, 0.0])
     assert frames.show(int(0.9 * ACCEPT_AFTER / PERIOD), added=slipped) == {6}
     frames.show(int(0.3 * ACCEPT_AFTER / PERIOD), added=slipped)
-    assert frames.show(50, added=slipped) == set()
+    # It comes back to where others tell, and one of a leg to where the model tells.
+    assert frames.show(50, added=slipped) == frames.show(50) == set()
+    frames.show(100, added=shift(0, by=[0.0, 0.015, 0.0]))
+    assert frames.show(50) == set()
 
 
 def test_a_frame_that_repeats_tells_nothing_about_noise(simulation):
