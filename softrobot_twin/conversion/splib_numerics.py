@@ -70,10 +70,9 @@ class Vec3(_Numbers):
     rotateFromAxisAngle = lambda self, *given: self.rotateFromQuat(Quat.createFromAxisAngle(*given))  # noqa: E731
 
 
-def transform(translation: Any, rotation: Any = None, scale: Any = None, eulerRotation: Any = None) -> np.ndarray:
+def transform(translation: Any, rotation: Any = Quat.usual, scale: Any = None, eulerRotation: Any = None) -> Any:
     """The matrix of a scale, a turn (angles in degrees) and a translation, shape (4, 4)."""
-    turn = Quat() if rotation is None else Quat(rotation)
-    turn = turn if eulerRotation is None else Quat.createFromEuler(eulerRotation, inDegree=True)
+    turn = Quat(rotation) if eulerRotation is None else Quat.createFromEuler(eulerRotation, inDegree=True)
     made = np.eye(4)
     made[:3, :3] = turn.getMatrix() * (np.ones(3) if scale is None else np.asarray(scale, float))
     made[:3, 3] = translation
