@@ -15,13 +15,14 @@ from softrobot_twin.conversion.computed_values import (
     is_rigid,
     is_true,
     mapped_from,
+    mapping_of,
     mesh_of,
     number_of,
     points_of,
     shapes_of,
     state_mesh,
     state_of,
-    topology_of,
+    used_topology,
     value_of,
 )
 from softrobot_twin.conversion.mesh_entries import own_file
@@ -162,15 +163,15 @@ def body(conversion: Conversion, component: SceneComponent) -> str | None:
 def _body_mesh(state: SceneComponent, fields: list[SceneComponent]) -> LoadedMesh:
     """The points of a state, and the cells that its force fields act on."""
     mesh = state_mesh(state)
-    own = first(state.node, KINDS["topologies"])
-    tops = dict.fromkeys([own, *(topology_of(one.node) for one in fields)])
+    own = [one for one in state.node.components if one.kind in KINDS["topologies"]]
+    tops = dict.fromkeys([*own, *map(used_topology, fields)])
     found = [one for one in map(mesh_of, filter(None, tops)) if len(one.tets) or len(one.hexahedra)]
     found = found[: 1 if own else None]
     if not found:
-        raise NotConverted("its node has no topology with cells; sparse grids are not built here")
+        raise NotConverted("its node has no topology with cells")
     tets = np.unique(np.concatenate([one.tets for one in found]), axis=0) if len(found) > 1 else found[0].tets
     hexahedra = found[0].hexahedra
-    if len(hexahedra) and any(one.kind.startswith("Hexa") for one in fields):
+    if len(hexahedra) and any("Hexa" in one.kind + str(one.fields.get("template")) for one in fields):
         tets = tets[:0]
     elif len(hexahedra):
         tets, hexahedra = tets if len(tets) else hexahedra[:, INTO_TETS].reshape(-1, 4), hexahedra[:0]
@@ -187,7 +188,7 @@ def _elastic(
 ) -> _Elastic:
     """The law of a force field, and the cells of the body that it acts on."""
     covers = np.ones(len(cells), bool)
-    topology = topology_of(component.node)
+    topology = used_topology(component)
     if topology is not None and topology.node is not state.node:
         mesh = mesh_of(topology)
         own = {tuple(sorted(cell)) for cell in (mesh.hexahedra if cells.shape[1] == 8 else mesh.tets).tolist()}
@@ -312,7 +313,8 @@ def _add_mass(conversion: Conversion, record: BodyRecord, volumes: np.ndarray) -
         material["density"] = MASSLESS
         return
     if total is None:
-        density = array_of(mass, 1, "massDensity", otherwise=[1.0])
+        source = first(mass.node, ("NodalMassDensity",)) or mass
+        density = array_of(source, 1, "massDensity", "property", otherwise=[1.0])
         material["density"] = rounded(density[0] * units.density)
         if np.ptp(density) > 0.0:
             conversion.missing.append((mass, "its densities differ: the first one is taken for the body"))
@@ -377,12 +379,44 @@ def fixed(conversion: Conversion, component: SceneComponent) -> str | None:
     if component.kind.startswith("Partial") and not array_of(
             component, 1, "fixedDirections", otherwise=[1.0])[:3].all():  # fmt: skip
         raise NotConverted("points that are fixed along some axes only are not built here")
+    part = _part_of_body(conversion, conversion.state(component))
+    if part is not None:
+        chosen = part[1][indices_of(component, "indices", otherwise=[0])]
+        return _fix(part[0], component, [{"nodes": np.unique(chosen).tolist()}])
     record = _held_record(conversion, component)
     if not isinstance(record, BodyRecord):
         return record
     if is_true(component, "fixAll", False):
         return _fix(record, component, [{"nodes": list(range(len(record.mesh.points)))}])
     return _fix(record, component, _regions(conversion, record, component, "indices"))
+
+
+def index_pairs(mapping: SceneComponent, record: BodyRecord) -> np.ndarray:
+    """For each point of a body the part that moves it, and its point of that part, int64, shape (count, 2).
+
+    Args:
+        mapping: A mapping of several parts.
+        record: The body.
+
+    Raises:
+        NotConverted: It has other points.
+    """
+    pairs = array_of(mapping, 2, "indexPairs", otherwise=np.empty((0, 2))).astype(np.int64)
+    if len(pairs) != len(record.mesh.points):
+        raise NotConverted(f"indexPairs of {mapping.where} are not those of {len(record.mesh.points)} points")
+    return pairs
+
+
+def _part_of_body(conversion: Conversion, state: SceneComponent) -> tuple[BodyRecord, np.ndarray] | None:
+    """The body that some points are a part of, and their nodes; None where they are no part."""
+    for record in conversion.bodies.values():
+        mapping = mapping_of(record.state)
+        sources = [] if mapping is None or mapping.kind != "SubsetMultiMapping" else mapped_from(record.state)
+        if state in sources:
+            pairs = index_pairs(mapping, record)
+            nodes = np.flatnonzero(pairs[:, 0] == sources.index(state))
+            return record, nodes[np.argsort(pairs[nodes, 1])]
+    return None
 
 
 def _held_record(conversion: Conversion, component: SceneComponent) -> BodyRecord | str | None:

@@ -8,12 +8,14 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.ndimage import label
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.conversion.scene_tree import (
@@ -28,6 +30,7 @@ from softrobot_twin.conversion.scene_tree import (
     nearest,
     numbers,
     root_of,
+    walk,
 )
 from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.hexahedral_mesh import INTO_TETS
@@ -107,6 +110,9 @@ class LoadedMesh(NamedTuple):
 
 # --- values and links -----------------------------------------------------------------------------
 
+_OWN = {"translation", "rotation", "scale3d", "scale", *(f"{a}{b}" for a in "drs" for b in "xyz")}
+"""Fields that ``src`` does not link: a loader has placed its points already."""
+
 
 def value_of(component: SceneComponent, *names: str) -> Any:
     """The value of a field; that of its source, or a computed one, where the file gives none.
@@ -127,7 +133,7 @@ def value_of(component: SceneComponent, *names: str) -> Any:
         if given is not None:
             return linked(given, component.node, name)
     source = component.fields.get("src")
-    if is_link(source):
+    if is_link(source) and names[0] not in _OWN:
         owner, _ = follow(source, component.node)
         if isinstance(owner, SceneComponent):
             found = value_of(owner, *names)
@@ -147,6 +153,8 @@ def linked(value: Any, node: SceneNode, name: str = "") -> Any:
     """
     if value == UNKNOWN or isinstance(value, list) and UNKNOWN in value:
         raise NotConverted(f"its field {name} is not known: it is {UNKNOWN.strip('()')}")
+    if isinstance(value, str) and value.startswith("@") and " @" in value:
+        value = value.split()  # several links in a text
     if not is_link(value):
         if isinstance(value, list) and any(map(is_link, value)):
             return [linked(part, node, name) for part in value]
@@ -256,6 +264,7 @@ def find_file(component: SceneComponent, name: str) -> Path:
     Raises:
         NotConverted: There is none.
     """
+    name = name.replace("\\", "/")
     folders = [Path(component.place[0]).parent, Path.cwd()]
     home, sofa = root_of(component.node).fields.get("folder"), os.environ.get("SOFA_ROOT")
     folders[:0] = [Path(home)] if home else []
@@ -330,7 +339,8 @@ def mesh_of(component: SceneComponent) -> LoadedMesh:
     """
     if component.kind in KINDS["loaders"]:
         return loaded_mesh(component)
-    source = _grid_of(component) if component.kind.startswith("RegularGrid") else _source_of(component)
+    build = next((make for kind, make in _BUILT.items() if component.kind.startswith(kind)), _source_of)
+    source = build(component)
     given = (source or LoadedMesh())._asdict()
     for key, names in _MESH_FIELDS.items():
         width = given[key].shape[1]
@@ -345,6 +355,8 @@ def mesh_of(component: SceneComponent) -> LoadedMesh:
             given[key] = own
     mesh = LoadedMesh(**given)
     is_solid = len(mesh.tets) or len(mesh.hexahedra)
+    if not is_solid and not len(mesh.triangles) and (filled := _made_of_hexahedra(component)) is not None:
+        return filled if not len(mesh.points) else mesh._replace(tets=filled.tets).with_boundary()
     return mesh.with_boundary() if is_solid and not len(mesh.triangles) else mesh
 
 
@@ -354,16 +366,82 @@ _CORNERS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 
 
 def _grid_of(component: SceneComponent) -> LoadedMesh:
     """Points of a regular grid, those along x one after the other, and its hexahedra."""
+    counts, (low, high) = _grid_counts(component), _grid_ends(component, np.zeros(3), np.ones(3))
+    places = np.indices(counts[::-1]).reshape(3, -1)[::-1].T
+    steps = (high - low) / np.maximum(counts - 1, 1)
+    points = array_of(component, 1, "p0", otherwise=low).ravel() + places * steps
+    corners = np.flatnonzero((places < counts - 1).all(axis=1))
+    line = np.arange(len(points) * (np.sort(counts)[1] == 1))
+    return LoadedMesh(points, hexahedra=corners[:, None] + _CORNERS @ [1, counts[0], counts[0] * counts[1]],
+                      edges=np.stack([line[:-1], line[1:]], axis=1))  # fmt: skip
+
+
+def _grid_counts(component: SceneComponent) -> np.ndarray:
     usual = [number_of(component, f"n{axis}", otherwise=2) for axis in "xyz"]
     counts = indices_of(component, "n", otherwise=usual)
-    if len(counts) != 3 or counts.min() < 2:
-        raise NotConverted("it needs two points or more along each axis")
-    low = array_of(component, 1, "min", otherwise=np.zeros(3)).ravel()
-    high = array_of(component, 1, "max", otherwise=np.ones(3)).ravel()
-    places = np.indices(counts[::-1]).reshape(3, -1)[::-1].T
-    points = array_of(component, 1, "p0", otherwise=low).ravel() + places * (high - low) / (counts - 1)
-    corners = np.flatnonzero((places < counts - 1).all(axis=1))
-    return LoadedMesh(points, hexahedra=corners[:, None] + _CORNERS @ [1, counts[0], counts[0] * counts[1]])
+    if len(counts) != 3 or counts.min() < 1:
+        raise NotConverted("it needs a point or more along each axis")
+    return counts
+
+
+def _grid_ends(component: SceneComponent, *usual: np.ndarray) -> list[np.ndarray]:
+    """Lower and upper corner of a grid."""
+    ends = [array_of(component, 1, end, otherwise=value).ravel()
+            for end, value in zip(("min", "max"), usual, strict=True)]  # fmt: skip
+    return [np.array([number_of(component, f"{axis}{end}", otherwise=value)
+                      for axis, value in zip("xyz", corner, strict=True)])
+            for end, corner in zip(("min", "max"), ends, strict=True)]  # fmt: skip
+
+
+def _sparse_grid_of(component: SceneComponent) -> LoadedMesh:
+    """The cells of a grid around a surface that hold a part of it, or lie inside."""
+    surface = _source_of(component) if component.fields.get("filename") is None else loaded_mesh(component)
+    if surface is None or not len(surface.triangles):
+        raise NotConverted("a sparse grid needs a surface of triangles")
+    low, high = surface.points.min(axis=0), surface.points.max(axis=0)
+    # SOFA makes the box of the surface a hundredth larger at each side.
+    low, high = _grid_ends(component, low - 0.01 * (high - low), high + 0.01 * (high - low))
+    width = number_of(component, "cellWidth", otherwise=0.0)
+    counts = np.ceil((high - low) / width).astype(int) + 1 if width > 0.0 else _grid_counts(component)
+    cell = np.full(3, width) if width > 0.0 else (high - low) / (counts - 1)
+    is_kept = np.zeros(counts - 1, bool)
+    for triangle in (surface.points[surface.triangles] - low) / cell:
+        least, most = (np.clip(ends.astype(int), 0, counts - 2) for ends in (triangle.min(axis=0), triangle.max(axis=0)))
+        near = least + np.indices(most - least + 1).reshape(3, -1).T
+        # No plane along an edge of both, or along the triangle, lies between it and the cell.
+        sides = np.roll(triangle, -1, axis=0) - triangle
+        axes = np.concatenate([np.cross(sides[:, None], np.eye(3)).reshape(-1, 3), [np.cross(sides[0], sides[1])]])
+        reach, places = 0.5 * np.abs(axes).sum(axis=1), (triangle - (near[:, None] + 0.5)) @ axes.T
+        is_cut = ((places.min(axis=1) <= reach) & (places.max(axis=1) >= -reach)).all(axis=1)
+        is_kept[tuple(near[is_cut].T)] = True
+    # What the outside does not reach is inside.
+    regions, _ = label(np.pad(~is_kept, 1, constant_values=True))
+    is_kept |= (regions != regions[0, 0, 0])[1:-1, 1:-1, 1:-1]
+    start = np.argwhere(is_kept.transpose(2, 1, 0))[:, ::-1]
+    used, places = np.unique((start[:, None] + _CORNERS) @ [1, counts[0], counts[0] * counts[1]], return_inverse=True)
+    points = np.stack(np.unravel_index(used, counts[::-1])[::-1], axis=1)
+    return LoadedMesh(low + points * cell, hexahedra=places.reshape(-1, 8).astype(np.int64))
+
+
+_BUILT: dict[str, Callable[[SceneComponent], LoadedMesh | None]] = {
+    "RegularGrid": _grid_of, "SparseGrid": _sparse_grid_of}  # fmt: skip
+"""Topologies that make their points, by the beginning of their kind."""
+
+
+def _made_of_hexahedra(component: SceneComponent) -> LoadedMesh | None:
+    """The tetrahedra that a mapping puts into an empty topology; None where none does."""
+    mapping = _naming(component, ("Hexa2TetraTopologicalMapping",))
+    source = None if mapping is None else value_of(mapping, "input")
+    if not isinstance(source, SceneComponent) or source is component:
+        return None
+    mesh = mesh_of(source)
+    return mesh._replace(tets=mesh.hexahedra[:, INTO_TETS].reshape(-1, 4), hexahedra=mesh.hexahedra[:0], file=None)
+
+
+def _naming(output: SceneComponent, kinds: tuple[str, ...]) -> SceneComponent | None:
+    """The mapping of one of some kinds that names a component as its output."""
+    every = (one for node in walk(root_of(output.node)) for one in node.components if one.kind in kinds)
+    return next((one for one in every if named_by(one, "output") is output), None)
 
 
 def _source_of(component: SceneComponent) -> LoadedMesh | None:
@@ -379,6 +457,16 @@ def _source_of(component: SceneComponent) -> LoadedMesh | None:
                 return found if name == "src" else LoadedMesh(
                     found.points, file=found.file, placement=found.placement)  # fmt: skip
     return None
+
+
+def used_topology(component: SceneComponent) -> SceneComponent | None:
+    """The topology that a component names, or else that of its node.
+
+    Args:
+        component: The component.
+    """
+    owner = named_by(component, "topology")
+    return owner if isinstance(owner, SceneComponent) else topology_of(component.node)
 
 
 def topology_of(node: SceneNode) -> SceneComponent | None:
@@ -456,6 +544,7 @@ def frames_of(state: SceneComponent) -> np.ndarray:
     width = 3 if len(given) % 7 or len(given) == places.size else 7
     rows = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (len(given) // width, 1))
     rows[:, :width] = numbers(given, width)
+    rows[~rows[:, 3:].any(axis=1), 6] = 1.0  # four zeros stand for no turn
     turned = placement.rotation * Rotation.from_quat(rows[:, 3:])
     return np.hstack([placement.place(rows[:, :3]), turned.as_quat()])
 
@@ -471,7 +560,7 @@ def points_of(state: SceneComponent) -> np.ndarray:
     """
     if is_rigid(state):
         return frames_of(state)[:, :3]
-    mapping = first(state.node, ("RigidMapping", "IdentityMapping", "SubsetMapping", "SubsetMultiMapping"))
+    mapping = mapping_of(state)
     if mapping is not None and mapping.kind == "IdentityMapping" and not _has(state, "position"):
         return points_of(mapped_from(state, mapping)[0])
     if mapping is not None and mapping.kind == "SubsetMapping":
@@ -502,6 +591,28 @@ def rigid_indices(mapping: SceneComponent, count: int) -> np.ndarray:
     return np.full(count, whole_of(mapping, "index"), np.int64)
 
 
+def mapping_of(state: SceneComponent) -> SceneComponent | None:
+    """The mapping that moves a state: of its node, or another one that names it as output.
+
+    Args:
+        state: A state.
+    """
+    return first(state.node, KINDS["mappings"]) or _naming(state, KINDS["mappings"])
+
+
+def named_by(component: SceneComponent, name: str) -> SceneNode | SceneComponent | None:
+    """What the link of a field leads to; None where it leads nowhere, or is none.
+
+    Args:
+        component: The component.
+        name: Name of the field.
+    """
+    link = component.fields.get(name)
+    with suppress(NotConverted):
+        return follow(link, component.node)[0] if is_link(link) else None
+    return None
+
+
 def mapped_from(state: SceneComponent, mapping: SceneComponent | None = None) -> list[SceneComponent]:
     """The states that a state follows; empty where it moves by itself.
 
@@ -509,7 +620,7 @@ def mapped_from(state: SceneComponent, mapping: SceneComponent | None = None) ->
         state: A state.
         mapping: Its mapping, where it is known.
     """
-    mapping = mapping or first(state.node, KINDS["mappings"])
+    mapping = mapping or mapping_of(state)
     if mapping is None:
         return []
     given = [value_of(mapping, name) for name in ("input", "input1", "input2", "object1")]
@@ -573,20 +684,30 @@ def _roi_value(roi: SceneComponent, name: str) -> Any:
     cells = {"tetra": "tets", "hexa": "hexahedra", "triang": "triangles", "edge": "edges"}
     kind = next((key for word, key in cells.items() if name.startswith(word)), None)
     topology = topology_of(roi.node)
-    if name not in ("indices", "pointsInROI") and (kind is None or topology is None):
+    outputs = ("indices", "indicesOut", "pointsInROI", "pointsOutROI")
+    if name not in outputs and (kind is None or topology is None):
         return None
     points, shapes = _roi_points(roi), shapes_of(roi)
 
     def is_in(places: np.ndarray) -> np.ndarray:
         return np.any([is_inside(places, *shape) for shape in shapes], axis=0)
 
-    if name in ("indices", "pointsInROI"):
-        return points[is_in(points)] if name == "pointsInROI" else np.flatnonzero(is_in(points))
+    if name in outputs:
+        chosen = is_in(points) if name in ("indices", "pointsInROI") else ~is_in(points)
+        return points[chosen] if name.startswith("points") else np.flatnonzero(chosen)
     every = getattr(mesh_of(topology), kind)
     is_strict = is_true(roi, "strict", True)
     chosen = is_in(points)[every].all(axis=1) if is_strict else is_in(points[every].mean(axis=1))
     chosen = ~chosen if name.endswith("OutROI") else chosen
     return np.flatnonzero(chosen) if "ndices" in name or name.endswith("Index") else every[chosen]
+
+
+def _complement_value(roi: SceneComponent, name: str) -> Any:
+    """An output of what is in none of some sets of points."""
+    sets = [indices_of(roi, key, otherwise=[]) for key in roi.fields if key.startswith("setIndices")]
+    points = _roi_points(roi)
+    others = np.setdiff1d(np.arange(len(points)), np.concatenate([[], *sets]))
+    return {"indices": others, "pointsInROI": points[others]}.get(name)
 
 
 def _mesh_value(component: SceneComponent, name: str) -> Any:
@@ -603,5 +724,6 @@ def _state_value(state: SceneComponent, name: str) -> Any:
 
 _COMPUTED: dict[str, Callable[[SceneComponent, str], Any]] = {
     **dict.fromkeys(KINDS["meshes"], _mesh_value), **dict.fromkeys(KINDS["regions"], _roi_value),
+    **dict.fromkeys(KINDS["complements"], _complement_value),
     **dict.fromkeys(KINDS["states"], _state_value),
 }  # fmt: skip

@@ -92,7 +92,8 @@ def _touching(conversion: Conversion, model: SceneComponent) -> _Touching | None
     itself, chosen = is_true(model, "selfCollision", False), frozenset((frozenset(groups.tolist()),))
     carrier = conversion.carrier(state)
     if carrier is None:
-        is_free = nearest(state.node, KINDS["movers"]) is not None and not mapped_from(state)
+        is_free = (is_true(model, "moving", True) and is_true(model, "simulated", True)
+                   and nearest(state.node, KINDS["movers"]) is not None and not mapped_from(state))  # fmt: skip
         if is_free and first(state.node, KINDS["masses"]) is None:
             return None  # a goal that the mouse moves
         return _Touching(_obstacle(conversion, model, state), chosen, False, False)

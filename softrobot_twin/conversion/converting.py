@@ -10,7 +10,6 @@ import sys
 import tempfile
 from collections.abc import Mapping
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +26,7 @@ from softrobot_twin.conversion.rules import UNREADABLE, Conversion
 from softrobot_twin.conversion.scene_text import scene_yaml
 from softrobot_twin.conversion.scene_tree import (
     KINDS,
+    TABLE,
     ConversionError,
     NotConverted,
     SceneComponent,
@@ -37,7 +37,7 @@ from softrobot_twin.conversion.scene_tree import (
 )
 from softrobot_twin.conversion.scene_xml import read_xml
 from softrobot_twin.conversion.units import units_of
-from softrobot_twin.errors import SoftRobotTwinError, one_line
+from softrobot_twin.errors import SceneError, SoftRobotTwinError, one_line
 from softrobot_twin.harness.output_file import output_file
 from softrobot_twin.harness.terminal import console, print_apart, table, terminal_status
 from softrobot_twin.scene.loading import read_yaml, scene_from_mapping
@@ -107,7 +107,7 @@ def read_scene(file: Path, seconds: float) -> tuple[SceneNode, list[str]]:
         if len(recorded["nodes"]) == 1 and not recorded["nodes"][0]["components"]:
             raise ConversionError(file, f"{recorded['error']}{recorded['at']}")
         reasons = [f"the file stopped{recorded['at']} ({recorded['error']}): what follows is not converted"]
-    reasons += [f"{name} ({Path(place).name}:{line}) is not known: what it adds or moves is not converted"
+    reasons += [f"{name} ({Path(place).name}:{line}) is not known: what it adds, moves or says is not converted"
                 for name, place, line in recorded["unknown"]]  # fmt: skip
     root = from_plain(recorded)
     root.fields["absent"] = recorded["missing"]
@@ -193,30 +193,46 @@ def write(conversion: Conversion, file: Path, replace: bool) -> None:
     Raises:
         SoftRobotTwinError: The scene cannot be built, or a file exists.
     """
-    output, folder, units = conversion.output, conversion.output.resolve().parent, conversion.units
-    for kind, columns in (("commands", conversion.commands), ("targets", conversion.targets)):
-        if any(columns.values()):
-            conversion.files[f"{output.stem}_{kind}.csv"] = partial(_write_rows, conversion, kind, columns)
-    there = [folder / name for name in conversion.files if (folder / name).exists()]
+    output, folder = conversion.output, conversion.output.resolve().parent
+    tables = {f"{output.stem}_{kind}.csv": (kind, getattr(conversion, kind)) for kind in ("commands", "targets")}
+    there = [folder / name for name in (*conversion.files, *tables) if (folder / name).exists()]
     if there and not replace:
         raise SceneExistsError(there[0], "exists already, and would be written; --force replaces it")
     for name, write_file in conversion.files.items():
         with output_file(folder / name) as part:
             write_file(part)
-    own = {key: conversion.scene[key] for key in [*ORDER, *conversion.scene] if conversion.scene.get(key)}
-    text = scene_yaml(own, [
-        f"Converted from {file.name}. SI units; the file's are {units.name} ({units.reason}).",
-        f"Its step is {conversion.time_step:g} s: give simulate --rate {1.0 / conversion.time_step:g}.",
-        *conversion.notes,
-        *(f"Not converted: {_in_words(*one)}" for one in conversion.missing)])  # fmt: skip
     try:
-        Simulation(scene_from_mapping(read_yaml(text), output.resolve()))
+        text = _buildable(conversion, file)
     except SoftRobotTwinError:
         for name in conversion.files:
             (folder / name).unlink(missing_ok=True)
         raise
+    can_move = any(map(conversion.scene.get, (*TABLE["actuators"], "hinge_motors")))
+    for name, (kind, columns) in tables.items():
+        if columns and (can_move if kind == "targets" else any(columns.values())):
+            with output_file(folder / name) as part:
+                _write_rows(conversion, kind, columns, part)
     with output_file(output) as part:
         part.write_text(text, encoding="utf-8")
+
+
+def _buildable(conversion: Conversion, file: Path) -> str:
+    """The text of a scene that can be built: entries that cannot, and that nothing needs, are listed instead."""
+    units = conversion.units
+    while True:
+        own = {key: conversion.scene[key] for key in [*ORDER, *conversion.scene] if conversion.scene.get(key)}
+        text = scene_yaml(own, [
+            f"Converted from {file.name}. SI units; the file's are {units.name} ({units.reason}).",
+            f"Its step is {conversion.time_step:g} s: give simulate --rate {1.0 / conversion.time_step:g}.",
+            *conversion.notes,
+            *(f"Not converted: {_in_words(*one)}" for one in conversion.missing)])  # fmt: skip
+        try:
+            Simulation(scene_from_mapping(read_yaml(text), conversion.output.resolve()))
+        except SceneError as error:
+            if not conversion.drop(error.key, error.reason):
+                raise
+        else:
+            return text
 
 
 def _write_rows(conversion: Conversion, kind: str, columns: Mapping[str, Any], path: Path) -> None:

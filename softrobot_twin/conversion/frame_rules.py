@@ -7,13 +7,14 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from softrobot_twin.conversion.body_rules import MASSLESS, damping_of, mass_of
+from softrobot_twin.conversion.body_rules import MASSLESS, damping_of, index_pairs, mass_of
 from softrobot_twin.conversion.computed_values import (
     array_of,
     frames_of,
     is_rigid,
     is_true,
     mapped_from,
+    mapping_of,
     mesh_of,
     number_of,
     rigid_indices,
@@ -96,8 +97,8 @@ def _rigid_parts(conversion: Conversion, state: SceneComponent) -> list[tuple[Bo
     """The bodies with points on a state's frames, and these points for each frame."""
     found = []
     for record in conversion.bodies.values():
-        mapping = first(record.state.node, ("SubsetMultiMapping", "RigidMapping"))
-        if mapping is None:
+        mapping = mapping_of(record.state)
+        if mapping is None or mapping.kind not in ("SubsetMultiMapping", "RigidMapping"):
             continue
         carried = np.full(len(record.mesh.points), -1)
         for number, source in enumerate(mapped_from(record.state, mapping)):
@@ -107,9 +108,7 @@ def _rigid_parts(conversion: Conversion, state: SceneComponent) -> list[tuple[Bo
             own = first(source.node, ("RigidMapping",))
             if own is None or state not in mapped_from(source, own):
                 continue
-            pairs = array_of(mapping, 2, "indexPairs", otherwise=np.empty((0, 2))).astype(np.int64)
-            if len(pairs) != len(carried):
-                raise NotConverted(f"indexPairs of {mapping.where} are not those of {len(carried)} points")
+            pairs = index_pairs(mapping, record)
             chosen = pairs[:, 0] == number
             carried[chosen] = rigid_indices(own, pairs[chosen, 1].max(initial=-1) + 1)[pairs[chosen, 1]]
         if (carried >= 0).any():

@@ -62,7 +62,9 @@ def _filled(value: Any, values: dict[str, Any]) -> Any:
         return value
     if found := re.fullmatch(r"\$(\w+)", value):
         return values[found[1]]
-    if found := re.fullmatch(r"\$(count|is)\((\w+)\)", value):
+    if found := re.fullmatch(r"\$(count|is|each)\((\w+)\)", value):
+        if found[1] == "each":
+            return np.resize(values[found[2]], 3).tolist()
         own = np.asarray(values[found[2]], float).reshape(-1, 3)
         return list(range(len(own))) if found[1] == "count" else len(own) > 0
     return re.sub(r"\$(\w+)", lambda found: str(values[found[1]]), value)

@@ -173,6 +173,28 @@ class Conversion:
         self.scene.setdefault(section, []).append(entry)
         return entry
 
+    def drop(self, key: str, reason: str) -> bool:
+        """Takes out an entry that cannot be built, and lists its component.
+
+        Args:
+            key: What is wrong, such as ``cables[0].points``.
+            reason: Why.
+
+        Returns:
+            Whether there is such an entry, which no other one may need.
+        """
+        found = re.match(r"(\w+)\[(\d+)\]", key)
+        if found is None or found[1] not in TABLE["unneeded"]:
+            return False
+        entry = self.scene[found[1]].pop(int(found[2]))
+        component = next(one for one in self.components if source_of(one) == entry[SOURCE][0])
+        self.missing.append((component, f"cannot be built here: {reason}"))
+        self.told = [one for one in self.told if one[0] is not component]
+        for columns in (self.commands, self.targets):
+            for column in [one for one in columns if one.startswith(f"{entry['name']}_")]:
+                del columns[column]
+        return True
+
     def length(self, values: Any) -> list:
         """Lengths in metres, as a list.
 

@@ -14,6 +14,7 @@ import json
 import os
 import runpy
 import sys
+import sysconfig
 import traceback
 import types
 from pathlib import Path
@@ -23,6 +24,7 @@ import numpy as np
 
 from softrobot_twin.conversion import computed_values, prefabs, stand_ins
 from softrobot_twin.conversion.scene_tree import json_value, to_plain
+from softrobot_twin.conversion.splib_numerics import NUMERICS
 from softrobot_twin.conversion.stand_ins import Controller, Node, Nothing, Prefab
 
 SOFA = ("Sofa", "SofaRuntime", "SofaGui", "SofaImGui", "SofaTypes", "SofaDeformable")
@@ -41,6 +43,7 @@ class _Module(types.ModuleType):
         self.__file__ = f"<{name}>"
         is_known = name.split(".")[0] in HELPERS
         known = prefabs.KNOWN if is_known else {}
+        known = known | NUMERICS if is_known and "numerics" in name.split(".") else known
         if "inverse" in name.split("."):
             known = known | {key.removeprefix("inverse."): one for key, one in known.items() if "." in key}
         self.__all__ = [key for key in known if "." not in key]
@@ -71,7 +74,8 @@ class _StandIns(importlib.abc.MetaPathFinder, importlib.abc.Loader):
             target: Not read.
         """
         top = name.split(".")[0]
-        is_ours = top in SOFA or self.is_last and (top == name or isinstance(sys.modules.get(top), _Module))
+        is_ours = top in SOFA or self.is_last and (
+            isinstance(sys.modules.get(top), _Module) or top == name and not _asks_library())  # fmt: skip
         return importlib.machinery.ModuleSpec(name, self, is_package=True) if is_ours else None
 
     def create_module(self, spec):
@@ -88,6 +92,15 @@ class _StandIns(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         Args:
             module: The module.
         """
+
+
+def _asks_library() -> bool:
+    """Whether an installed module imports: it may try what is not there, such as an accelerator."""
+    frame: Any = sys._getframe(2)
+    while frame is not None and "importlib" in frame.f_code.co_filename:
+        frame = frame.f_back
+    paths = [sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")]
+    return frame is not None and any(Path(frame.f_code.co_filename).is_relative_to(path) for path in paths)
 
 
 def record(file: Path) -> dict:
@@ -123,7 +136,7 @@ def record(file: Path) -> dict:
                      "at": frames[-1] if frames else ""}  # fmt: skip
     missing = [name for name, module in sys.modules.items() if isinstance(module, _Module)
                and "." not in name and name not in SOFA + HELPERS]  # fmt: skip
-    return recorded | to_plain(root) | {"missing": missing, "unknown": stand_ins.Recorder.unknown}
+    return recorded | to_plain(root) | {"missing": missing, "unknown": list(dict.fromkeys(stand_ins.Recorder.unknown))}
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ A document type is refused: its entities could fill the memory, or read other fi
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from xml.parsers import expat
 
@@ -63,11 +64,23 @@ class _Reader:
         if parent is None:
             raise ConversionError(self.path, f"begins with <{tag}>, not with <Node>: it is no scene",
                                   self.parser.CurrentLineNumber)  # fmt: skip
+        given = {key: self.named(value, parent) for key, value in given.items()}
         kind = given.pop("type", tag) if tag == "Object" else tag
         parent.components.append(SceneComponent(
             kind, given.pop("name", kind), parent, dict(given),
             (str(self.path), self.parser.CurrentLineNumber)))  # fmt: skip
         self.open.append(None)
+
+    @staticmethod
+    def named(value: str, node: SceneNode) -> str:
+        """A link by a name in place of one such as ``@[-1].indices``, to the component before."""
+        found = re.match(r"@\[-(\d+)\](?=$|\.)", value)
+        if found is None or int(found[1]) > len(node.components):
+            return value
+        before = node.components[-int(found[1])]
+        if any(one.name == before.name for one in (*node.components, *node.children) if one is not before):
+            before.name += f"_{len(node.components)}"
+        return f"@{before.name}{value[found.end():]}"
 
     def end(self, tag: str) -> None:
         self.open.pop()

@@ -47,19 +47,28 @@ class Nothing:
         if self.label and any(isinstance(one, Node) for one in (*given, *more.values())):
             Recorder.note_unknown(self.label)
         # A decorator gives back what it decorates.
-        return given[0] if len(given) == 1 and not more and callable(given[0]) else Nothing()
+        return given[0] if len(given) == 1 and not more and callable(given[0]) else Nothing(label=self.label)
 
     def __iter__(self) -> Iterator:
+        self.note_read()
         return iter(())
+
+    def note_read(self) -> None:
+        """Keeps that the scene reads a number or a list where nothing is known."""
+        if self.label:
+            Recorder.note_unknown(self.label)
 
     def __enter__(self) -> Nothing:
         return self
 
 
 _OPERATORS = ("getitem", "neg", "add", "radd", "sub", "rsub", "mul", "rmul", "truediv", "rtruediv")
-for _name, _value in {"len": 0, "bool": False, "float": 0.0, "int": 0, "str": "", "setitem": None, "exit": None,
-                      **dict.fromkeys(_OPERATORS, Nothing())}.items():  # fmt: skip
+for _name, _value in {"bool": False, "str": "", "setitem": None, "exit": None}.items():
     setattr(Nothing, f"__{_name}__", lambda self, *given, _value=_value: _value)
+for _name, _value in {"len": 0, "float": 0.0, "int": 0}.items():
+    setattr(Nothing, f"__{_name}__", lambda self, *given, _value=_value: self.note_read() or _value)
+for _name in _OPERATORS:
+    setattr(Nothing, f"__{_name}__", lambda self, *given: Nothing(label=self.label))
 
 
 class Recorder:
@@ -299,6 +308,12 @@ class Node(_Owner, SceneNode):
         return made
 
     createChild, createObject = addChild, addObject
+
+    def __enter__(self) -> Node:
+        return self
+
+    def __exit__(self, *given: Any) -> None:
+        """Nothing: a node that a block fills stays what it is."""
 
     def _bound(self, value: Any) -> Any:
         """A link from the top as what it leads to: a node may get other nodes above it later."""

@@ -10,7 +10,7 @@ class Squeeze(Sofa.Core.Controller):
 
 def createScene(root):
     root.gravity.value = [-9810, 0, 0]
-    root.addObject("CollisionPipeline")
+    root.addObject("EulerImplicitSolver")
     root.addObject("CollisionResponse", response="FrictionContactConstraint", responseParams="mu=0.6")
     root.addObject("LocalMinDistance", alarmDistance=5, contactDistance=1)
     plane = root.addChild("floor")
