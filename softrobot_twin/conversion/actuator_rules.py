@@ -237,11 +237,9 @@ def position_effector(conversion: Conversion, component: SceneComponent) -> str 
     for place, index in enumerate(chosen):
         name = base if len(chosen) == 1 else conversion.name(f"{base}_{place + 1}")
         carrier = conversion.needed_carrier(state, index if is_frame else 0)
-        entry = _entry(component, name, carrier, points[[index]], axes)
-        if is_frame and len(axes) > 3 and axes[3:].all():
-            entry["orientation"] = {}
-        _add_effector(conversion, component, entry, goals[place : place + 1], frames_of(state)[index]
-                      if is_frame else None)  # fmt: skip
+        frame = frames_of(state)[index] if is_frame and len(axes) > 3 and axes[3:].all() else None
+        entry = {"name": name, "body": carrier, "points": rounded(points[[index]])}
+        _add_effector(conversion, component, entry, axes, goals[place : place + 1], frame)
         made.append(name)
     return f"effector{'s' if len(made) > 1 else ''} {', '.join(made)} on {carrier}"
 
@@ -261,31 +259,33 @@ def centre_effector(conversion: Conversion, component: SceneComponent) -> str | 
     if len(points) > MOST_POINTS:
         raise NotConverted(f"the mean of {len(points)} points; at most {MOST_POINTS} are written")
     axes = array_of(component, 1, "axis", "useDirections", otherwise=np.ones(3))
-    entry = _entry(component, _name_of(conversion, component), carrier, points, axes)
-    _add_effector(conversion, component, entry, _goals(conversion, component, 3))
+    entry = {"name": _name_of(conversion, component), "body": carrier, "points": rounded(points)}
+    _add_effector(conversion, component, entry, axes, _goals(conversion, component, 3))
     return f"effector {entry['name']}: mean of {len(points)} points on {carrier}"
 
 
-def _entry(
-    component: SceneComponent, name: str, carrier: str, points: np.ndarray, axes: np.ndarray
-) -> dict[str, Any]:
-    """An effector at points [m] along some axes."""
-    entry: dict[str, Any] = {"name": name, "body": carrier, "points": rounded(points)}
+def _add_effector(
+    conversion: Conversion, component: SceneComponent, entry: dict[str, Any], axes: np.ndarray, goals: np.ndarray,
+    frame: np.ndarray | None = None,
+) -> None:  # fmt: skip
+    """Adds an effector along some axes, and its goal, if it has one, to the file of targets.
+
+    Args:
+        conversion: The conversion.
+        component: Its source.
+        entry: Its name, body and points.
+        axes: Which axes it follows along.
+        goals: Shape (count, width), in the unit of the file; the first one is its goal.
+        frame: The frame that turns with its goal; None where none does.
+    """
     if not axes[:3].all():
         entry["directions"] = [axis for axis, is_used in zip("xyz", axes, strict=False) if is_used]
     weight = number_of(component, "weight", otherwise=1.0)
-    return entry if weight == 1.0 else entry | {"weight": weight}
-
-
-def _add_effector(
-    conversion: Conversion, component: SceneComponent, entry: dict[str, Any], goals: np.ndarray,
-    frame: np.ndarray | None = None,
-) -> None:  # fmt: skip
-    """Adds an effector, and its goal, if it has one, to the file of targets."""
+    entry |= ({} if weight == 1.0 else {"weight": weight}) | ({} if frame is None else {"orientation": {}})
     conversion.add("effectors", component, entry)
     for goal in goals[:1]:
         wanted = dict(zip(("x_m", "y_m", "z_m"), goal[:3] * conversion.units.metre, strict=True))
-        if "orientation" in entry and frame is not None:
+        if frame is not None:
             turn_of_goal = Rotation.from_quat(goal[3:]) * Rotation.from_quat(frame[3:]).inv()
             wanted |= zip(("qx", "qy", "qz", "qw"), turn_of_goal.as_quat(), strict=True)
         conversion.targets |= {f"{entry['name']}_{key}": rounded(value) for key, value in wanted.items()}

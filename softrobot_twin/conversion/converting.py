@@ -31,9 +31,9 @@ from softrobot_twin.conversion.scene_tree import (
     NotConverted,
     SceneComponent,
     SceneNode,
+    components_below,
     from_plain,
     numbers,
-    walk,
 )
 from softrobot_twin.conversion.scene_xml import read_xml
 from softrobot_twin.conversion.units import units_of
@@ -164,7 +164,7 @@ def converted(root: SceneNode, output: Path, units: str | None) -> Conversion:
 def _extent(root: SceneNode) -> float:
     """Largest extent of what has points, in the unit of the file."""
     found = [0.0]
-    for component in (one for node in walk(root) for one in node.components if one.kind in KINDS["states"]):
+    for component in components_below(root, KINDS["states"]):
         with suppress(NotConverted, *UNREADABLE):
             found.append(float(np.ptp(points_of(component), axis=0).max()))
     return max(found)
