@@ -14,13 +14,6 @@ def rng():
     return np.random.default_rng(5)
 
 
-def test_scenes_of_mapped_and_of_sparse_grids_run_twenty_steps(convert, run_alone):
-    for name, code in (("mapped_grids.py", 3), ("sparse.scn", 0)):
-        converted = convert(name)
-        assert converted.code == code, converted.told
-        assert set(run_alone(converted.scene, 0.01)[1]) <= {"ok", "linearized", "rate_limited"}
-
-
 def test_a_grid_is_between_the_ends_of_each_axis(convert):
     told = convert("mapped_grids.py").told
     assert re.search(r"body bar: 63 nodes, 60 × 20 × 20 mm, E 600 kPa", told)
