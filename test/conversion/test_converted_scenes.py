@@ -210,13 +210,13 @@ def test_surfaces_of_one_body_in_other_groups_may_touch_each_other(convert, fold
 
 def test_what_has_no_counterpart_is_listed_by_component_and_line(convert):
     converted = convert("foreign.py")
-    for kind, line, why in (("PartialFixedProjectiveConstraint", 16, "along some axes"),
-                            ("TetrahedronFEMForceField", 14, "plasticMaxThreshold"),
-                            ("CableConstraint", 20, "pullPoint is not known"),
-                            ("ConstantForceField", 17, "no counterpart"),
-                            ("ForcePointActuator", 21, "no direction"),
-                            ("IndexValueMapper", 23, "no counterpart"),
-                            ("UnilateralPlaneConstraint", 24, "no counterpart")):
+    for kind, line, why in (("PartialFixedProjectiveConstraint", 14, "along some axes"),
+                            ("TetrahedronFEMForceField", 12, "plasticMaxThreshold"),
+                            ("CableConstraint", 18, "pullPoint is not known"),
+                            ("ConstantForceField", 15, "no counterpart"),
+                            ("ForcePointActuator", 19, "no direction"),
+                            ("IndexValueMapper", 21, "no counterpart"),
+                            ("UnilateralPlaneConstraint", 22, "no counterpart")):
         assert re.search(rf"{kind} +foreign.py:{line} .*{why}", converted.told)
         assert re.search(rf"# Not converted: {kind}", converted.text)
     assert not converted.scene.cables and "GridTopology" not in converted.told
