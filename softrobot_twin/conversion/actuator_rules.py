@@ -43,6 +43,12 @@ def _name_of(conversion: Conversion, component: SceneComponent) -> str:
     return conversion.name(component.node.name if is_usual else component.name, component.node.name)
 
 
+def _held_points(conversion: Conversion, component: SceneComponent) -> tuple[str, np.ndarray]:
+    """The points [m] that an actuator acts on, shape (count, 3), and what carries them."""
+    state = conversion.state(component)
+    return conversion.needed_carrier(state), conversion.points(state)[indices_of(component, "indices", otherwise=[0])]
+
+
 # --- cables and cavities --------------------------------------------------------------------------
 
 
@@ -54,12 +60,10 @@ def cable(conversion: Conversion, component: SceneComponent) -> str | None:
         conversion: The conversion.
         component: The constraint or actuator.
     """
-    state = conversion.state(component)
     method = str(value_of(component, "method") or "point")
     if method != "point":
         raise NotConverted(f"its method {method}, which pulls at patches, is not built here")
-    carrier = conversion.needed_carrier(state)
-    path = conversion.points(state)[indices_of(component, "indices", otherwise=[0])]
+    carrier, path = _held_points(conversion, component)
     if is_true(component, "hasPullPoint", True):
         pull = array_of(component, 3, "pullPoint", otherwise=np.zeros((1, 3)))
         start: dict[str, Any] = {"pull_point": conversion.length(pull[0])}
@@ -131,9 +135,7 @@ def force(conversion: Conversion, component: SceneComponent) -> str | None:
         conversion: The conversion.
         component: The actuator.
     """
-    state = conversion.state(component)
-    carrier = conversion.needed_carrier(state)
-    points = conversion.points(state)[indices_of(component, "indices", otherwise=[0])]
+    carrier, points = _held_points(conversion, component)
     direction = array_of(component, 3, "direction", otherwise=np.zeros((1, 3)))[0]
     if not direction.any() and number_of(component, "initForce"):
         raise NotConverted("a force that has no direction begins at zero here")

@@ -10,7 +10,6 @@ import re
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from softrobot_twin.conversion.scene_tree import (
     KINDS,
+    TABLE,
     NotConverted,
     SceneComponent,
     SceneNode,
@@ -41,8 +41,7 @@ from softrobot_twin.geometry.surface_reading import read_surface
 RIGID_TEMPLATES = ("rigid", "rigid3", "rigid3d", "rigid3f")
 
 
-@dataclass(frozen=True, eq=False)
-class Placement:
+class Placement(NamedTuple):
     """x ↦ translation + rotation · (scale · x).
 
     Attributes:
@@ -322,13 +321,6 @@ def _read_gid(file: Path) -> LoadedMesh:
     return LoadedMesh(nodes[:, 1:4], tets).with_boundary()
 
 
-_MESH_FIELDS = {
-    "points": ("position", "points", "rest_position"), "tets": ("tetrahedra", "tetras"),
-    "hexahedra": ("hexahedra", "hexas"), "triangles": ("triangles",), "edges": ("edges", "lines"),
-}  # fmt: skip
-"""Fields of loaders and topologies by what they are of a mesh."""
-
-
 def mesh_of(component: SceneComponent) -> LoadedMesh:
     """Points and cells of a topology or a loader.
 
@@ -343,7 +335,7 @@ def mesh_of(component: SceneComponent) -> LoadedMesh:
     build = next((make for kind, make in _BUILT.items() if component.kind.startswith(kind)), _source_of)
     source = build(component)
     given = (source or LoadedMesh())._asdict()
-    for key, names in _MESH_FIELDS.items():
+    for key, names in TABLE["mesh_fields"].items():
         width = given[key].shape[1]
         component.read.update(names)
         own = next((component.fields[name] for name in names if component.fields.get(name) is not None), None)
@@ -705,7 +697,7 @@ def _complement_value(roi: SceneComponent, name: str) -> Any:
 
 def _mesh_value(component: SceneComponent, name: str) -> Any:
     """An output of a loader or topology."""
-    key = next((key for key, names in _MESH_FIELDS.items() if name in names), None)
+    key = next((key for key, names in TABLE["mesh_fields"].items() if name in names), None)
     return None if key is None else getattr(mesh_of(component), key)
 
 

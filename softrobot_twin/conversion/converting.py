@@ -177,11 +177,6 @@ def _why_no_body(conversion: Conversion) -> str:
     return f"no body can be converted: {told}"
 
 
-ORDER = ("name", "gravity", "integration", "bodies", "rigid_bodies", "beams", "obstacles", "springs", "contact",
-         "cables", "cavities", "forces", "slides", "hinge_motors", "motors", "effectors", "solver")  # fmt: skip
-"""Sections of a scene, in the order of the file; others follow."""
-
-
 def write(conversion: Conversion, file: Path, replace: bool) -> None:
     """Writes the scene and the files beside it, when it can be built.
 
@@ -220,7 +215,8 @@ def _buildable(conversion: Conversion, file: Path) -> str:
     """The text of a scene that can be built: entries that cannot, and that nothing needs, are listed instead."""
     units = conversion.units
     while True:
-        own = {key: conversion.scene[key] for key in [*ORDER, *conversion.scene] if conversion.scene.get(key)}
+        order = [*TABLE["order"], *conversion.scene]
+        own = {key: conversion.scene[key] for key in order if conversion.scene.get(key)}
         text = scene_yaml(own, [
             f"Converted from {file.name}. SI units; the file's are {units.name} ({units.reason}).",
             f"Its step is {conversion.time_step:g} s: give simulate --rate {1.0 / conversion.time_step:g}.",
