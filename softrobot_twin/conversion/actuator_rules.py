@@ -43,6 +43,12 @@ def _name_of(conversion: Conversion, component: SceneComponent) -> str:
     return conversion.name(component.node.name if is_usual else component.name, component.node.name)
 
 
+def _held_points(conversion: Conversion, component: SceneComponent) -> tuple[str, np.ndarray]:
+    """The points [m] that an actuator acts on, shape (count, 3), and what carries them."""
+    state = conversion.state(component)
+    return conversion.needed_carrier(state), conversion.points(state)[indices_of(component, "indices", otherwise=[0])]
+
+
 # --- cables and cavities --------------------------------------------------------------------------
 
 
@@ -54,12 +60,10 @@ def cable(conversion: Conversion, component: SceneComponent) -> str | None:
         conversion: The conversion.
         component: The constraint or actuator.
     """
-    state = conversion.state(component)
     method = str(value_of(component, "method") or "point")
     if method != "point":
         raise NotConverted(f"its method {method}, which pulls at patches, is not built here")
-    carrier = conversion.needed_carrier(state)
-    path = conversion.points(state)[indices_of(component, "indices", otherwise=[0])]
+    carrier, path = _held_points(conversion, component)
     if is_true(component, "hasPullPoint", True):
         pull = array_of(component, 3, "pullPoint", otherwise=np.zeros((1, 3)))
         start: dict[str, Any] = {"pull_point": conversion.length(pull[0])}
@@ -131,9 +135,7 @@ def force(conversion: Conversion, component: SceneComponent) -> str | None:
         conversion: The conversion.
         component: The actuator.
     """
-    state = conversion.state(component)
-    carrier = conversion.needed_carrier(state)
-    points = conversion.points(state)[indices_of(component, "indices", otherwise=[0])]
+    carrier, points = _held_points(conversion, component)
     direction = array_of(component, 3, "direction", otherwise=np.zeros((1, 3)))[0]
     if not direction.any() and number_of(component, "initForce"):
         raise NotConverted("a force that has no direction begins at zero here")
@@ -237,11 +239,9 @@ def position_effector(conversion: Conversion, component: SceneComponent) -> str 
     for place, index in enumerate(chosen):
         name = base if len(chosen) == 1 else conversion.name(f"{base}_{place + 1}")
         carrier = conversion.needed_carrier(state, index if is_frame else 0)
-        entry = _entry(component, name, carrier, points[[index]], axes)
-        if is_frame and len(axes) > 3 and axes[3:].all():
-            entry["orientation"] = {}
-        _add_effector(conversion, component, entry, goals[place : place + 1], frames_of(state)[index]
-                      if is_frame else None)  # fmt: skip
+        frame = frames_of(state)[index] if is_frame and len(axes) > 3 and axes[3:].all() else None
+        entry = {"name": name, "body": carrier, "points": rounded(points[[index]])}
+        _add_effector(conversion, component, entry, axes, goals[place : place + 1], frame)
         made.append(name)
     return f"effector{'s' if len(made) > 1 else ''} {', '.join(made)} on {carrier}"
 
@@ -261,31 +261,33 @@ def centre_effector(conversion: Conversion, component: SceneComponent) -> str | 
     if len(points) > MOST_POINTS:
         raise NotConverted(f"the mean of {len(points)} points; at most {MOST_POINTS} are written")
     axes = array_of(component, 1, "axis", "useDirections", otherwise=np.ones(3))
-    entry = _entry(component, _name_of(conversion, component), carrier, points, axes)
-    _add_effector(conversion, component, entry, _goals(conversion, component, 3))
+    entry = {"name": _name_of(conversion, component), "body": carrier, "points": rounded(points)}
+    _add_effector(conversion, component, entry, axes, _goals(conversion, component, 3))
     return f"effector {entry['name']}: mean of {len(points)} points on {carrier}"
 
 
-def _entry(
-    component: SceneComponent, name: str, carrier: str, points: np.ndarray, axes: np.ndarray
-) -> dict[str, Any]:
-    """An effector at points [m] along some axes."""
-    entry: dict[str, Any] = {"name": name, "body": carrier, "points": rounded(points)}
+def _add_effector(
+    conversion: Conversion, component: SceneComponent, entry: dict[str, Any], axes: np.ndarray, goals: np.ndarray,
+    frame: np.ndarray | None = None,
+) -> None:  # fmt: skip
+    """Adds an effector along some axes, and its goal, if it has one, to the file of targets.
+
+    Args:
+        conversion: The conversion.
+        component: Its source.
+        entry: Its name, body and points.
+        axes: Which axes it follows along.
+        goals: Shape (count, width), in the unit of the file; the first one is its goal.
+        frame: The frame that turns with its goal; None where none does.
+    """
     if not axes[:3].all():
         entry["directions"] = [axis for axis, is_used in zip("xyz", axes, strict=False) if is_used]
     weight = number_of(component, "weight", otherwise=1.0)
-    return entry if weight == 1.0 else entry | {"weight": weight}
-
-
-def _add_effector(
-    conversion: Conversion, component: SceneComponent, entry: dict[str, Any], goals: np.ndarray,
-    frame: np.ndarray | None = None,
-) -> None:  # fmt: skip
-    """Adds an effector, and its goal, if it has one, to the file of targets."""
+    entry |= ({} if weight == 1.0 else {"weight": weight}) | ({} if frame is None else {"orientation": {}})
     conversion.add("effectors", component, entry)
     for goal in goals[:1]:
         wanted = dict(zip(("x_m", "y_m", "z_m"), goal[:3] * conversion.units.metre, strict=True))
-        if "orientation" in entry and frame is not None:
+        if frame is not None:
             turn_of_goal = Rotation.from_quat(goal[3:]) * Rotation.from_quat(frame[3:]).inv()
             wanted |= zip(("qx", "qy", "qz", "qw"), turn_of_goal.as_quat(), strict=True)
         conversion.targets |= {f"{entry['name']}_{key}": rounded(value) for key, value in wanted.items()}

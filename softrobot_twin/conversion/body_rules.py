@@ -32,7 +32,6 @@ from softrobot_twin.conversion.rules import (
     SETTINGS,
     BodyRecord,
     Conversion,
-    is_below_node,
     rounded,
     rule,
     source_of,
@@ -43,10 +42,12 @@ from softrobot_twin.conversion.scene_tree import (
     NotConverted,
     SceneComponent,
     SceneNode,
+    components_below,
     first,
     follow,
     is_link,
     nearest,
+    root_of,
 )
 from softrobot_twin.geometry.hexahedral_mesh import INTO_TETS
 
@@ -96,8 +97,7 @@ def motion(conversion: Conversion, component: SceneComponent) -> str | None:
         conversion: The conversion.
         component: The solver.
     """
-    forces = KINDS["elastic"] + KINDS["masses"] + KINDS["beams"]
-    if not any(one.kind in forces and is_below_node(one.node, component.node) for one in conversion.components):
+    if not components_below(component.node, KINDS["elastic"] + KINDS["masses"] + KINDS["beams"]):
         return None
     first_order = component.kind in KINDS["euler_implicit"] and is_true(component, "firstOrder", False)
     word = "quasi_static" if component.kind in KINDS["static"] else "first_order" if first_order else "dynamic"
@@ -126,8 +126,7 @@ def body(conversion: Conversion, component: SceneComponent) -> str | None:
     state = conversion.state(component)
     if id(state) in conversion.bodies:
         return f"{conversion.bodies[id(state)].name}.materials"
-    fields = [one for one in conversion.components
-              if one.kind in KINDS["elastic"] and state_of(one.node) is state]  # fmt: skip
+    fields = _acting_on(state, KINDS["elastic"])
     if is_rigid(state):
         raise NotConverted("it acts on frames, not on points")
     mesh = _body_mesh(state, fields)
@@ -158,6 +157,10 @@ def body(conversion: Conversion, component: SceneComponent) -> str | None:
     size = " × ".join(f"{1e3 * conversion.units.metre * one:.4g}" for one in np.ptp(mesh.points, axis=0))
     more = f", {len(parts)} stiffer or softer part{'s'[:len(parts) > 1]}" if parts else ""
     return f"body {name}: {len(mesh.points)} nodes, {size} mm, {moduli}{more}"
+
+
+def _acting_on(state: SceneComponent, kinds: tuple[str, ...]) -> list[SceneComponent]:
+    return [one for one in components_below(root_of(state.node), kinds) if state_of(one.node) is state]
 
 
 def _body_mesh(state: SceneComponent, fields: list[SceneComponent]) -> LoadedMesh:
@@ -295,8 +298,7 @@ def mass_of(
         state: The state.
         count: Number of its points.
     """
-    mass = next((one for one in conversion.components
-                 if one.kind in KINDS["masses"] and state_of(one.node) is state), None)  # fmt: skip
+    mass = next(iter(_acting_on(state, KINDS["masses"])), None)
     if mass is None:
         return None, None
     vertex = number_of(mass, "vertexMass", "mass")
@@ -434,8 +436,7 @@ def _is_moving(state: SceneComponent) -> bool:
 
 
 def _fix(record: BodyRecord, component: SceneComponent, regions: list[dict[str, Any]]) -> str:
-    made = [{SOURCE: [source_of(component)], **one} for one in regions]
-    record.entry.setdefault("fixed", []).extend(made)
+    record.entry.setdefault("fixed", []).extend({SOURCE: [source_of(component)], **one} for one in regions)
     return f"{record.name}.fixed"
 
 

@@ -10,27 +10,27 @@ import re
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.ndimage import label
+from scipy.ndimage import binary_fill_holes
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.conversion.scene_tree import (
     KINDS,
+    TABLE,
     NotConverted,
     SceneComponent,
     SceneNode,
     UNKNOWN,
+    components_below,
     first,
     follow,
     is_link,
     nearest,
     numbers,
     root_of,
-    walk,
 )
 from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.hexahedral_mesh import INTO_TETS
@@ -41,8 +41,7 @@ from softrobot_twin.geometry.surface_reading import read_surface
 RIGID_TEMPLATES = ("rigid", "rigid3", "rigid3d", "rigid3f")
 
 
-@dataclass(frozen=True, eq=False)
-class Placement:
+class Placement(NamedTuple):
     """x ↦ translation + rotation · (scale · x).
 
     Attributes:
@@ -240,15 +239,16 @@ def placement_of(component: SceneComponent) -> Placement:
     if component.fields.get("transformation") is not None:
         raise NotConverted("a matrix transformation is not read: give translation, rotation, scale3d")
 
-    def vector(name: str, letter: str, usual: float) -> np.ndarray:
-        found = array_of(component, 3, name)
-        made = np.full(3, usual) if found is None or not len(found) else found[0]
-        return np.array([number_of(component, letter + axis, otherwise=value)
-                         for axis, value in zip("xyz", made, strict=True)])  # fmt: skip
+    scale = _vector_of(component, "scale3d", "s{}", np.ones(3)) * number_of(component, "scale", otherwise=1.0)
+    turn = Rotation.from_euler("xyz", _vector_of(component, "rotation", "r{}", np.zeros(3)), degrees=True)
+    return Placement(_vector_of(component, "translation", "d{}", np.zeros(3)), turn, scale)
 
-    scale = vector("scale3d", "s", 1.0) * number_of(component, "scale", otherwise=1.0)
-    return Placement(vector("translation", "d", 0.0),
-                     Rotation.from_euler("xyz", vector("rotation", "r", 0.0), degrees=True), scale)  # fmt: skip
+
+def _vector_of(component: SceneComponent, name: str, of_axis: str, usual: Any) -> np.ndarray:
+    """Three numbers of a field, or of fields of single axes, which go before it."""
+    every = array_of(component, 3, name, otherwise=[usual])[0]
+    return np.array([number_of(component, of_axis.format(axis), otherwise=value)
+                     for axis, value in zip("xyz", every, strict=True)])  # fmt: skip
 
 
 # --- loaders and topologies -----------------------------------------------------------------------
@@ -321,13 +321,6 @@ def _read_gid(file: Path) -> LoadedMesh:
     return LoadedMesh(nodes[:, 1:4], tets).with_boundary()
 
 
-_MESH_FIELDS = {
-    "points": ("position", "points", "rest_position"), "tets": ("tetrahedra", "tetras"),
-    "hexahedra": ("hexahedra", "hexas"), "triangles": ("triangles",), "edges": ("edges", "lines"),
-}  # fmt: skip
-"""Fields of loaders and topologies by what they are of a mesh."""
-
-
 def mesh_of(component: SceneComponent) -> LoadedMesh:
     """Points and cells of a topology or a loader.
 
@@ -342,7 +335,7 @@ def mesh_of(component: SceneComponent) -> LoadedMesh:
     build = next((make for kind, make in _BUILT.items() if component.kind.startswith(kind)), _source_of)
     source = build(component)
     given = (source or LoadedMesh())._asdict()
-    for key, names in _MESH_FIELDS.items():
+    for key, names in TABLE["mesh_fields"].items():
         width = given[key].shape[1]
         component.read.update(names)
         own = next((component.fields[name] for name in names if component.fields.get(name) is not None), None)
@@ -377,20 +370,15 @@ def _grid_of(component: SceneComponent) -> LoadedMesh:
 
 
 def _grid_counts(component: SceneComponent) -> np.ndarray:
-    usual = [number_of(component, f"n{axis}", otherwise=2) for axis in "xyz"]
-    counts = indices_of(component, "n", otherwise=usual)
-    if len(counts) != 3 or counts.min() < 1:
+    counts = _vector_of(component, "n", "n{}", np.full(3, 2)).astype(np.int64)
+    if counts.min() < 1:
         raise NotConverted("it needs a point or more along each axis")
     return counts
 
 
 def _grid_ends(component: SceneComponent, *usual: np.ndarray) -> list[np.ndarray]:
     """Lower and upper corner of a grid."""
-    ends = [array_of(component, 1, end, otherwise=value).ravel()
-            for end, value in zip(("min", "max"), usual, strict=True)]  # fmt: skip
-    return [np.array([number_of(component, f"{axis}{end}", otherwise=value)
-                      for axis, value in zip("xyz", corner, strict=True)])
-            for end, corner in zip(("min", "max"), ends, strict=True)]  # fmt: skip
+    return [_vector_of(component, end, "{}" + end, value) for end, value in zip(("min", "max"), usual, strict=True)]
 
 
 def _sparse_grid_of(component: SceneComponent) -> LoadedMesh:
@@ -414,10 +402,7 @@ def _sparse_grid_of(component: SceneComponent) -> LoadedMesh:
         reach, places = 0.5 * np.abs(axes).sum(axis=1), (triangle - (near[:, None] + 0.5)) @ axes.T
         is_cut = ((places.min(axis=1) <= reach) & (places.max(axis=1) >= -reach)).all(axis=1)
         is_kept[tuple(near[is_cut].T)] = True
-    # What the outside does not reach is inside.
-    regions, _ = label(np.pad(~is_kept, 1, constant_values=True))
-    is_kept |= (regions != regions[0, 0, 0])[1:-1, 1:-1, 1:-1]
-    start = np.argwhere(is_kept.transpose(2, 1, 0))[:, ::-1]
+    start = np.argwhere(binary_fill_holes(is_kept).transpose(2, 1, 0))[:, ::-1]
     used, places = np.unique((start[:, None] + _CORNERS) @ [1, counts[0], counts[0] * counts[1]], return_inverse=True)
     points = np.stack(np.unravel_index(used, counts[::-1])[::-1], axis=1)
     return LoadedMesh(low + points * cell, hexahedra=places.reshape(-1, 8).astype(np.int64))
@@ -440,7 +425,7 @@ def _made_of_hexahedra(component: SceneComponent) -> LoadedMesh | None:
 
 def _naming(output: SceneComponent, kinds: tuple[str, ...]) -> SceneComponent | None:
     """The mapping of one of some kinds that names a component as its output."""
-    every = (one for node in walk(root_of(output.node)) for one in node.components if one.kind in kinds)
+    every = components_below(root_of(output.node), kinds)
     return next((one for one in every if named_by(one, "output") is output), None)
 
 
@@ -712,7 +697,7 @@ def _complement_value(roi: SceneComponent, name: str) -> Any:
 
 def _mesh_value(component: SceneComponent, name: str) -> Any:
     """An output of a loader or topology."""
-    key = next((key for key, names in _MESH_FIELDS.items() if name in names), None)
+    key = next((key for key, names in TABLE["mesh_fields"].items() if name in names), None)
     return None if key is None else getattr(mesh_of(component), key)
 
 

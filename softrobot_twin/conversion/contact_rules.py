@@ -20,7 +20,14 @@ from softrobot_twin.conversion.rules import (
     Conversion,
     rule,
 )
-from softrobot_twin.conversion.scene_tree import KINDS, NotConverted, SceneComponent, first, nearest
+from softrobot_twin.conversion.scene_tree import (
+    KINDS,
+    NotConverted,
+    SceneComponent,
+    components_below,
+    first,
+    nearest,
+)
 
 
 class _Touching(NamedTuple):
@@ -57,7 +64,7 @@ def contact(conversion: Conversion, component: SceneComponent) -> str | None:
         component: The component with the distances.
     """
     touching: dict[str, _Touching] = {}
-    for model in (one for one in conversion.components if one.kind in KINDS["collision_models"]):
+    for model in components_below(conversion.root, KINDS["collision_models"]):
         try:
             found = _touching(conversion, model)
         except NotConverted as error:
@@ -149,11 +156,10 @@ def _drop_lonely_obstacles(conversion: Conversion, used: set[str]) -> None:
 
 def _friction(conversion: Conversion) -> float:
     """The coefficient of friction of a scene."""
-    for component in conversion.components:
-        if component.kind in KINDS["responses"]:
-            if "rules" in component.fields:
-                reason = "its rules for single pairs: give friction of a pair in contact.between"
-                conversion.missing.append((component, reason))
-            found = re.search(r"mu=([\d.eE+-]+)", str(value_of(component, "responseParams") or ""))
-            return float(found[1]) if found else 0.0
+    for component in components_below(conversion.root, KINDS["responses"])[:1]:
+        if "rules" in component.fields:
+            reason = "its rules for single pairs: give friction of a pair in contact.between"
+            conversion.missing.append((component, reason))
+        found = re.search(r"mu=([\d.eE+-]+)", str(value_of(component, "responseParams") or ""))
+        return float(found[1]) if found else 0.0
     return 0.0

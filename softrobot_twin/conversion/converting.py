@@ -31,9 +31,9 @@ from softrobot_twin.conversion.scene_tree import (
     NotConverted,
     SceneComponent,
     SceneNode,
+    components_below,
     from_plain,
     numbers,
-    walk,
 )
 from softrobot_twin.conversion.scene_xml import read_xml
 from softrobot_twin.conversion.units import units_of
@@ -164,7 +164,7 @@ def converted(root: SceneNode, output: Path, units: str | None) -> Conversion:
 def _extent(root: SceneNode) -> float:
     """Largest extent of what has points, in the unit of the file."""
     found = [0.0]
-    for component in (one for node in walk(root) for one in node.components if one.kind in KINDS["states"]):
+    for component in components_below(root, KINDS["states"]):
         with suppress(NotConverted, *UNREADABLE):
             found.append(float(np.ptp(points_of(component), axis=0).max()))
     return max(found)
@@ -175,11 +175,6 @@ def _why_no_body(conversion: Conversion) -> str:
     told = "; ".join(_in_words(*one) for one in conversion.missing[:5]) or (
         f"its components are {', '.join(kinds[:20])}" if kinds else "it has no components")  # fmt: skip
     return f"no body can be converted: {told}"
-
-
-ORDER = ("name", "gravity", "integration", "bodies", "rigid_bodies", "beams", "obstacles", "springs", "contact",
-         "cables", "cavities", "forces", "slides", "hinge_motors", "motors", "effectors", "solver")  # fmt: skip
-"""Sections of a scene, in the order of the file; others follow."""
 
 
 def write(conversion: Conversion, file: Path, replace: bool) -> None:
@@ -220,7 +215,8 @@ def _buildable(conversion: Conversion, file: Path) -> str:
     """The text of a scene that can be built: entries that cannot, and that nothing needs, are listed instead."""
     units = conversion.units
     while True:
-        own = {key: conversion.scene[key] for key in [*ORDER, *conversion.scene] if conversion.scene.get(key)}
+        order = [*TABLE["order"], *conversion.scene]
+        own = {key: conversion.scene[key] for key in order if conversion.scene.get(key)}
         text = scene_yaml(own, [
             f"Converted from {file.name}. SI units; the file's are {units.name} ({units.reason}).",
             f"Its step is {conversion.time_step:g} s: give simulate --rate {1.0 / conversion.time_step:g}.",

@@ -28,12 +28,18 @@ from softrobot_twin.conversion.rules import (
     PARTS,
     BodyRecord,
     Conversion,
-    is_below_node,
     rounded,
     rule,
     source_of,
 )
-from softrobot_twin.conversion.scene_tree import KINDS, NotConverted, SceneComponent, first, nearest
+from softrobot_twin.conversion.scene_tree import (
+    KINDS,
+    NotConverted,
+    SceneComponent,
+    components_below,
+    first,
+    nearest,
+)
 
 LEAST_MASS = 1e-6
 """Mass of a rigid body for which the file gives none [kg]."""
@@ -64,9 +70,9 @@ def frames(conversion: Conversion, state: SceneComponent) -> str | None:
     mass, total = mass_of(conversion, state, len(places))
     if mass is None and not carried:
         return None
-    surfaces = [surface_of(one) for one in conversion.components if one.kind in KINDS["states"]
-                and one is not state and not is_rigid(one) and state in mapped_from(one)]  # fmt: skip
-    mesh = next(filter(None, surfaces), None)
+    carried_points = (one for one in components_below(conversion.root, KINDS["states"])
+                      if one is not state and not is_rigid(one) and state in mapped_from(one))  # fmt: skip
+    mesh = next(filter(None, map(surface_of, carried_points)), None)
     names = [conversion.name(state.node.name if len(places) == 1 else f"{state.node.name}_{index + 1}")
              for index in range(len(places))]  # fmt: skip
     conversion.frames[id(state)] = names
@@ -199,8 +205,7 @@ def beam_interpolation(conversion: Conversion, component: SceneComponent) -> str
     Raises:
         NotConverted: No beam does.
     """
-    beams = [one for one in conversion.components if one.kind in KINDS["beams"]]
-    users = [one for one in beams if is_below_node(one.node, component.node)]
+    users = components_below(component.node, KINDS["beams"])
     if not users:
         raise NotConverted("no force field of a beam uses it")
     return f"section of {source_of(users[0])}"
@@ -220,8 +225,8 @@ def joint(conversion: Conversion, component: SceneComponent) -> str | None:
     angles, index = conversion.state(component), whole_of(component, "index")
     mapping = next((one for one in conversion.components if one.kind == "ArticulatedSystemMapping"
                     and angles in mapped_from(first(one.node, KINDS["states"]) or angles, one)), None)
-    links = [(one, centre) for one in conversion.components if one.kind == "Articulation"
-             and whole_of(one, "articulationIndex") == index and is_below_node(one.node, angles.node)
+    links = [(one, centre) for one in components_below(angles.node, ("Articulation",))
+             if whole_of(one, "articulationIndex") == index
              and (centre := nearest(one.node, ("ArticulationCenter",)))]  # fmt: skip
     if mapping is None or len(links) != 1 or not is_true(links[0][0], "rotation", False):
         raise NotConverted("it turns no single hinge of an articulated system")

@@ -15,6 +15,7 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
+from softrobot_twin.conversion.computed_values import value_of
 from softrobot_twin.conversion.stand_ins import Node, Nothing, Recorder
 
 _LOADERS = {"msh": "MeshGmshLoader", "gidmsh": "GIDMeshLoader", "stl": "MeshSTLLoader", "obj": "MeshOBJLoader"}
@@ -130,7 +131,7 @@ def rigidify(
         name: Name of the new node.
     """
     state = sourceObject.getMechanicalState()
-    points = np.asarray(Recorder.value_of(state, "position")).reshape(-1, 3)
+    points = np.asarray(value_of(state, "position")).reshape(-1, 3)
     groups = [np.asarray(list(group), int) for group in groupIndices]
     rigids = []
     for group, frame in zip(groups, frames or [[0.0] * 3] * len(groups), strict=True):

@@ -28,7 +28,6 @@ from softrobot_twin.conversion.scene_tree import (
     NotConverted,
     SceneComponent,
     SceneNode,
-    above,
     first,
     walk,
 )
@@ -331,13 +330,3 @@ def rounded(values: Any) -> Any:
         return array.tolist()
     digits = int(11 - np.floor(np.log10(size)))
     return (np.round(array, min(digits, 15)) + 0.0).tolist()
-
-
-def is_below_node(node: SceneNode, other: SceneNode) -> bool:
-    """Whether a node is another one or below it.
-
-    Args:
-        node: The node.
-        other: The other one.
-    """
-    return any(one is other for one in above(node))

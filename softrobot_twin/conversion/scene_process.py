@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from softrobot_twin.conversion import computed_values, prefabs, stand_ins
+from softrobot_twin.conversion import prefabs, stand_ins
 from softrobot_twin.conversion.scene_tree import json_value, to_plain
 from softrobot_twin.conversion.splib_numerics import NUMERICS
 from softrobot_twin.conversion.stand_ins import Controller, Node, Nothing, Prefab
@@ -33,7 +33,7 @@ HELPERS = ("stlib3", "splib3", "softrobots", "stlib", "splib")
 """Packages whose prefabs are known; what is installed goes before."""
 
 
-class _Module(types.ModuleType):
+class _Module(stand_ins.Attributes, types.ModuleType):
     """A module in which every name stands for something."""
 
     __path__: list[str] = []
@@ -53,9 +53,7 @@ class _Module(types.ModuleType):
                                  Object=stand_ins.Component, DataEngine=Controller, ForceField=Controller,
                                  Core=self)  # fmt: skip
 
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("__"):
-            raise AttributeError(name)
+    def _attribute(self, name: str) -> Any:
         return Nothing(label="" if self.__name__.split(".")[0] in SOFA else f"{self.__name__}.{name}")
 
 
@@ -96,11 +94,10 @@ class _StandIns(importlib.abc.MetaPathFinder, importlib.abc.Loader):
 
 def _asks_library() -> bool:
     """Whether an installed module imports: it may try what is not there, such as an accelerator."""
-    frame: Any = sys._getframe(2)
-    while frame is not None and "importlib" in frame.f_code.co_filename:
-        frame = frame.f_back
+    files = (frame.f_code.co_filename for frame, _ in traceback.walk_stack(sys._getframe(2)))
+    file = next((file for file in files if "importlib" not in file), None)
     paths = [sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")]
-    return frame is not None and any(Path(frame.f_code.co_filename).is_relative_to(path) for path in paths)
+    return file is not None and any(Path(file).is_relative_to(path) for path in paths)
 
 
 def record(file: Path) -> dict:
@@ -120,7 +117,7 @@ def record(file: Path) -> dict:
     sys.argv = [str(file)]
     os.chdir(folder)
     root = Node("root", folder=str(folder))
-    stand_ins.Recorder.folder, stand_ins.Recorder.value_of = folder, computed_values.value_of
+    stand_ins.Recorder.folder = folder
     recorded: dict[str, Any] = {}
     try:
         names = runpy.run_path(str(file), run_name="scene")
@@ -141,7 +138,6 @@ def record(file: Path) -> dict:
 
 if __name__ == "__main__":
     np.set_printoptions(threshold=sys.maxsize)
-    Path(sys.argv[2]).resolve().write_text("")
     _output = Path(sys.argv[2]).resolve()
     _output.write_text(json.dumps(record(Path(sys.argv[1])), default=json_value))
     os._exit(0)  # threads and exit hooks of the scene do not keep the process

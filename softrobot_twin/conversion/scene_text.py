@@ -20,18 +20,6 @@ _NUMBERED = re.compile(rf"^( *)- '{SOURCE}': \[(\d+)\]\n +", re.MULTILINE)
 _WITH_UNIT = re.compile(rf"^[ -]*({'|'.join(_UNITS)}): [-.\[{{\d][^#\n]*(?<!,)$", re.MULTILINE)
 
 
-class _Writer(yaml.SafeDumper):
-    """Writes a value that is used twice two times."""
-
-    def ignore_aliases(self, data: Any) -> bool:
-        """Whether it does so: for all values.
-
-        Args:
-            data: A value.
-        """
-        return True
-
-
 def scene_yaml(scene: Mapping[str, Any], head: list[str]) -> str:
     """The text of a scene.
 
@@ -40,15 +28,15 @@ def scene_yaml(scene: Mapping[str, Any], head: list[str]) -> str:
         head: Lines of the comment at the top.
     """
     comments: list[list[str]] = []
-    text = yaml.dump(_numbered(scene, comments), Dumper=_Writer, default_flow_style=None, sort_keys=False,
-                     width=_WIDTH, allow_unicode=True)  # fmt: skip
+    text = yaml.safe_dump(_numbered(scene, comments), default_flow_style=None, sort_keys=False, width=_WIDTH,
+                          allow_unicode=True)  # fmt: skip
     text = _NUMBERED.sub(lambda found: _comment(comments[int(found[2])], found[1]) + f"{found[1]}- ", text)
     text = _WITH_UNIT.sub(lambda found: f"{found[0]}  # {_UNITS[found[1]]}", text)
     return _comment(head) + re.sub(r"^(\w+:)$", r"\n\1", text, flags=re.MULTILINE)
 
 
 def _numbered(value: Any, comments: list[list[str]]) -> Any:
-    """A value with numbers in place of its comments, which are kept."""
+    """A value with numbers in place of its comments, which are kept; no part is in it twice, so YAML has no aliases."""
     if isinstance(value, Mapping):
         own = {key: _numbered(part, comments) for key, part in value.items() if key != SOURCE}
         if SOURCE in value:

@@ -132,6 +132,16 @@ def walk(node: SceneNode, seen: set[int] | None = None) -> Iterator[SceneNode]:
             yield from walk(child, seen)
 
 
+def components_below(node: SceneNode, kinds: Collection[str]) -> list[SceneComponent]:
+    """The components of some kinds in a node and all below it, in the order of the tree.
+
+    Args:
+        node: The node.
+        kinds: Names of classes.
+    """
+    return [one for below in walk(node) for one in below.components if one.kind in kinds]
+
+
 def above(node: SceneNode) -> Iterator[SceneNode]:
     """A node and those above it, the nearest first, each once.
 

@@ -6,10 +6,12 @@ import sys
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
+from traceback import walk_stack
 from typing import Any, ClassVar
 
 import numpy as np
 
+from softrobot_twin.conversion.computed_values import value_of
 from softrobot_twin.conversion.scene_tree import (
     KINDS,
     UNKNOWN,
@@ -25,7 +27,23 @@ from softrobot_twin.conversion.scene_tree import (
 )
 
 
-class Nothing:
+class Attributes:
+    """Gives what is no attribute of Python's own: a method of a scene's interface, or what a class says."""
+
+    _OWN: ClassVar[tuple[str, ...]] = ()
+    _METHODS: ClassVar[dict[str, Callable]] = {}
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__") or name in self._OWN:
+            raise AttributeError(name)
+        return partial(self._METHODS[name], self) if name in self._METHODS else self._attribute(name)
+
+    def _attribute(self, name: str) -> Any:
+        """An attribute of which nothing is known."""
+        return Nothing()
+
+
+class Nothing(Attributes):
     """Stands for what nothing is known of: every attribute, call and sum of it is nothing."""
 
     def __init__(self, *given: Any, label: str = "", **more: Any):
@@ -38,9 +56,7 @@ class Nothing:
         """
         self.__dict__["label"] = label or (given[0] if given and isinstance(given[0], str) else "")
 
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("__"):
-            raise AttributeError(name)
+    def _attribute(self, name: str) -> Any:
         return Nothing(label=self.label and f"{self.label}.{name}")
 
     def __call__(self, *given: Any, **more: Any) -> Any:
@@ -50,13 +66,8 @@ class Nothing:
         return given[0] if len(given) == 1 and not more and callable(given[0]) else Nothing(label=self.label)
 
     def __iter__(self) -> Iterator:
-        self.note_read()
+        Recorder.note_unknown(self.label)
         return iter(())
-
-    def note_read(self) -> None:
-        """Keeps that the scene reads a number or a list where nothing is known."""
-        if self.label:
-            Recorder.note_unknown(self.label)
 
     def __enter__(self) -> Nothing:
         return self
@@ -66,7 +77,7 @@ _OPERATORS = ("getitem", "neg", "add", "radd", "sub", "rsub", "mul", "rmul", "tr
 for _name, _value in {"bool": False, "str": "", "setitem": None, "exit": None}.items():
     setattr(Nothing, f"__{_name}__", lambda self, *given, _value=_value: _value)
 for _name, _value in {"len": 0, "float": 0.0, "int": 0}.items():
-    setattr(Nothing, f"__{_name}__", lambda self, *given, _value=_value: self.note_read() or _value)
+    setattr(Nothing, f"__{_name}__", lambda self, *given, _value=_value: Recorder.note_unknown(self.label) or _value)
 for _name in _OPERATORS:
     setattr(Nothing, f"__{_name}__", lambda self, *given: Nothing(label=self.label))
 
@@ -76,32 +87,29 @@ class Recorder:
 
     Attributes:
         folder: Folder of the scene.
-        value_of: `computed_values.value_of`.
         unknown: What was called with a node and is not known: name, file and line.
     """
 
     folder: Path
-    value_of: Callable[..., Any]
     unknown: ClassVar[list[tuple[str, str, int]]] = []
 
     @classmethod
     def note_unknown(cls, name: str) -> None:
-        """Keeps that something unknown was called, which may have added components.
+        """Keeps that a scene called something unknown, which may have added components, or read a value of it.
 
         Args:
-            name: Its name.
+            name: Its name; empty where it means nothing.
         """
-        cls.unknown.append((name, *cls.place()))
+        if name:
+            cls.unknown.append((name, *cls.place()))
 
     @classmethod
     def place(cls) -> tuple[str, int]:
         """File and line of the scene, or of a file beside it, that is running."""
-        frame: Any = sys._getframe(1)
-        while frame is not None:
+        for frame, line in walk_stack(sys._getframe(1)):
             name = frame.f_code.co_filename
             if Path(name).is_absolute() and Path(name).is_relative_to(cls.folder):
-                return name, frame.f_lineno
-            frame = frame.f_back
+                return name, line
         return "", 0
 
 
@@ -111,7 +119,7 @@ class Named(str):
     value = property(str)
 
 
-class Data:
+class Data(Attributes):
     """A field of a component or node, as a scene reads, writes and links it."""
 
     _METHODS: ClassVar[dict[str, Callable]] = {
@@ -139,7 +147,7 @@ class Data:
         if isinstance(self.owner, SceneNode):
             return _as_read(self.owner.fields.get(self.label))
         try:
-            return _as_read(Recorder.value_of(self.owner, self.label))
+            return _as_read(value_of(self.owner, self.label))
         except (NotConverted, RecursionError, ValueError, IndexError):
             return None
 
@@ -147,11 +155,7 @@ class Data:
         if name == "value":
             self.owner.fields[self.label] = recorded(value)
 
-    def __getattr__(self, name: str) -> Any:
-        if name in self._METHODS:
-            return partial(self._METHODS[name], self)
-        if name.startswith("__"):
-            raise AttributeError(name)
+    def _attribute(self, name: str) -> Any:
         if not hasattr(self.value, name):
             Recorder.note_unknown(f"{self.label}.{name}")
         return getattr(self.value, name, Nothing())
@@ -199,7 +203,7 @@ def recorded(value: Any) -> Any:
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
 
 
-class _Owner:
+class _Owner(Attributes):
     """What nodes and components share; `_METHODS` are those of a scene's interface."""
 
     linkpath = property(lambda self: f"@{self.path}")
@@ -241,10 +245,8 @@ class Component(_Owner, SceneComponent):
 
     _OWN = ("kind", "name", "node", "fields", "place", "read", "loaded")
 
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("__") or name in self._OWN:
-            raise AttributeError(name)
-        return partial(self._METHODS[name], self) if name in self._METHODS else Data(self, name)
+    def _attribute(self, name: str) -> Any:
+        return Data(self, name)
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name in self._OWN and not (name == "name" and "fields" in self.__dict__):
@@ -336,14 +338,10 @@ class Node(_Owner, SceneNode):
         """
         return self.addObject(thing, **fields) if isinstance(thing, str) else thing(self, *given, **fields)
 
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("__") or name in self._OWN:
-            raise AttributeError(name)
+    def _attribute(self, name: str) -> Any:
         found = named(self, name)
         if found is not None:
             return found
-        if name in self._METHODS:
-            return partial(self._METHODS[name], self)
         if name in self.fields or name in ("dt", "gravity", "animate", "time", "bbox"):
             return Data(self, name)
         raise AttributeError(f"{self.path} has no {name}")
@@ -361,7 +359,7 @@ class Node(_Owner, SceneNode):
             self.fields[name] = recorded(value)
 
 
-class Controller:
+class Controller(Attributes):
     """A component that is written in Python; its steps do not run, and its data are nothing."""
 
     def __init__(self, *given: Any, **more: Any):
@@ -372,11 +370,6 @@ class Controller:
             **more: Values.
         """
         self.__dict__.update(more)
-
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("__"):
-            raise AttributeError(name)
-        return Nothing()
 
 
 class Prefab(Node):

@@ -16,11 +16,10 @@ def write_meshes(folder: Path) -> None:
     """Writes all meshes: a bar, a bar with a chamber, their surfaces, a cube, a floor, a Diamond."""
     folder.mkdir()
     bar = read_box((100.0, 20.0, 20.0), (10, 2, 2)).mesh
-    cells = [("tetra", bar.as_tets)]
-    _write_vtk(folder / "bar.vtk", bar.node_positions, cells)
+    _write(folder / "bar.vtk", bar.node_positions, tetra=bar.as_tets)
     number = np.ones(len(bar.as_tets), int)
     meshio.write(folder / "bar.msh", meshio.Mesh(
-        bar.node_positions, cells, cell_data={"gmsh:physical": [number], "gmsh:geometrical": [number]}),
+        bar.node_positions, {"tetra": bar.as_tets}, cell_data={"gmsh:physical": [number], "gmsh:geometrical": [number]}),
         file_format="gmsh22", binary=False)  # fmt: skip
     rows = [f"{index + 1} {x} {y} {z}" for index, (x, y, z) in enumerate(bar.node_positions)]
     tets = [f"{index + 1} " + " ".join(map(str, tet + 1)) for index, tet in enumerate(bar.as_tets)]
@@ -29,11 +28,11 @@ def write_meshes(folder: Path) -> None:
         "Elements", *tets, "End Elements", ""]))  # fmt: skip
     _write_hollow(folder)
     for name, (points, triangles) in (("cube", box((2.0, 2.0, 2.0))), ("floor", _square())):
-        _write_obj(folder / f"{name}.obj", points, triangles)
+        _write(folder / f"{name}.obj", points, triangle=triangles)
     # The Diamond lies on its side in its file, and in millimetres.
     diamond = meshio.read(ROOT / "meshes/diamond_200.vtk")
     turned = Rotation.from_euler("x", -90.0, degrees=True).apply(1e3 * diamond.points - [0.0, 0.0, 35.0])
-    _write_vtk(folder / "diamond.vtk", turned, [("tetra", diamond.cells_dict["tetra"])])
+    _write(folder / "diamond.vtk", turned, tetra=diamond.cells_dict["tetra"])
 
 
 def _write_hollow(folder: Path) -> None:
@@ -44,11 +43,11 @@ def _write_hollow(folder: Path) -> None:
     tets = whole.as_tets[~inside]
     used, place = np.unique(tets, return_inverse=True)
     points, tets = whole.node_positions[used], place.reshape(tets.shape)
-    _write_vtk(folder / "hollow.vtk", points, [("tetra", tets)])
+    _write(folder / "hollow.vtk", points, tetra=tets)
     triangles = boundary_triangles(tets)
     at_wall = ((points >= [20.0, 5.0, 5.0]) & (points <= [80.0, 15.0, 15.0])).all(axis=1)[triangles].all(axis=1)
-    _write_obj(folder / "chamber.obj", points, triangles[at_wall][:, ::-1])
-    _write_obj(folder / "skin.obj", points, triangles[~at_wall])
+    _write(folder / "chamber.obj", points, triangle=triangles[at_wall][:, ::-1])
+    _write(folder / "skin.obj", points, triangle=triangles[~at_wall])
 
 
 def _square() -> tuple[np.ndarray, np.ndarray]:
@@ -56,10 +55,6 @@ def _square() -> tuple[np.ndarray, np.ndarray]:
     return corners, np.array([[0, 1, 2], [0, 2, 3]])
 
 
-def _write_vtk(path: Path, points: np.ndarray, cells: list) -> None:
-    meshio.write(path, meshio.Mesh(points, cells), file_format="vtk42")
-
-
-def _write_obj(path: Path, points: np.ndarray, triangles: np.ndarray) -> None:
-    path.write_text("".join(f"v {x} {y} {z}\n" for x, y, z in points)
-                    + "".join(f"f {a} {b} {c}\n" for a, b, c in triangles + 1))
+def _write(path: Path, points: np.ndarray, **cells: np.ndarray) -> None:
+    formats = {".vtk": "vtk42", ".obj": "obj"}
+    meshio.write(path, meshio.Mesh(points, cells), file_format=formats[path.suffix])

@@ -13,7 +13,7 @@ GOOD = {"ok", "linearized", "rate_limited"}
 SCENES = {
     "diamond.py": (0, 1.0), "stiff_layer.py": (0, 0.02), "pneumatic_fingers.py": (3, 0.01), "grid.py": (0, 0.01),
     "rubber.py": (0, 0.01), "prefabs.py": (0, 0.01), "rigid_end.py": (0, 0.01), "beam.py": (0, 0.01),
-    "centre.py": (0, 0.05), "foreign.py": (3, 0.01), "broken.py": (3, 0.01), "bar.scn": (0, 0.01),
+    "centre.py": (0, 0.05), "foreign.py": (3, 0.01), "bar.scn": (0, 0.01), "mapped_grids.py": (3, 0.01), "sparse.scn": (0, 0.01),
     "gid.py": (0, 0.01), "articulated.py": (0, 0.01), "layers.scn": (0, 0.01), "grids.scn": (0, 0.01), "volume.scn": (0, 0.01),
 }  # fmt: skip
 
@@ -58,11 +58,16 @@ def test_units_that_are_given_go_before_gravity(convert, units, young, length):
     assert scene.effectors[0].points[0][2] == pytest.approx(length)
 
 
-def test_a_goal_becomes_a_target_that_is_reached(convert, folder, run_alone):
-    converted = convert("diamond.py")
-    header, *rows = (folder / "diamond_targets.csv").read_text().splitlines()
-    assert header == "time_s,tip_x_m,tip_y_m,tip_z_m"
-    assert rows[-1] == "20,0,0,0.122"
+@pytest.mark.parametrize("name, kind, header, first, last", [
+    ("diamond", "targets", "time_s,tip_x_m,tip_y_m,tip_z_m", "0,0,0,0.122", "20,0,0,0.122"),
+    ("stiff_layer", "commands", "time_s,flexor_shortening_m", "0,0", "0.4,0.002"),
+    ("prefabs", "commands", "time_s,cable_tension_N", "0,0", "0.2,0.0001"),  # 0.001 mN s in 0.01 s
+])  # fmt: skip
+def test_goals_and_values_of_actuators_are_targets_and_commands(convert, folder, name, kind, header, first, last):
+    told = convert(f"{name}.py").told
+    rows = (folder / f"{name}_{kind}.csv").read_text().splitlines()
+    assert (rows[0], rows[1], rows[-1]) == (header, first, last)
+    assert ("impulses" in told) == (name == "prefabs")
 
 
 def test_force_fields_on_the_same_cells_add_up(convert):
@@ -70,19 +75,6 @@ def test_force_fields_on_the_same_cells_add_up(convert):
     assert body.material.young_modulus == 500e3
     assert [part.young_modulus for part in body.materials] == [1.5e6]
     assert body.material.density == pytest.approx(0.04 / (0.1 * 0.02 * 0.02))
-
-
-def test_a_value_that_an_actuator_has_is_a_command(convert, folder):
-    convert("stiff_layer.py")
-    header, first, *_, last = (folder / "stiff_layer_commands.csv").read_text().splitlines()
-    assert (header, first, last) == ("time_s,flexor_shortening_m", "0,0", "0.4,0.002")
-
-
-def test_forces_are_impulses_over_a_step_in_motion_in_time(convert, folder):
-    converted = convert("prefabs.py")
-    last = (folder / "prefabs_commands.csv").read_text().splitlines()[-1]
-    assert last.endswith(",0.0001")  # 0.001 mN s in 0.01 s
-    assert "impulses" in converted.told
 
 
 def test_a_cable_without_a_pull_point_begins_on_the_body(convert):
@@ -218,13 +210,13 @@ def test_surfaces_of_one_body_in_other_groups_may_touch_each_other(convert, fold
 
 def test_what_has_no_counterpart_is_listed_by_component_and_line(convert):
     converted = convert("foreign.py")
-    for kind, line, why in (("PartialFixedProjectiveConstraint", 16, "along some axes"),
-                            ("TetrahedronFEMForceField", 14, "plasticMaxThreshold"),
-                            ("CableConstraint", 20, "pullPoint is not known"),
-                            ("ConstantForceField", 17, "no counterpart"),
-                            ("ForcePointActuator", 21, "no direction"),
-                            ("IndexValueMapper", 23, "no counterpart"),
-                            ("UnilateralPlaneConstraint", 24, "no counterpart")):
+    for kind, line, why in (("PartialFixedProjectiveConstraint", 14, "along some axes"),
+                            ("TetrahedronFEMForceField", 12, "plasticMaxThreshold"),
+                            ("CableConstraint", 18, "pullPoint is not known"),
+                            ("ConstantForceField", 15, "no counterpart"),
+                            ("ForcePointActuator", 19, "no direction"),
+                            ("IndexValueMapper", 21, "no counterpart"),
+                            ("UnilateralPlaneConstraint", 22, "no counterpart")):
         assert re.search(rf"{kind} +foreign.py:{line} .*{why}", converted.told)
         assert re.search(rf"# Not converted: {kind}", converted.text)
     assert not converted.scene.cables and "GridTopology" not in converted.told
@@ -237,9 +229,10 @@ def test_unknown_functions_that_get_a_node_are_listed(convert):
     assert converted.code == 3 and "stlib3.nowhere.Unheard (unheard.py:5) is not known" in converted.told
 
 
-def test_a_file_that_stops_is_converted_up_to_there_and_says_so(convert):
-    converted = convert("broken.py")
-    assert "stopped at broken.py:10 (AttributeError" in converted.told
+def test_a_file_that_stops_is_converted_up_to_there_and_says_so(convert, folder):
+    converted = convert("broken.py", (folder / "gid.py").read_text() + "    bar.nothing.here = 1\n")
+    assert converted.code == 3 and "stopped at broken.py:14 (AttributeError" in converted.told
+    assert converted.scene.deformables
 
 
 @pytest.mark.parametrize("name, text, reason", [

@@ -1,5 +1,7 @@
 """Motion without inertia; the mean of a patch follows a goal; a chamber is inflated by volume."""
 
+from loaded import add_loaded
+
 
 def createScene(root):
     root.dt = 0.05
@@ -7,11 +9,8 @@ def createScene(root):
     goal = root.addChild("goal")
     goal.addObject("EulerImplicitSolver", firstOrder=True)
     goal.addObject("MechanicalObject", name="place", position="100 12 10")
-    bar = root.addChild("bar")
+    bar = add_loaded(root, "bar", "hollow.vtk", {"position": "@loader.position"})
     bar.addObject("EulerImplicitSolver", firstOrder=True)
-    bar.addObject("MeshVTKLoader", name="loader", filename="mesh/hollow.vtk")
-    bar.addObject("MeshTopology", src="@loader")
-    bar.addObject("MechanicalObject", position="@loader.position")
     bar.addObject("DiagonalMass", massDensity=1e-6)
     bar.addObject("TetrahedronFEMForceField", youngModulus=200, poissonRatio=0.45)
     bar.addObject("FixedProjectiveConstraint", indices=[0, 1, 2, 3, 4])
@@ -19,9 +18,6 @@ def createScene(root):
     patch.addObject("MechanicalObject", position=[[100, 0, 0], [100, 20, 0], [100, 0, 20], [100, 20, 20]])
     patch.addObject("BarycentricCenterEffector", effectorGoal="@../../goal/place.position")
     patch.addObject("BarycentricMapping")
-    chamber = bar.addChild("chamber")
-    chamber.addObject("MeshOBJLoader", name="loader", filename="mesh/chamber.obj")
-    chamber.addObject("MeshTopology", src="@loader")
-    chamber.addObject("MechanicalObject")
+    chamber = add_loaded(bar, "chamber", "chamber.obj")
     chamber.addObject("SurfacePressureActuator", name="air", maxPressure=30, minPressure=0)
     chamber.addObject("BarycentricMapping")

@@ -1,15 +1,13 @@
 """Components and fields that have no counterpart, and a value of a module that nobody has."""
 
 import a_module_that_nobody_has
+from loaded import add_loaded
 
 
 def createScene(root):
     root.gravity = [0, -9810, 0]
-    bar = root.addChild("bar")
+    bar = add_loaded(root, "bar", "bar.vtk")
     bar.addObject("EulerImplicitSolver")
-    bar.addObject("MeshVTKLoader", name="loader", filename="mesh/bar.vtk")
-    bar.addObject("MeshTopology", src="@loader")
-    bar.addObject("MechanicalObject")
     bar.addObject("UniformMass", totalMass=0.05)
     bar.addObject("TetrahedronFEMForceField", youngModulus=600, poissonRatio=0.3, plasticMaxThreshold=0.1)
     bar.addObject("FixedProjectiveConstraint", indices=[0, 1, 2, 3])

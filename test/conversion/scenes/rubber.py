@@ -1,13 +1,12 @@
 """A hyperelastic bar on a soft ground of springs, with a sphere that is fixed."""
 
+from loaded import add_loaded
+
 
 def createScene(root):
     root.gravity = [0, 0, -9810]
-    bar = root.addChild("bar")
+    bar = add_loaded(root, "bar", "bar.msh", {"scale": 0.5})
     bar.addObject("EulerImplicitSolver")
-    bar.addObject("MeshGmshLoader", name="loader", filename="mesh/bar.msh")
-    bar.addObject("TetrahedronSetTopologyContainer", src="@loader")
-    bar.addObject("MechanicalObject", scale=0.5)
     bar.addObject("MeshMatrixMass", totalMass=0.02)
     bar.addObject("TetrahedronHyperelasticityFEMForceField", materialName="MooneyRivlin",
                   ParameterSet="60 20 4000")

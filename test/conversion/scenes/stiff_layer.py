@@ -1,17 +1,15 @@
 """A bar with a stiffer lower half, a cable that is pulled, and a controller for keys."""
 
 from keys import CableKeys
+from loaded import add_loaded
 
 
 def createScene(root):
     root.gravity = [0, -9810, 0]
     root.dt = 0.02
     root.addObject("GenericConstraintSolver", maxIterations=500)
-    bar = root.addChild("bar")
+    bar = add_loaded(root, "bar", "bar.vtk", {"template": "Vec3"})
     bar.addObject("EulerImplicitSolver", rayleighMass=0.1, rayleighStiffness=0.05)
-    bar.addObject("MeshVTKLoader", name="loader", filename="mesh/bar.vtk")
-    bar.addObject("MeshTopology", src="@loader", name="container")
-    bar.addObject("MechanicalObject", template="Vec3")
     bar.addObject("UniformMass", totalMass=0.04)
     bar.addObject("TetrahedronFEMForceField", method="large", poissonRatio=0.3, youngModulus=500)
     bar.addObject("BoxROI", name="root", box=[-1, -1, -1, 1, 21, 21])
