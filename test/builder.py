@@ -31,3 +31,18 @@ def builder(function: Callable | None = None, **options):
     )  # fmt: skip
     give.__signature__ = inspect.Signature(filled)
     return pytest.fixture(**options)(give)
+
+
+def each_of(values, **options):
+    """A fixture that gives each of these values in turn; `options` are those of `pytest.fixture`."""
+    return pytest.fixture(params=values, **options)(lambda request: request.param)
+
+
+def at_rest(name: str):
+    """A fixture that gives what a fixture of this name gives, reset."""
+    def give(request):
+        found = request.getfixturevalue(name)
+        found.reset()
+        return found
+
+    return pytest.fixture(give)

@@ -19,6 +19,30 @@ def central_slopes(function, x, nodes, step):
     return np.stack(columns, axis=-1)
 
 
+class MovedFrames:
+    """A base of two free nodes, 0 and 2, and frames, whose unknowns can be moved.
+
+    It has `frames`, the `state` that slopes are taken at, and `unknown_count`.
+    """
+
+    def moved(self, positions, move):
+        x, move = positions.copy(), np.array(move, float)
+        x[[0, 2]] += move[:2]
+        self.frames.advance(x, move, 1.0)
+        return x
+
+    def slopes(self, function, step=1e-6):
+        """Derivative of a function by every unknown at the state, by differences."""
+        columns = []
+        for place in np.ndindex(self.unknown_count, 3):
+            move = np.zeros((self.unknown_count, 3))
+            move[place] = step
+            ahead = function(self.moved(self.state, move))
+            behind = function(self.moved(self.state, -move))
+            columns.append((np.ravel(ahead) - np.ravel(behind)) / (2.0 * step))
+        return np.array(columns).T
+
+
 def assert_slopes_of_actuators(term, nodes, efforts, size, seed=5, bar=1e-6):
     """The rows of a term are the slopes of its displacements, its stiffness that of its forces.
 

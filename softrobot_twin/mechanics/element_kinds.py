@@ -60,15 +60,6 @@ def register_element(
     _KINDS[name] = ElementKind(name, make_mesh, lumps_mass, of_hexahedra, has_patches)
 
 
-def unregister_element(name: str) -> None:
-    """Remove a kind; scenes that name it are refused again.
-
-    Args:
-        name: Its name.
-    """
-    del _KINDS[name]
-
-
 def element_names() -> tuple[str, ...]:
     """Names of all kinds."""
     return tuple(_KINDS)

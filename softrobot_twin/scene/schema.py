@@ -649,17 +649,6 @@ def add_actuator_section(section: str, entry: type[ActuatorEntry]) -> None:
     Scene.model_rebuild(force=True)
 
 
-def remove_actuator_section(section: str) -> None:
-    """Removes a section that `add_actuator_section` added.
-
-    Args:
-        section: Its key.
-    """
-    del ACTUATOR_SECTIONS[section]
-    del Scene.__annotations__[section], Scene.model_fields[section]
-    Scene.model_rebuild(force=True)
-
-
 _SHAPED = Shaped, Obstacle, RigidBody
 
 
@@ -678,23 +667,7 @@ def register_shape(key: str, shape: type[ShapeEntry]) -> None:
     for entry in _SHAPED:
         entry.__annotations__[key] = shape | None
         entry.model_fields[key] = FieldInfo(annotation=shape | None, default=None)  # type: ignore[arg-type]
-    _take_shapes((*Shaped.one_of, key))
-
-
-def unregister_shape(key: str) -> None:
-    """Removes a shape that `register_shape` added; scenes that name it are refused again.
-
-    Args:
-        key: Its key.
-    """
-    for entry in _SHAPED:
-        del entry.__annotations__[key], entry.model_fields[key]
-    _take_shapes(tuple(one for one in Shaped.one_of if one != key))
-
-
-def _take_shapes(keys: tuple[str, ...]) -> None:
-    """Let entries with a shape have one of these keys."""
-    Shaped.one_of = keys
+    Shaped.one_of = (*Shaped.one_of, key)
     forms_of.cache_clear()
     for entry in (*_SHAPED, Scene):
         entry.model_rebuild(force=True)

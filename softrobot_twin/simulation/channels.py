@@ -228,12 +228,3 @@ def register_channel(channel: Channel) -> None:
     if channel.name in _OTHERS or any(one.name == channel.name for one in channels()):
         raise ValueError(f"there is a channel {channel.name} already")
     _REGISTERED.append(channel)
-
-
-def withdraw_channel(channel: Channel) -> None:
-    """Removes a channel that `register_channel` added.
-
-    Args:
-        channel: The channel.
-    """
-    _REGISTERED.remove(channel)

@@ -12,6 +12,7 @@ from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import Simulation
+from test.builder import at_rest
 from test.places import ROOT
 from test.scene_changes import entries_of
 
@@ -44,18 +45,6 @@ def of_mapping(name):
 def warmed_up(simulation):
     simulation.warm_up()
     return simulation
-
-
-def at_rest(built):
-    """A fixture that gives the simulation of another fixture, at rest."""
-
-    @pytest.fixture
-    def make(request):
-        simulation = request.getfixturevalue(built)
-        simulation.reset()
-        return simulation
-
-    return make
 
 
 _built = of_mapping("small_scene_mapping")

@@ -21,6 +21,7 @@ from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Simulation
 
 from .conftest import ROOT
+from test.builder import at_rest
 
 PERIOD = 0.01
 TENSIONS, SWING = np.array([3.0, 1.5]), np.array([1.2, -1.2])  # N
@@ -156,16 +157,8 @@ def _softer():
     return built(young=450e3, beside=5e-4)
 
 
-@pytest.fixture
-def twin(_twin):
-    _twin.reset()
-    return _twin
-
-
-@pytest.fixture
-def softer(_softer):
-    _softer.reset()
-    return _softer
+twin = at_rest("_twin")
+softer = at_rest("_softer")
 
 
 @pytest.mark.exhaustive

@@ -5,10 +5,8 @@ the bars are a tenth of what 10⁵ steps may differ by: the drift of a step is j
 """
 
 import gc
-import os
 import tracemalloc
 from collections import Counter
-from pathlib import Path
 
 import meshio
 import numpy as np
@@ -22,15 +20,11 @@ from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandSetpoints, Simulation, Status
+from test.memory import resident_memory
 
 RATE, LAP, STEPS, TICKS, EVERY = 100.0, 100, 10_000, 4_000, 5
 WAYS = 0.002 * np.clip(2.0 * np.sin(2.0 * np.pi * np.arange(LAP) / LAP), 0.0, 1.0)
 START = 1_000 * NANOSECONDS
-
-
-def resident_memory() -> int:
-    """Memory of this process [B]."""
-    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
 @pytest.fixture

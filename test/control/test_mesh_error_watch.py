@@ -14,9 +14,8 @@ from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandSetpoints, Simulation
 from softrobot_twin.simulation.mesh_error import ActuatorLoads, MeshErrorEstimator
 from test.builder import builder
+from test.control.error_watches import offer_until
 from test.places import ROOT
-
-PATIENCE = 120.0
 
 
 def discretization_error(simulation, forces_given=False):
@@ -47,15 +46,6 @@ def watch_of():
     yield start
     for watch in watches:
         watch.close()
-
-
-def offer_until(watch, simulation, condition, forces_given=False):
-    """Offers as the node does, until something is so."""
-    end = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < end, "it did not happen"
-        watch.offer(simulation, forces_given, time.monotonic())
-        time.sleep(0.02)
 
 
 @pytest.mark.exhaustive

@@ -1,7 +1,6 @@
 """Facts of the full model beside a running twin with reduced bodies."""
 
 import os
-import time
 
 import pytest
 
@@ -9,8 +8,7 @@ from softrobot_twin.control.reduction_error_watch import ReductionErrorWatch
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import CommandSetpoints, Simulation
 from softrobot_twin.simulation.effects.reduction_error import FullModelError
-
-PATIENCE = 120.0
+from test.control.error_watches import offer_until
 
 
 @pytest.fixture(scope="module")
@@ -29,15 +27,6 @@ def watch(bent):
     started = ReductionErrorWatch(bent, yields=False)
     yield started
     started.close()
-
-
-def offer_until(watch, simulation, condition):
-    """Offers as the node does, until something is so."""
-    end = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < end, "it did not happen"
-        watch.offer(simulation, False, time.monotonic())
-        time.sleep(0.02)
 
 
 @pytest.mark.exhaustive

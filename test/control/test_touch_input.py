@@ -14,6 +14,7 @@ from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import Simulation
+from test.builder import at_rest
 from test.scene_changes import entries_of
 
 FRAME = "base_link"
@@ -31,10 +32,7 @@ def built(column):
     return Simulation(scene_from_mapping(mapping))
 
 
-@pytest.fixture
-def simulation(built):
-    built.reset()
-    return built
+simulation = at_rest("built")
 
 
 @pytest.fixture

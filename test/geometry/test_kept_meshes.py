@@ -5,6 +5,7 @@ import pytest
 
 from softrobot_twin.geometry.quality import radius_ratios
 from softrobot_twin.geometry.surface import boundary_triangles
+from test.builder import each_of
 from test.places import MESHES
 
 # Lowest and highest number of nodes, and lowest radius ratio.
@@ -24,9 +25,7 @@ KEPT = {
 }  # fmt: skip
 
 
-@pytest.fixture(scope="module", params=KEPT)
-def name(request):
-    return request.param
+name = each_of(KEPT, scope="module")
 
 
 @pytest.fixture

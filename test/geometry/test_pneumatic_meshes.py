@@ -10,6 +10,7 @@ from meshes.mesh_making import PneumaticMesh
 from softrobot_twin.geometry.closed_surface import closed_surface
 from softrobot_twin.geometry.quality import radius_ratios
 from softrobot_twin.geometry.tet_mesh import TetMesh
+from test.builder import each_of
 from test.places import MESHES
 
 
@@ -68,9 +69,7 @@ def read(path):
     )  # fmt: skip
 
 
-@pytest.fixture(scope="module", params=KEPT)
-def name(request):
-    return request.param
+name = each_of(KEPT, scope="module")
 
 
 @pytest.fixture(scope="module")

@@ -8,15 +8,13 @@ from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.geometry.shape_functions import quadratic_values
 from softrobot_twin.geometry.smoothed_mesh import smooth
 from softrobot_twin.mechanics.material import lame_parameters
-from test.builder import builder
+from test.builder import builder, each_of
 
 YOUNG, POISSON = 2.0e5, 0.4
 GRADIENT = np.array([[1.1, 0.2, 0.0], [-0.1, 0.9, 0.1], [0.0, 0.05, 1.05]])
 
 
-@pytest.fixture(params=["linear", "quadratic", "smoothed"])
-def kind(request):
-    return request.param
+kind = each_of(["linear", "quadratic", "smoothed"])
 
 
 @builder

@@ -22,6 +22,7 @@ from softrobot_twin.mechanics.rigid_bodies import RigidFrames
 from softrobot_twin.mechanics.rotation import rotation_from_vector, vector_from_rotation
 from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.solvers.superlu import SuperLU
+from test.finite_differences import MovedFrames
 
 # Two free nodes; translation and rotation of a free body; a hinge and a ball joint on it, a hinge
 # on a guided body, and a ball joint and a hinge on the world.
@@ -32,8 +33,10 @@ FREE_BODY, GUIDED_BODY = 3, 7
 FIRST_HINGED = 11
 
 
-class Joined:
+class Joined(MovedFrames):
     """Two free nodes and a fixed one, a free and a guided body, and five frames joined to them."""
+
+    unknown_count = UNKNOWNS
 
     def __init__(self):
         rng = np.random.default_rng(4)
@@ -55,23 +58,6 @@ class Joined:
         hinged = RigidFrames.rest_nodes(self.frames.rest_poses(bodies))
         self.rest = np.vstack([bodies, hinged])
         self.state = self.moved(self.rest, rng.uniform(-0.05, 0.05, (UNKNOWNS, 3)))
-
-    def moved(self, positions, move):
-        x = positions.copy()
-        x[[0, 2]] += move[:2]
-        self.frames.advance(x, np.array(move, float), 1.0)
-        return x
-
-    def slopes(self, function, step=1e-6):
-        """Derivative of a function by every unknown at the state, by differences."""
-        columns = []
-        for place in np.ndindex(UNKNOWNS, 3):
-            move = np.zeros((UNKNOWNS, 3))
-            move[place] = step
-            ahead = function(self.moved(self.state, move))
-            behind = function(self.moved(self.state, -move))
-            columns.append((np.ravel(ahead) - np.ravel(behind)) / (2.0 * step))
-        return np.array(columns).T
 
     def second_slopes(self, energy, step=1e-4):
         """Second derivative of an energy in the chart of a move."""

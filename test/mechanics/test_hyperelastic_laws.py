@@ -11,6 +11,7 @@ from softrobot_twin.mechanics.principal_axes import (
     principal_axes,
     symmetric_eigenvalues,
 )
+from test.builder import each_of
 
 YOUNG, POISSON = 1.0e5, 0.45
 SHEAR, BULK = shear_modulus(YOUNG, POISSON), bulk_modulus(YOUNG, POISSON)
@@ -31,9 +32,7 @@ PARAMETERS = {
 RUBBER = ("neo_hookean", "mooney_rivlin", "yeoh", "ogden")
 
 
-@pytest.fixture(params=PARAMETERS)
-def law(request):
-    return request.param
+law = each_of(PARAMETERS)
 
 
 def rows(matrix):

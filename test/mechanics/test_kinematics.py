@@ -26,6 +26,7 @@ from softrobot_twin.mechanics.rigid_bodies import AttachedNodes, RigidFrames
 from softrobot_twin.mechanics.rotation import rotation_from_vector
 from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.solvers.superlu import SuperLU
+from test.finite_differences import MovedFrames
 
 UNKNOWNS = 6
 FREE_POINTS = 3
@@ -139,8 +140,10 @@ def test_a_cable_from_soft_to_rigid_bodies_has_rows_that_are_its_derivative(fram
             assert H[0, unknown, axis] == pytest.approx(-(ahead - behind)[0] / (2 * step), abs=1e-8)
 
 
-class Attached:
+class Attached(MovedFrames):
     """Two free nodes and a fixed one, two free rigid bodies; two nodes are attached to each."""
+
+    unknown_count = UNKNOWNS
 
     def __init__(self):
         rng = np.random.default_rng(3)
@@ -160,23 +163,6 @@ class Attached:
         self.rest = self.moved(self.rest, 0.0 * place)
         self.frames.advance(self.rest, 1e-9 * place, 1.0)
         self.state = self.moved(self.rest, place)
-
-    def moved(self, positions, move):
-        x = positions.copy()
-        x[[0, 2]] += move[:2]
-        self.frames.advance(x, move, 1.0)
-        return x
-
-    def slopes(self, function):
-        """Derivative of a function by every unknown at the state, by differences."""
-        columns, step = [], 1e-6
-        for place in np.ndindex(UNKNOWNS, 3):
-            move = np.zeros((UNKNOWNS, 3))
-            move[place] = step
-            ahead = function(self.moved(self.state, move))
-            behind = function(self.moved(self.state, -move))
-            columns.append((np.ravel(ahead) - np.ravel(behind)) / (2.0 * step))
-        return np.array(columns).T
 
     def mesh(self):
         tets = np.array([[0, 2, 3, 4], [1, 3, 4, 5], [0, 3, 5, 6], [2, 4, 5, 6], [0, 1, 2, 6]])

@@ -24,6 +24,7 @@ from softrobot_twin.mechanics.element_assembly import assembly_of
 from softrobot_twin.mechanics.laws import law_named
 from softrobot_twin.mechanics.point_law import register_law, stress
 from softrobot_twin.scene import scene_from_mapping
+from test.builder import each_of
 
 YOUNG, POISSON = 2.0e5, 0.35
 
@@ -123,9 +124,7 @@ def mesh(request, block):
     return linear if request.param == "linear" else add_mid_edge_nodes(linear)
 
 
-@pytest.fixture(params=LAWS)
-def law(request):
-    return request.param
+law = each_of(LAWS)
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from softrobot_twin.geometry.shape_functions import integration_points
 from softrobot_twin.mechanics.inertia import ConsistentInertia, LumpedInertia, lumped_masses
 from softrobot_twin.mechanics.material import lame_parameters
 from softrobot_twin.mechanics.strain_rate_damping import THINNEST, StrainRateDamping
-from test.builder import builder
+from test.builder import builder, each_of
 
 YOUNG, POISSON, DENSITY = 2.0e5, 0.3, 1070.0
 STEP, BETA = 0.004, 0.02
@@ -29,9 +29,7 @@ def consistent_inertia(mesh, free_index, _):
     return ConsistentInertia(mesh, free_index, DENSITY, np.flatnonzero(free_index >= 0))
 
 
-@pytest.fixture(params=["linear", "quadratic"])
-def element(request):
-    return request.param
+element = each_of(["linear", "quadratic"])
 
 
 @builder

@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 import yaml
 
-from softrobot_twin.harness import sample_workers
-from softrobot_twin.harness.sample_workers import LocalWorkers
 from softrobot_twin.reduction import body_training
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Simulation
 from softrobot_twin.simulation.building.reduced_body import read_body_reduction
 from softrobot_twin.simulation.linear_model import ModalTangent
+from test.lost_samples import lose_second
 from test.scene_changes import entries_of, repeat_step, yaml_file
 
 RANGE = ("--range", *(f"{name}_shortening_m=0:0.008" for name in "abcd"))
@@ -165,15 +164,7 @@ def test_a_training_by_targets_tells_which_were_reached_and_is_judged_between_th
 
 
 def test_lost_chains_are_told_and_the_rest_is_used(column, call, tmp_path, monkeypatch):
-    def run(self, job, asked):
-        compute = job.make(job.scene, job.content)
-        for index, chain in asked:
-            lost = index == 1
-            yield sample_workers.SampleOutcome(
-                index, None if lost else compute(chain), "no power" if lost else ""
-            )
-
-    monkeypatch.setattr(LocalWorkers, "run", run)
+    lose_second(monkeypatch)
     done = call("reduce", column, "--output", tmp_path / "r.npz", "--snapshots", 40, "--modes", 6,
                 "--states", 0, code=1)  # fmt: skip
     assert "10 states are lost: no power" in done.errors

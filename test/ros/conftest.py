@@ -14,6 +14,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Header
+from std_srvs.srv import SetBool
 
 from softrobot_twin.control.loop_timing import TickClock
 from softrobot_twin.ros import twin_node
@@ -121,6 +122,10 @@ class World:
         future = client.call_async(request)
         self.until(future.done)
         return future.result()
+
+    def enable(self, data=True):
+        """Answer of the twin to its enabling, or disabling."""
+        return self.ask(SetBool, "/twin/enable", SetBool.Request(data=data))
 
     def target_message(self, position, seconds_ago=0.0, frame_id="base_link"):
         """A target at a position [m], shape (3,)."""

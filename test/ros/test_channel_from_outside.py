@@ -17,19 +17,20 @@ from softrobot_twin.record.replay import Replay
 from softrobot_twin.record.run_file import CALL, TICK, RunFile
 from softrobot_twin.record.tick_table import TickTable
 from softrobot_twin.scene import load_scene
-from softrobot_twin.simulation import CommandSetpoints, Simulation
-from softrobot_twin.simulation.channels import register_channel, withdraw_channel
+from softrobot_twin.simulation import CommandSetpoints, Simulation, channels
+from softrobot_twin.simulation.channels import register_channel
 from softrobot_twin.simulation.runs.run_columns import RunColumns
 from test.force_channel import FORCE, LEVER
+from test.registrations import taken_back
 
 MEASURED = {"along": 1.5, "across": -0.25}
 
 
 @pytest.fixture
 def force():
-    register_channel(FORCE)
-    yield FORCE
-    withdraw_channel(FORCE)
+    with taken_back():
+        register_channel(FORCE)
+        yield FORCE
 
 
 def test_tables_and_results_have_its_columns(force, small_scene_file):
@@ -99,14 +100,10 @@ def test_a_record_and_its_table_hold_what_is_told_and_what_is_measured(recorded,
     assert told["north_measured_force_across_N"][-1] == MEASURED["across"]
 
 
-def test_a_replay_compares_it(recorded):
-    run = recorded[0]
-    withdraw_channel(FORCE)
+def test_a_replay_compares_it(recorded, monkeypatch):
     shifted = FORCE._replace(read=lambda result: FORCE.read(result) + 1.0)
-    register_channel(shifted)
-    found = Replay(run).all_ticks()
-    withdraw_channel(shifted)
-    register_channel(FORCE)
+    monkeypatch.setattr(channels, "_REGISTERED", [*channels._REGISTERED[:-1], shifted])
+    found = Replay(recorded[0]).all_ticks()
     assert list(found.by_quantity) == ["force"] and found.first.size == 1.0
     assert found.first.place.endswith("along [N]")
 

@@ -3,15 +3,10 @@
 import pytest
 from geometry_msgs.msg import PointStamped, Twist
 from sensor_msgs.msg import JointState, PointCloud2
-from std_srvs.srv import SetBool
 
 from softrobot_twin.ros.device_node import DeviceNode
 
 OK, WARN, ERROR = b"\x00", b"\x01", b"\x02"
-
-
-def enable(world, data=True):
-    return world.ask(SetBool, "/twin/enable", SetBool.Request(data=data))
 
 
 def test_a_twin_alone_on_its_topics_reports_it(world, make_twin, diagnostics):
@@ -31,20 +26,20 @@ def test_a_second_publisher_is_reported_and_keeps_the_twin_disabled(
     world, make_twin, diagnostics, kind, topic, level
 ):
     twin = make_twin()
-    assert enable(world, False).success
+    assert world.enable(False).success
     first = world.speaker(kind, topic)
-    assert enable(world).success
-    assert enable(world, False).success
+    assert world.enable().success
+    assert world.enable(False).success
     second = world.speaker(kind, topic)
     graph = diagnostics("graph", lambda status: status.level != OK)
     assert graph.level == level
     assert f"2 publishers on {topic} (/probe, /probe)" in graph.message
-    answer = enable(world)
+    answer = world.enable()
     assert not answer.success and topic in answer.message and "end all but one" in answer.message
     assert not twin.loop.is_enabled
     world.probe.destroy_publisher(second)
     diagnostics("graph", lambda status: status.level == OK)
-    assert enable(world).success
+    assert world.enable().success
     world.probe.destroy_publisher(first)
 
 
@@ -53,10 +48,10 @@ def test_two_twins_of_one_name_are_reported_by_both(world, make_twin, diagnostic
     graph = diagnostics("graph", lambda status: "2 nodes are called /twin" in status.message)
     assert graph.level == ERROR and "publishers on /twin/cables" in graph.message
     world.until(lambda: all(twin.clashes for twin in twins))
-    assert enable(world, False).success
+    assert world.enable(False).success
     world.until(lambda: not all(twin.loop.is_enabled for twin in twins))
     # Only one of them received the request; twins without a device are always enabled.
-    world.until(lambda: "2 nodes are called /twin" in enable(world).message)
+    world.until(lambda: "2 nodes are called /twin" in world.enable().message)
 
 
 def test_two_devices_on_one_topic_are_reported_by_both(world, make_twin, small_scene_file):
@@ -66,5 +61,5 @@ def test_two_devices_on_one_topic_are_reported_by_both(world, make_twin, small_s
                             and "/twin/measured_cables" in {clash.key for clash in device.clashes}
                             for device in devices))
     world.until(lambda: twin.loop.device.setpoints is not None)
-    answer = enable(world)
+    answer = world.enable()
     assert not answer.success and "2 publishers on /twin/measured_cables" in answer.message

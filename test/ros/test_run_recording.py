@@ -19,7 +19,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import String
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import Trigger
 
 from softrobot_twin.control.engagement import Activity
 from softrobot_twin.errors import ParameterError
@@ -37,10 +37,6 @@ from test.places import ROOT
 
 UNNUMBERED = {"publication_sequence_number": None}
 """What rclpy tells of a message: by this, all are of one publisher."""
-
-
-def enable(world, data=True):
-    return world.ask(SetBool, "/twin/enable", SetBool.Request(data=data))
 
 
 def set_gain(world, gain):
@@ -71,7 +67,7 @@ def live_run(world, make_twin, small_scene_file, tmp_path):
     world.add(TargetNode, **scene, target_radius=0.004, target_ramp_time=0.2)
     hostile = hostile_to(twin, draw_seed())
     # On a busy machine what was measured may be too old when the request comes.
-    world.until(lambda: enable(world).success)
+    world.until(lambda: world.enable().success)
     world.until(lambda: is_following(twin))
     for number in range(30):
         for end in inputs(twin):

@@ -1,21 +1,15 @@
 """The twin as a node: its services, its view, and inputs with which it does not start."""
 
-
 import pytest
 from geometry_msgs.msg import PointStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
-from std_srvs.srv import SetBool
 
 from softrobot_twin.control.engagement import Activity
 from softrobot_twin.errors import ParameterError, SceneError
 from softrobot_twin.ros.messages import cables_message
 
 INSIDE = (0.008, 0.004, 0.134)
-
-
-def enable(world, data=True):
-    return world.ask(SetBool, "/twin/enable", SetBool.Request(data=data))
 
 
 def run_ticks(world, effectors, count):
@@ -35,16 +29,16 @@ def test_with_a_device_nothing_is_commanded_before_it_is_enabled(world, make_twi
     effectors = world.hear(PointStamped, "/twin/effectors/tip")
     world.until(lambda: len(effectors) > 3)
     assert not cables
-    refused = enable(world)
+    refused = world.enable()
     assert not refused.success and "measured setpoints" in refused.message
     wound = twin.loop.simulation.rest_setpoints - [0.006, 0.002, 0.0, 0.004]
     device = world.speaker(JointState, "/twin/measured_cables")
     device.publish(measured(world, twin, wound))
     world.until(lambda: twin.loop.device.setpoints is not None)
-    assert enable(world).success
+    assert world.enable().success
     world.until(lambda: cables)
     assert list(cables[0].position) == pytest.approx(wound.tolist(), abs=1e-5)
-    assert enable(world, False).success
+    assert world.enable(False).success
     run_ticks(world, effectors, 5)
     before = len(cables)
     run_ticks(world, effectors, 15)
@@ -57,7 +51,7 @@ def test_a_lost_device_makes_the_twin_hold_and_is_reported(world, make_twin, dia
 
     def is_enabled():
         device.publish(measured(world, twin, twin.loop.simulation.rest_setpoints))
-        return enable(world).success
+        return world.enable().success
 
     # On a busy machine the answer may come after the timeout.
     world.until(is_enabled)

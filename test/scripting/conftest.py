@@ -5,6 +5,7 @@ import copy
 import pytest
 
 import softrobot_twin as st
+from test.builder import at_rest
 
 FINGER = {
     "name": "finger",
@@ -50,11 +51,8 @@ def built():
     return st.build(**FINGER)
 
 
-@pytest.fixture
-def finger(built):
-    """The finger at rest."""
-    built.reset()
-    return built
+finger = at_rest("built")
+"""The finger at rest."""
 
 
 @pytest.fixture(scope="module")
@@ -63,8 +61,5 @@ def built_held():
     return st.build(**HELD)
 
 
-@pytest.fixture
-def held(built_held):
-    """The finger at a palm, at rest."""
-    built_held.reset()
-    return built_held
+held = at_rest("built_held")
+"""The finger at a palm, at rest."""

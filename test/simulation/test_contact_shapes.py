@@ -14,10 +14,11 @@ from softrobot_twin.geometry.vector3 import unit as unit_vector
 from softrobot_twin.kernels.compilation import INLINED, KERNEL, njit
 from softrobot_twin.scene import load_scene
 from softrobot_twin.scene.entry import Vector, unit
-from softrobot_twin.scene.schema import register_shape, unregister_shape
+from softrobot_twin.scene.schema import register_shape
 from softrobot_twin.scene.shapes import Length, ShapeEntry, Sphere
 from softrobot_twin.simulation import Hold, Simulation
 from test.builder import builder
+from test.registrations import taken_back
 
 MATERIAL = {"young_modulus": 1.0e5, "poisson_ratio": 0.3, "density": 1000.0}
 SIZE, ROUND, STEP, TINY = 0.04, (0.02, 0.02, 0.02), 0.002, 1.0e-12
@@ -98,13 +99,13 @@ class Ellipsoid(ShapeEntry, RollingShape):
 @pytest.fixture
 def ellipsoids():
     """Registers the shape under this key while a test runs."""
-    register_shape("ellipsoid", Ellipsoid)
-    yield
-    unregister_shape("ellipsoid")
+    with taken_back():
+        register_shape("ellipsoid", Ellipsoid)
+        yield
 
 
 @builder
-def pressed(ellipsoids, write_block, tmp_path, /, shape, depth=0.002):
+def pressed(write_block, tmp_path, /, shape, depth=0.002):
     """Force [N] of a shape of a height of 40 mm, pressed into a soft block from a scene file."""
     mapping = {
         "name": "pressed", "gravity": [0.0, 0.0, 0.0],
@@ -124,14 +125,14 @@ def pressed(ellipsoids, write_block, tmp_path, /, shape, depth=0.002):
 
 def test_a_scene_names_a_shape_only_while_it_is_registered(pressed):
     assert "ellipsoid of semi-axes [20, 20, 20] mm" == Ellipsoid(semi_axes=ROUND).describe()
-    with pytest.raises(ValueError, match="have a key ellipsoid already"):
+    with taken_back():
         register_shape("ellipsoid", Ellipsoid)
-    with pytest.raises(SceneError, match="semi_axes.*must be above 0"):
-        pressed({"ellipsoid": {"semi_axes": [0.0, 0.02, 0.02]}})
-    unregister_shape("ellipsoid")
+        with pytest.raises(ValueError, match="have a key ellipsoid already"):
+            register_shape("ellipsoid", Ellipsoid)
+        with pytest.raises(SceneError, match="semi_axes.*must be above 0"):
+            pressed({"ellipsoid": {"semi_axes": [0.0, 0.02, 0.02]}})
     with pytest.raises(SceneError, match="ellipsoid.*is not a key here"):
         pressed({"ellipsoid": {"semi_axes": list(ROUND)}})
-    register_shape("ellipsoid", Ellipsoid)
 
 
 def test_its_distance_and_its_gradient_are_those_of_its_surface(drawn_rng):
@@ -147,13 +148,13 @@ def test_its_distance_and_its_gradient_are_those_of_its_surface(drawn_rng):
     assert (distances < 0.0).any() and (distances > 0.0).any()
 
 
-def test_a_round_one_presses_a_soft_body_as_a_sphere_does(pressed):
+def test_a_round_one_presses_a_soft_body_as_a_sphere_does(ellipsoids, pressed):
     sphere = pressed({"sphere": {"radius": 0.02}})
     assert sphere[2] > 0.1
     np.testing.assert_allclose(pressed({"ellipsoid": {"semi_axes": list(ROUND)}}), sphere, rtol=0.02, atol=2e-3)
 
 
-def test_a_flat_one_presses_harder_than_a_sphere_and_a_sharp_one_less(pressed):
+def test_a_flat_one_presses_harder_than_a_sphere_and_a_sharp_one_less(ellipsoids, pressed):
     # By Hertz as the root of the radius of curvature at its tip, a²/c.
     flat, tall = (pressed({"ellipsoid": {"semi_axes": [a, a, 0.02]}})[2] for a in (0.028, 0.014))
     assert 1.5 < flat / tall < 2.5

@@ -9,10 +9,11 @@ from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry.cell_mesh import CellMesh
 from softrobot_twin.geometry.quadrature import barycentric_coordinates, tetrahedron_rule
 from softrobot_twin.geometry.tet_mesh import TetMesh
-from softrobot_twin.mechanics.element_kinds import register_element, unregister_element
+from softrobot_twin.mechanics.element_kinds import register_element
 from softrobot_twin.mechanics.inertia import ConsistentInertia
 from softrobot_twin.simulation import CommandEfforts, FollowTargets
 from softrobot_twin.simulation.mesh_error import MeshErrorEstimator, MeshErrorUnknown
+from test.registrations import taken_back
 from test.scene_changes import repeat_step
 
 BUBBLE_SHARE = 256.0 * 6.0 / 5040.0
@@ -84,9 +85,9 @@ def add_bubble_nodes(mesh: TetMesh) -> BubbleMesh:
 @pytest.fixture
 def bubbles():
     """Registers the element under this name while a test runs."""
-    register_element("bubble", add_bubble_nodes)
-    yield
-    unregister_element("bubble")
+    with taken_back():
+        register_element("bubble", add_bubble_nodes)
+        yield
 
 
 @pytest.fixture
@@ -95,12 +96,12 @@ def beam_of(beam):
     return lambda element: beam(lambda mapping: mapping["body"].update(element=element))
 
 
-def test_a_scene_names_an_element_only_while_it_is_registered(bubbles, beam_of):
-    unregister_element("bubble")
+def test_a_scene_names_an_element_only_while_it_is_registered(beam_of):
     with pytest.raises(SceneError, match="body.element = 'bubble': must be one of linear, smoothed"):
         beam_of("bubble")
-    register_element("bubble", add_bubble_nodes)
-    assert beam_of("bubble").model.bodies[0].mesh.cells.shape[1] == 5
+    with taken_back():
+        register_element("bubble", add_bubble_nodes)
+        assert beam_of("bubble").model.bodies[0].mesh.cells.shape[1] == 5
 
 
 def test_an_element_that_is_registered_twice_is_refused(bubbles):

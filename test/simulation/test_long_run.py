@@ -1,20 +1,13 @@
 """Facts of runs that do not end: no drift in state or memory."""
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from softrobot_twin.simulation import FollowTargets
+from test.memory import resident_memory
 
 LAP = 200
 STEPS = 100_000
-
-
-def resident_memory() -> int:
-    """Memory of this process [B]."""
-    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
 @pytest.fixture

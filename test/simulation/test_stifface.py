@@ -15,6 +15,7 @@ from softrobot_twin.simulation import (
     Touched,
 )
 from softrobot_twin.simulation.apparent_compliance import EffectorCompliance
+from test.builder import at_rest
 from test.places import SCENES
 from test.scene_changes import repeat_step
 
@@ -29,10 +30,7 @@ def built():
     return Simulation.from_scene_file(SCENES / "stifface.yaml")
 
 
-@pytest.fixture
-def pad(built):
-    built.reset()
-    return built
+pad = at_rest("built")
 
 
 def follow(pad, stiffness, steps=1, touched=None):

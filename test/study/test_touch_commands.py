@@ -12,6 +12,7 @@ from softrobot_twin.simulation.runs.input_tables import TableFileError, read_com
 from softrobot_twin.simulation.runs.run_columns import RunColumns
 from softrobot_twin.study.direct_run import run_commands
 from softrobot_twin.study.offline_run import run_file
+from test.builder import at_rest
 from test.run_files import rows_of
 
 LENGTHS = ",".join(f"{name}_shortening_m" for name in "abcd")
@@ -26,10 +27,7 @@ def built(column):
     return Simulation(scene_from_mapping(mapping))
 
 
-@pytest.fixture
-def simulation(built):
-    built.reset()
-    return built
+simulation = at_rest("built")
 
 
 def table(tmp_path, columns, *rows) -> Path:

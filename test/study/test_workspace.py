@@ -5,7 +5,6 @@ import os
 import shutil
 import signal
 import sys
-import time
 
 import numpy as np
 import pytest
@@ -16,6 +15,7 @@ from softrobot_twin.harness.sampled_axes import sampled_axes, sampled_setpoints
 from softrobot_twin.simulation import CommandSetpoints, Simulation
 from softrobot_twin.simulation.apparent_compliance import apparent_compliance
 from softrobot_twin.study.workspace import SampleComputer, UnfinishedFile
+from test.lost_samples import lose_second
 from test.run_files import rows_of
 from test.scene_changes import repeat_step, yaml_file
 
@@ -226,15 +226,7 @@ def test_processes_that_cannot_begin_are_told(squares, tmp_path):
 
 
 def test_a_lost_sample_is_a_row_with_its_status(column, call, tmp_path, monkeypatch):
-    def run(self, job, samples):
-        compute = job.make(job.scene, job.content)
-        for index, setpoints in samples:
-            lost = index == 1
-            yield sample_workers.SampleOutcome(
-                index, None if lost else compute(setpoints), "no power" if lost else ""
-            )
-
-    monkeypatch.setattr(LocalWorkers, "run", run)
+    lose_second(monkeypatch)
     done = call("workspace", column, "--output", tmp_path / "w.csv", "--samples", 3,
                 "--picture", tmp_path / "w.png", code=1)  # fmt: skip
     assert "sample 1 is lost: no power" in done.errors

@@ -1,6 +1,5 @@
 """A real viewer process without a window that connects late, is frozen and is killed."""
 
-import os
 import signal
 import socket
 import subprocess
@@ -13,6 +12,7 @@ import pytest
 
 from softrobot_twin.view import Drawn, Entity, Frame, RerunMirror, Stage
 from softrobot_twin.view.recording import CAN_SERVE
+from test.memory import resident_memory
 
 pytestmark = pytest.mark.skipif(not CAN_SERVE, reason="this rerun cannot serve safely")
 
@@ -54,10 +54,6 @@ def join(tmp_path):
 
 def size(path: Path) -> int:
     return path.stat().st_size if path.exists() else 0
-
-
-def resident_memory() -> int:
-    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
 def heavy_stage_and_frames(node_count: int):

@@ -19,7 +19,7 @@ import numpy as np
 
 from softrobot_twin.constraints.constraint_term import ConstraintTerm
 from softrobot_twin.scene.actuator_entries import ActuatorEntry
-from softrobot_twin.scene.schema import add_actuator_section, remove_actuator_section
+from softrobot_twin.scene.schema import add_actuator_section
 from softrobot_twin.simulation.building.scene_layout import Layout
 
 
@@ -234,16 +234,6 @@ def register_actuator(kind: ActuatorKind) -> None:
         raise ValueError(f"there is a kind of actuator with the section {kind.section} already")
     add_actuator_section(kind.section, kind.entry)
     _KINDS.append(kind)
-
-
-def withdraw_actuator(kind: ActuatorKind) -> None:
-    """Remove a kind that `register_actuator` added; scenes that name it are refused again.
-
-    Args:
-        kind: A kind that is registered.
-    """
-    _KINDS.remove(kind)
-    remove_actuator_section(kind.section)
 
 
 def actuator_kinds() -> tuple[ActuatorKind, ...]:

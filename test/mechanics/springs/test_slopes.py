@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
+from test.builder import each_of
+
 SOFT, SOFT_FREE, UNKNOWNS = 8, 7, 11
 POINTS = np.array([[0.05, -0.1, 0.2], [0.0, 0.0, 0.0], [-0.2, 0.1, 0.1]])
 KINDS = ["soft to soft", "mass to mass", "soft to world", "soft to rigid", "rigid to rigid",
          "rigid to guided", "rigid to world", "some of each"]  # fmt: skip
 
 
-@pytest.fixture(params=KINDS)
-def kind(request):
-    return request.param
+kind = each_of(KINDS)
 
 
 @pytest.fixture(params=["stretched", "pressed"])

@@ -29,12 +29,12 @@ from softrobot_twin.simulation.building.actuator_kinds import (
     actuator_kinds,
     group_of,
     register_actuator,
-    withdraw_actuator,
 )
 from softrobot_twin.simulation.runs.input_tables import TableFileError, read_targets
 from softrobot_twin.simulation.runs.run_columns import RunColumns, actuator_cells
 from softrobot_twin.study.explain import effects
 from test.builder import builder
+from test.registrations import taken_back
 from test.scene_changes import change_scene, changed, solved
 
 STEP = 0.02
@@ -160,9 +160,9 @@ class ChamberActuator:
 def chambers():
     """The kind, registered for one test."""
     kind = ChamberActuator()
-    register_actuator(kind)
-    yield kind
-    withdraw_actuator(kind)
+    with taken_back():
+        register_actuator(kind)
+        yield kind
 
 
 def chamber(name: str, x: float) -> dict:
@@ -198,12 +198,9 @@ def test_a_section_name_in_use_is_refused():
 
 def test_a_scene_names_a_kind_only_while_it_is_registered(beam):
     add = changed({"chambers": [chamber("left", 0.0)]})
-    kind = ChamberActuator()
-    register_actuator(kind)
-    try:
+    with taken_back():
+        register_actuator(ChamberActuator())
         assert beam(add).actuator_names == ("east", "north", "west", "south", "left")
-    finally:
-        withdraw_actuator(kind)
     with pytest.raises(SceneError, match="chambers.*is not a key here"):
         beam(add)
 
