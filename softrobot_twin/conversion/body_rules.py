@@ -403,7 +403,7 @@ def parts_of(
         NotConverted: The mapping has other points than the body.
     """
     mapping = mapping_of(record.state)
-    sources = [] if mapping is None else mapped_from(record.state, mapping)
+    sources = mapped_from(record.state, mapping)
     if mapping is None or mapping.kind != "SubsetMultiMapping" or not any(one in states for one in sources):
         return []
     pairs = array_of(mapping, 2, "indexPairs", otherwise=np.empty((0, 2))).astype(np.int64)

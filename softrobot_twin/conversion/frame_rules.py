@@ -68,9 +68,9 @@ def frames(conversion: Conversion, state: SceneComponent) -> str | None:
     mass, total = mass_of(state, len(places))
     if mass is None and not carried:
         return None
-    carried_points = (one for one in components_below(conversion.root, KINDS["states"])
-                      if one is not state and not is_rigid(one) and state in mapped_from(one))  # fmt: skip
-    mesh = next(filter(None, map(surface_of, carried_points)), None)
+    surfaces = [surface_of(one) for one in components_below(conversion.root, KINDS["states"])
+                if one is not state and not is_rigid(one) and state in mapped_from(one)]  # fmt: skip
+    mesh = next(filter(None, surfaces), None)
     names = [conversion.name(state.node.name if len(places) == 1 else f"{state.node.name}_{index + 1}")
              for index in range(len(places))]  # fmt: skip
     conversion.frames[id(state)] = names
