@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any, NamedTuple
 
 import meshio
@@ -178,8 +179,6 @@ def _body_mesh(state: SceneComponent, fields: list[SceneComponent]) -> LoadedMes
         tets = tets[:0]
     elif len(hexahedra):
         tets, hexahedra = tets if len(tets) else hexahedra[:, INTO_TETS].reshape(-1, 4), hexahedra[:0]
-    if not len(tets) and not len(hexahedra):
-        raise NotConverted("its topology has neither tetrahedra nor hexahedra")
     if max(int(part.max(initial=-1)) for part in (tets, hexahedra)) >= len(mesh.points):
         raise NotConverted(f"its cells name points beyond the {len(mesh.points)} of its state")
     same = mesh.tets.shape == tets.shape and mesh.hexahedra.shape == hexahedra.shape
@@ -288,13 +287,10 @@ def _mesh_entry(conversion: Conversion, record: BodyRecord, parts: list[tuple[st
 # --- mass and damping -----------------------------------------------------------------------------
 
 
-def mass_of(
-    conversion: Conversion, state: SceneComponent, count: int
-) -> tuple[SceneComponent | None, float | None]:
+def mass_of(state: SceneComponent, count: int) -> tuple[SceneComponent | None, float | None]:
     """The mass component of a state, and its total mass in the unit of the file; None where it has a density.
 
     Args:
-        conversion: The conversion.
         state: The state.
         count: Number of its points.
     """
@@ -308,7 +304,7 @@ def mass_of(
 
 def _add_mass(conversion: Conversion, record: BodyRecord, volumes: np.ndarray) -> None:
     """The mass of a body, from the mass component of its state."""
-    mass, total = mass_of(conversion, record.state, len(record.mesh.points))
+    mass, total = mass_of(record.state, len(record.mesh.points))
     material, units = record.entry["material"], conversion.units
     if mass is None:
         conversion.notes.append(f"body {record.name} has no mass: it takes {MASSLESS:g} kg/m³")
@@ -342,7 +338,7 @@ def mass(conversion: Conversion, component: SceneComponent) -> str | None:
         if id(state) not in conversion.frames and _is_moving(state):
             raise NotConverted("the points that it belongs to move, and are no body that is converted")
         return None
-    if mass_of(conversion, state, 0)[0] is not component:
+    if mass_of(state, 0)[0] is not component:
         raise NotConverted("a second mass of its body")
     material = record.entry["material"]
     return (f"{record.name}: {1e3 * material['total_mass']:.4g} g" if "total_mass" in material
@@ -381,10 +377,11 @@ def fixed(conversion: Conversion, component: SceneComponent) -> str | None:
     if component.kind.startswith("Partial") and not array_of(
             component, 1, "fixedDirections", otherwise=[1.0])[:3].all():  # fmt: skip
         raise NotConverted("points that are fixed along some axes only are not built here")
-    part = _part_of_body(conversion, conversion.state(component))
-    if part is not None:
-        chosen = part[1][indices_of(component, "indices", otherwise=[0])]
-        return _fix(part[0], component, [{"nodes": np.unique(chosen).tolist()}])
+    state = conversion.state(component)
+    for whole in conversion.bodies.values():
+        for _, nodes, points in parts_of(whole, [state]):
+            chosen = nodes[np.argsort(points)][indices_of(component, "indices", otherwise=[0])]
+            return _fix(whole, component, [{"nodes": np.unique(chosen).tolist()}])
     record = _held_record(conversion, component)
     if not isinstance(record, BodyRecord):
         return record
@@ -393,32 +390,27 @@ def fixed(conversion: Conversion, component: SceneComponent) -> str | None:
     return _fix(record, component, _regions(conversion, record, component, "indices"))
 
 
-def index_pairs(mapping: SceneComponent, record: BodyRecord) -> np.ndarray:
-    """For each point of a body the part that moves it, and its point of that part, int64, shape (count, 2).
+def parts_of(
+    record: BodyRecord, states: Collection[SceneComponent]
+) -> list[tuple[SceneComponent, np.ndarray, np.ndarray]]:
+    """The parts that a mapping joins to a body: their state, nodes of the body, and the part's points at these.
 
     Args:
-        mapping: A mapping of several parts.
         record: The body.
+        states: States whose parts are looked for.
 
     Raises:
-        NotConverted: It has other points.
+        NotConverted: The mapping has other points than the body.
     """
+    mapping = mapping_of(record.state)
+    sources = mapped_from(record.state, mapping)
+    if mapping is None or mapping.kind != "SubsetMultiMapping" or not any(one in states for one in sources):
+        return []
     pairs = array_of(mapping, 2, "indexPairs", otherwise=np.empty((0, 2))).astype(np.int64)
     if len(pairs) != len(record.mesh.points):
         raise NotConverted(f"indexPairs of {mapping.where} are not those of {len(record.mesh.points)} points")
-    return pairs
-
-
-def _part_of_body(conversion: Conversion, state: SceneComponent) -> tuple[BodyRecord, np.ndarray] | None:
-    """The body that some points are a part of, and their nodes; None where they are no part."""
-    for record in conversion.bodies.values():
-        mapping = mapping_of(record.state)
-        sources = [] if mapping is None or mapping.kind != "SubsetMultiMapping" else mapped_from(record.state)
-        if state in sources:
-            pairs = index_pairs(mapping, record)
-            nodes = np.flatnonzero(pairs[:, 0] == sources.index(state))
-            return record, nodes[np.argsort(pairs[nodes, 1])]
-    return None
+    every = ((one, pairs[:, 0] == number) for number, one in enumerate(sources) if one in states)
+    return [(one, np.flatnonzero(is_own), pairs[is_own, 1]) for one, is_own in every]
 
 
 def _held_record(conversion: Conversion, component: SceneComponent) -> BodyRecord | str | None:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from softrobot_twin.conversion.body_rules import MASSLESS, damping_of, index_pairs, mass_of
+from softrobot_twin.conversion.body_rules import MASSLESS, damping_of, mass_of, parts_of
 from softrobot_twin.conversion.computed_values import (
     array_of,
     frames_of,
@@ -62,17 +62,15 @@ def frames(conversion: Conversion, state: SceneComponent) -> str | None:
     """
     if not is_rigid(state) or id(state) in conversion.frames:
         return None
-    if first(state.node, KINDS["beams"]) is not None or mapped_from(state):
-        return None
-    if nearest(state.node, KINDS["movers"]) is None:
+    if first(state.node, KINDS["beams"]) or mapped_from(state) or not nearest(state.node, KINDS["movers"]):
         return None
     places, carried = frames_of(state), _rigid_parts(conversion, state)
-    mass, total = mass_of(conversion, state, len(places))
+    mass, total = mass_of(state, len(places))
     if mass is None and not carried:
         return None
-    carried_points = (one for one in components_below(conversion.root, KINDS["states"])
-                      if one is not state and not is_rigid(one) and state in mapped_from(one))  # fmt: skip
-    mesh = next(filter(None, map(surface_of, carried_points)), None)
+    surfaces = [surface_of(one) for one in components_below(conversion.root, KINDS["states"])
+                if one is not state and not is_rigid(one) and state in mapped_from(one)]  # fmt: skip
+    mesh = next(filter(None, surfaces), None)
     names = [conversion.name(state.node.name if len(places) == 1 else f"{state.node.name}_{index + 1}")
              for index in range(len(places))]  # fmt: skip
     conversion.frames[id(state)] = names
@@ -104,19 +102,13 @@ def _rigid_parts(conversion: Conversion, state: SceneComponent) -> list[tuple[Bo
     found = []
     for record in conversion.bodies.values():
         mapping = mapping_of(record.state)
-        if mapping is None or mapping.kind not in ("SubsetMultiMapping", "RigidMapping"):
-            continue
         carried = np.full(len(record.mesh.points), -1)
-        for number, source in enumerate(mapped_from(record.state, mapping)):
-            if mapping.kind == "RigidMapping":
-                carried = rigid_indices(mapping, len(carried)) if source is state else carried
-                continue
-            own = first(source.node, ("RigidMapping",))
-            if own is None or state not in mapped_from(source, own):
-                continue
-            pairs = index_pairs(mapping, record)
-            chosen = pairs[:, 0] == number
-            carried[chosen] = rigid_indices(own, pairs[chosen, 1].max(initial=-1) + 1)[pairs[chosen, 1]]
+        if mapping and mapping.kind == "RigidMapping" and state in mapped_from(record.state, mapping):
+            carried = rigid_indices(mapping, len(carried))
+        carriers = {one: own for one in mapped_from(record.state, mapping)
+                    if (own := first(one.node, ("RigidMapping",))) and state in mapped_from(one, own)}  # fmt: skip
+        for source, nodes, points in parts_of(record, carriers):
+            carried[nodes] = rigid_indices(carriers[source], points.max(initial=-1) + 1)[points]
         if (carried >= 0).any():
             found.append((record, [np.flatnonzero(carried == index) for index in range(len(frames_of(state)))]))
     return found
@@ -181,7 +173,7 @@ def _section(conversion: Conversion, component: SceneComponent) -> tuple[dict[st
 
 def _beam_density(conversion: Conversion, component: SceneComponent, places: np.ndarray, area: float) -> float:
     """Density [kg/m³]: of the force field, or of a mass in its node."""
-    mass, total = mass_of(conversion, conversion.state(component), len(places))
+    mass, total = mass_of(conversion.state(component), len(places))
     if component.kind == "AdaptiveBeamForceFieldAndMass" and is_true(component, "computeMass", True):
         density = number_of(component, "massDensity", otherwise=1.0)
     elif total is not None:
@@ -246,7 +238,7 @@ def joint(conversion: Conversion, component: SceneComponent) -> str | None:
     axis = turn.apply(array_of(link, 3, "rotationAxis", otherwise=[[1.0, 0.0, 0.0]])[0])
     to = {"to": names[parent], "to_at": "end"} if names[parent] else {"to": "world"}
     radius = ARM_RADIUS * length
-    mass = (mass_of(conversion, state, len(places))[1] or 0.0) * conversion.units.kilogram or LEAST_MASS
+    mass = (mass_of(state, len(places))[1] or 0.0) * conversion.units.kilogram or LEAST_MASS
     density = mass / (np.pi * radius**2 * length * conversion.units.volume)
     conversion.add("beams", component, {
         "name": name, "points": conversion.length([pivot, places[child, :3]]), "elements": 1,

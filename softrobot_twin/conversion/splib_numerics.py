@@ -39,17 +39,33 @@ class Quat(_Numbers):
 
     @staticmethod
     def product(one: Any, other: Any) -> Quat:
-        """The other turn, and then the one."""
+        """The other turn, and then the one.
+
+        Args:
+            one: A quaternion.
+            other: The one that turns first.
+        """
         return Quat((Rotation.from_quat(one) * Rotation.from_quat(other)).as_quat())
 
     @staticmethod
     def createFromEuler(v: Any, axes: str = "sxyz", inDegree: bool = False) -> Quat:
-        """A turn by three angles."""
+        """A turn by three angles.
+
+        Args:
+            v: The angles.
+            axes: Their axes; the first letter is r where these turn too.
+            inDegree: Whether the angles are in degrees, not radians.
+        """
         return Quat(Rotation.from_euler(_axes(axes), list(v), degrees=inDegree).as_quat())
 
     @staticmethod
     def createFromAxisAngle(axis: Any, angle: float) -> Quat:
-        """A turn about an axis [rad]."""
+        """A turn about an axis [rad].
+
+        Args:
+            axis: The axis.
+            angle: The angle [rad].
+        """
         return Quat([*(np.asarray(axis, float) * math.sin(0.5 * angle)), math.cos(0.5 * angle)]).normalize()
 
 
@@ -71,7 +87,14 @@ class Vec3(_Numbers):
 
 
 def transform(translation: Any, rotation: Any = Quat.usual, scale: Any = None, eulerRotation: Any = None) -> Any:
-    """The matrix of a scale, a turn (angles in degrees) and a translation, shape (4, 4)."""
+    """The matrix of a scale, a turn (angles in degrees) and a translation, shape (4, 4).
+
+    Args:
+        translation: The translation.
+        rotation: The turn, a quaternion.
+        scale: Factor along each axis.
+        eulerRotation: The turn as angles [degrees], in place of the quaternion.
+    """
     turn = Quat(rotation) if eulerRotation is None else Quat.createFromEuler(eulerRotation, inDegree=True)
     made = np.eye(4)
     made[:3, :3] = turn.getMatrix() * (np.ones(3) if scale is None else np.asarray(scale, float))
@@ -80,12 +103,24 @@ def transform(translation: Any, rotation: Any = Quat.usual, scale: Any = None, e
 
 
 def transform_position(point: Any, matrixTRS: Any) -> np.ndarray:
-    """A point by the matrix of `transform`."""
+    """A point by the matrix of `transform`.
+
+    Args:
+        point: The point.
+        matrixTRS: The matrix.
+    """
     return matrixTRS[:3, :3] @ np.asarray(point, float) + matrixTRS[:3, 3]
 
 
 def transform_positions(position: Any, translation: Any = (0.0, 0.0, 0.0), *given: Any, **named: Any) -> list:
-    """Points that are scaled, turned and moved; further arguments are a quaternion, angles and a scale."""
+    """Points that are scaled, turned and moved; further arguments are a quaternion, angles and a scale.
+
+    Args:
+        position: The points.
+        translation: The translation.
+        *given: Further arguments of `transform`, in the order of the package.
+        **named: These arguments by name.
+    """
     named = dict(zip(("rotation", "eulerRotation", "scale"), given, strict=False)) | named
     return [transform_position(one, transform(translation, **named)).tolist() for one in position]
 

@@ -41,6 +41,7 @@ class Units(NamedTuple):
     stiffness = property(lambda self: self.kilogram)
     """N/m in its unit of stiffness."""
 
+
 def units_of(gravity: np.ndarray | None, extent: float, given: str | None) -> Units:
     """The units of a scene.
 

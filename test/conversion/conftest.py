@@ -31,10 +31,6 @@ class Converted(NamedTuple):
     def scene(self) -> Scene:
         return load_scene(self.path)
 
-    @property
-    def text(self) -> str:
-        return self.path.read_text()
-
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:

@@ -69,14 +69,6 @@ def test_numbers_of_the_helper_package_turn_as_rotations_do(drawn_rng):
     assert Vec3(3.0).toList() == [3.0] * 3 and NUMERICS["vsub"]([3, 2], [1, 1]) == [2, 1]
 
 
-def test_numbers_that_come_from_a_missing_module_are_told(convert):
-    text = ("import nowhere\nfrom scipy import signal\nfrom grid import createScene as grid\n"
-            "def createScene(root):\n    grid(root)\n    assert signal.gausspulse\n    for one in nowhere.legs():\n"
-            "        pass\n")
-    converted = convert("counted.py", text)
-    assert converted.code == 3 and "nowhere.legs (counted.py:7) is not known" in converted.told
-
-
 def test_goals_without_an_actuator_give_no_file_of_targets(convert, folder):
     text = (folder / "centre.py").read_text()
     convert("centre.py")
