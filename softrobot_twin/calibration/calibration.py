@@ -581,14 +581,6 @@ class Estimate(NamedTuple):
             self.covariance[np.ix_(kept, kept)], self.noise, J, self.residuals - others + J @ moved,
             self.freedom[kept], self.alike)
 
-    def noise_of(self, kinds: np.ndarray) -> np.ndarray:
-        """Noise of measurements by their kinds, NaN of kinds that the fit did not have.
-
-        Args:
-            kinds: Shape (n,).
-        """
-        return np.array([self.noise.get(kind, np.nan) for kind in kinds])
-
     def scale_of(self, kinds: np.ndarray) -> np.ndarray:
         """Noise of measurements that weighs the points of a pose as what they tell together.
 
@@ -1264,7 +1256,8 @@ def forecast(model: RestModel, joint: Estimate, scene: Scene, reach: Reach | Non
     """
     at = np.array([one.parameter.read(scene) for one in joint.unknowns])
     found = model.predict(at, True)
-    noise = joint.noise_of(model.measured.kinds)
+    # NaN of kinds that the fit did not have.
+    noise = np.array([joint.noise.get(kind, np.nan) for kind in model.measured.kinds])
     if reach is not None and len(model.poses):
         noise *= reach.factors(np.array([pose.setpoints for pose in model.poses]))[model.measured.poses]
     by_known = found.jacobian * [

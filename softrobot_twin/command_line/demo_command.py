@@ -149,7 +149,8 @@ def _print_start(plan: DemoPlan, domain: str) -> None:
                  f"started, and then the report; --seconds shortens it; ROS_DOMAIN_ID={domain}",
                  soft_wrap=True)
     if plan.view_port is not None and not plan.opens_viewer:
-        output.print(f"no display; open the live view with: rerun {plan.view_address}", soft_wrap=True)
+        output.print("no display; open the live view with: "
+                     f"rerun rerun+http://127.0.0.1:{plan.view_port}/proxy", soft_wrap=True)
 
 
 def _report(plan: DemoPlan, outcome: DemoOutcome) -> tuple[int, dict[str, TrackingRecord]]:

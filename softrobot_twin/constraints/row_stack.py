@@ -93,7 +93,7 @@ class RowStack:
         if points is not None and (reached >= points.free_count).any():
             self._carried = CarriedRows(points, self._entry_room)
             own = reached[reached < points.free_count]
-            reached = np.concatenate([own, points.all_unknowns()])
+            reached = np.concatenate([own, points.unknowns[points.unknowns >= 0]])
         self.reached_nodes = np.unique(reached)
         self._make_room()
         self.constant_terms = constant = [(term, rows) for term, _, rows in self._constant_parts]

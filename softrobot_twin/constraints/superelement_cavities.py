@@ -86,7 +86,7 @@ class SuperelementCavities(ConstraintTerm):
     def tell_efforts(self, efforts: np.ndarray) -> None:
         """Set the pressures of superelements and rows; see `ConstraintTerm.tell_efforts`."""
         for superelements, _, _ in self._parts:
-            superelements.tell_pressures(efforts)
+            superelements.pressures[:] = efforts
 
     def evaluate(self, positions: np.ndarray, blocks: np.ndarray, values: np.ndarray) -> None:
         """Write H, the growths δ [m³] and the compliance; see `ConstraintTerm.evaluate`."""

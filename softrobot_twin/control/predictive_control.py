@@ -87,7 +87,6 @@ class Planned(NamedTuple):
     Attributes:
         inputs: Inputs to send, shape (input_count,).
         is_solved: Whether the program was solved; else the inputs are those of the tick before.
-        is_limited: Whether limits or rates hold any input back in the first tick.
         expected: Outputs expected at the time at which the inputs take effect [m], shape
             (output_count,).
         iterations: Of the program's solver.
@@ -95,7 +94,6 @@ class Planned(NamedTuple):
 
     inputs: np.ndarray
     is_solved: bool
-    is_limited: bool
     expected: np.ndarray
     iterations: int
 
@@ -250,9 +248,7 @@ class PredictiveControl:
         low, high = self._allowed.low, self._allowed.high
         low, high = np.maximum(low, self.last_inputs - self._reach), np.minimum(high, self.last_inputs + self._reach)
         inputs = np.maximum(np.minimum(inputs, high), low)
-        slack = 1.0e-6 * (self._allowed.high - self._allowed.low)
-        is_limited = bool(((inputs <= low + slack) | (inputs >= high - slack)).any())
-        return Planned(inputs, is_solved, is_limited, here + self._C @ x, iterations)
+        return Planned(inputs, is_solved, here + self._C @ x, iterations)
 
     def send(self, inputs: np.ndarray) -> None:
         """Takes what was sent in this tick, and goes on to the next.

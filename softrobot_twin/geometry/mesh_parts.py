@@ -191,8 +191,9 @@ def _assembled(commands: list) -> tuple[list, list[str]]:
         if len(parts) > 1:
             raise ValueError(f"it has the parts {', '.join(parts)}, and no *Instance that places them")
         return commands, []
-    set_names = [name for _, own, _ in instances
-                 for name in {_set_name(command) for command, _ in own} - {""}]  # fmt: skip
+    sets = [{_parameters(command).get("ELSET", "").casefold() for command, _ in own}
+            for _, own, _ in instances]  # fmt: skip
+    set_names = [name for names in sets for name in names - {""}]
     made, first, starts = [], 0, {}
     for instance, own, placement in instances:
         starts[instance.casefold()] = first
@@ -212,10 +213,6 @@ def _assembled(commands: list) -> tuple[list, list[str]]:
         made.append(_numbered(command, rows, start, "", set()))
     return made, [f"Left out the part {name}, which no *Instance places." for name in parts
                   if name not in placed]  # fmt: skip
-
-
-def _set_name(command: str) -> str:
-    return _parameters(command).get("ELSET", "").casefold()
 
 
 def _numbered(command: str, rows: list[str], first: int, prefix: str, several: set[str]) -> tuple:

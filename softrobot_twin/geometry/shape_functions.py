@@ -160,8 +160,6 @@ class MeanHexahedron(TrilinearHexahedron):
 
 LINEAR_TETRAHEDRON, QUADRATIC_TETRAHEDRON = LinearTetrahedron(), QuadraticTetrahedron()
 TRILINEAR_HEXAHEDRON, MEAN_HEXAHEDRON = TrilinearHexahedron(), MeanHexahedron()
-MODE_COUNT = 5
-"""Fields of enhanced strain in a hexahedron."""
 
 
 def modes(points: np.ndarray) -> np.ndarray:
@@ -178,7 +176,7 @@ def modes(points: np.ndarray) -> np.ndarray:
         points: Reference coordinates, shape (point_count, 3).
 
     Returns:
-        Shape (point_count, MODE_COUNT, 3).
+        Shape (point_count, 5, 3).
     """
     points = np.asarray(points, dtype=float)
     products = points * np.roll(points, -1, axis=1)  # ξη ηζ ζξ
@@ -230,10 +228,7 @@ class IntegrationPoints(NamedTuple):
 
 
 def integration_points(
-    node_positions: np.ndarray,
-    cells: np.ndarray,
-    shape: ShapeFunctions,
-    rule: Quadrature | None = None,
+    node_positions: np.ndarray, cells: np.ndarray, shape: ShapeFunctions
 ) -> IntegrationPoints:
     """Gradients and volumes at the quadrature points of cells.
 
@@ -241,12 +236,11 @@ def integration_points(
         node_positions: Rest positions [m], shape (node_count, 3).
         cells: Node indices, shape (cell_count, shape.node_count).
         shape: The cells' shape functions.
-        rule: The quadrature; the cells' own when None.
 
     Returns:
         The points of each cell.
     """
-    points, weights = rule or shape.quadrature
+    points, weights = shape.quadrature
     slopes = shape.slopes(points)
     # Where gradients are constant, all points share one.
     slopes = slopes[:1] if shape.gradient_degree == 0 else slopes
@@ -264,7 +258,7 @@ class HourglassFields(NamedTuple):
     Attributes:
         gammas: γ_i of the corners, orthogonal to every affine field, shape (cell_count, 4, 8).
         gradients: ∇N_a of the corners less their means, then the fields of enhanced strain, at the points
-            of the rule of the trilinear hexahedron [1/m], shape (cell_count, 8, 8 + MODE_COUNT, 3).
+            of the rule of the trilinear hexahedron [1/m], shape (cell_count, 8, 8 + 5, 3).
         weights: Volume of each point [m³], shape (cell_count, 8).
     """
 

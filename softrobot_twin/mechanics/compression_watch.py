@@ -113,11 +113,3 @@ class CompressionWatch(NamedTuple):
     elements: object
     body: str
     lame: LameParameters
-
-    def is_too_coarse(self, positions: np.ndarray) -> bool:
-        """Whether the force may be more than 25 % too high.
-
-        Args:
-            positions: Node positions [m], shape (node_count, 3).
-        """
-        return self.elements.coarseness(positions, self.lame) > 1.0

@@ -14,7 +14,7 @@ import numpy as np
 
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.force_term import ForceTerm
-from softrobot_twin.mechanics.stencil import add_weighted_matrices, bind_stencils
+from softrobot_twin.mechanics.stencil import add_weighted_matrices
 
 
 class Held(NamedTuple):
@@ -100,10 +100,6 @@ class Grips(ForceTerm):
         """
         frame = positions[self.frames[grip] : self.frames[grip] + 4]
         return (points - frame[0]) @ (frame[1:] - frame[0]).T
-
-    def bind(self, elimination_rank: np.ndarray, slots) -> None:
-        """Find the places of the stiffness in the storage; see `ForceTerm.bind`."""
-        self._bound = bind_stencils(self._stencils, elimination_rank, slots)
 
     @property
     def _active(self) -> np.ndarray:

@@ -418,10 +418,6 @@ class CarriedPoints:
         """Whether all kinds write what changes by kernels; see `ForceTerm.is_traceable`."""
         return all(getattr(kind, "is_traceable", False) for kind in self._kinds)
 
-    def all_unknowns(self) -> np.ndarray:
-        """Unknowns that any carried point depends on, each once."""
-        return np.unique(self.unknowns[self.unknowns >= 0])
-
     def fold_forces(
         self, point_forces: np.ndarray, forces: np.ndarray, own: np.ndarray
     ) -> None:

@@ -511,7 +511,8 @@ class Superelements(ForceTerm):
     """Force term of all superelements of one reduced body, at given pressures of its cavities.
 
     Attributes:
-        pressures: Gauge pressure of each cavity [Pa], shape (cavity_count,); `tell_pressures`.
+        pressures: Gauge pressure of each cavity [Pa], shape (cavity_count,); others may be
+            written here, at which all is evaluated from then on.
         count: Number of superelements.
         ranges: Largest |z| of each at the state evaluated last; above 1 it is out of what was
             sampled, shape (count,).
@@ -586,14 +587,6 @@ class Superelements(ForceTerm):
         self.ranges = np.zeros(self.count)
         # Those of the state that is known: none yet.
         self._points, self._told = np.full((*self._nodes.shape, 3), np.nan), np.zeros(cavity_count)
-
-    def tell_pressures(self, pressures: np.ndarray) -> None:
-        """Set the pressures at which forces, stiffness and growths are evaluated from now on.
-
-        Args:
-            pressures: [Pa], shape (cavity_count,).
-        """
-        self.pressures[:] = pressures
 
     def evaluate(self, positions: np.ndarray) -> None:
         """Evaluate the derivatives of Π, unless they are known from the last call.

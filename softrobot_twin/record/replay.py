@@ -183,7 +183,7 @@ class TickComparison:
 
     def _difference(self, tick: int, time: float, name: str, before: object, after: object) -> Difference:
         quantity = quantities().get(name, Quantity())
-        if not quantity.is_number:
+        if not quantity.unit:  # No two of them can be subtracted.
             return Difference(tick, time, name, "", before, after, np.inf)
         try:
             first, second = numbers(before), numbers(after)

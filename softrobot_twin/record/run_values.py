@@ -39,15 +39,6 @@ class Quantity(NamedTuple):
     columns: Sequence[str] = ""
     path: str | Callable[[TickOutcome], object] = ""
 
-    @property
-    def is_number(self) -> bool:
-        """Whether two of them can be subtracted."""
-        return bool(self.unit)
-
-
-def _guided_poses(tick: TickOutcome) -> dict[str, list[np.ndarray]]:
-    return {name: [*pose] for name, pose in tick.guided_poses.items()}
-
 
 def of_channels(given: Iterable[Channel]) -> dict[str, Quantity]:
     """Channels as quantities of ticks: what the model tells and, with most, what is measured.
@@ -91,7 +82,7 @@ QUANTITIES: dict[str, Quantity] = {
     "predicted_markers": Quantity("m", MARKERS, "xyz"),
     "measured_markers": Quantity("m", MARKERS, "xyz"),
     "misfit_rms": Quantity("m", path="misfit.rms"),
-    "guided_poses": Quantity(path=_guided_poses),
+    "guided_poses": Quantity(path=lambda tick: {name: [*pose] for name, pose in tick.guided_poses.items()}),
     "contact_positions": Quantity("m", NOTHING, "xyz", path="result.contacts.positions"),
     "contact_forces": Quantity("N", NOTHING, "xyz", path="result.contacts.forces"),
     "residual": Quantity("N", path="result.report.residual"),

@@ -262,18 +262,14 @@ class Work(NamedTuple):
     total: np.ndarray
 
 
-def work_of(
-    body: Body, modes: Modes, states: np.ndarray, rng: np.random.Generator,
-    most_candidates: int | None = None,
-) -> Work:  # fmt: skip
+def work_of(body: Body, modes: Modes, states: np.ndarray, rng: np.random.Generator) -> Work:
     """Take the virtual work of points of a body at states.
 
     Args:
         body: The body.
         modes: The modes.
         states: Coordinates [m], shape (state_count, mode_count).
-        rng: Draws the candidates.
-        most_candidates: Of more points than these, some are drawn; None for `MOST_CANDIDATES`.
+        rng: Draws the candidates, where there are more points than `MOST_CANDIDATES`.
     """
     scale = 1.0 / np.sqrt(modes.stiffness)
     seen = states[np.linspace(0, len(states) - 1, min(SIZE_STATES, len(states))).astype(int)]
@@ -285,7 +281,7 @@ def work_of(
         sizes.append(size)
         points.append(chunk.points)
     points = SampledPoints(*map(np.concatenate, zip(*points, strict=True)))
-    candidates = _drawn(np.concatenate(sizes), most_candidates or MOST_CANDIDATES, rng)
+    candidates = _drawn(np.concatenate(sizes), MOST_CANDIDATES, rng)
     candidates = SampledPoints(*(field[candidates] for field in points))
     parts, columns = [], []
     for chunk in _chunks(body, modes.basis, candidates):

@@ -70,15 +70,12 @@ class ProcessorTimes(NamedTuple):
     cores: int
 
 
-def processor_times(
-    sessions: Iterable[int], cores: Collection[int], proc: Path = Path("/proc")
-) -> ProcessorTimes:
+def processor_times(sessions: Iterable[int], cores: Collection[int]) -> ProcessorTimes:
     """Reads how long the processor has worked since the machine started.
 
     Args:
         sessions: Ids of the demo's own sessions; this process is counted too.
         cores: The cores to count.
-        proc: The folder of the kernel's tables.
 
     Raises:
         OSError: This system has no such tables.
@@ -86,13 +83,13 @@ def processor_times(
     tick = os.sysconf("SC_CLK_TCK")
     allowed = {f"cpu{core}" for core in cores}
     busy = 0
-    for line in (proc / "stat").read_text().splitlines():
+    for line in Path("/proc/stat").read_text().splitlines():
         name, *words = line.split()
         if name in allowed:
             counts = [int(word) for word in words[:_GUEST]]
             busy += sum(counts) - counts[_IDLE] - counts[_IOWAIT]
     wanted, own, here = set(sessions), 0, os.getpid()
-    for entry in proc.glob("[0-9]*"):
+    for entry in Path("/proc").glob("[0-9]*"):
         try:
             # The program's name may contain spaces and brackets.
             words = (entry / "stat").read_text().rpartition(")")[2].split()
@@ -203,11 +200,6 @@ class DemoPlan:
     def record_file(self) -> Path:
         """The twin's rerun recording."""
         return self.folder / "run.rrd"
-
-    @property
-    def view_address(self) -> str:
-        """Address for viewers."""
-        return f"rerun+http://127.0.0.1:{self.view_port}/proxy"
 
     def command(self, node: str) -> list[str]:
         """Module and arguments of a node, to follow ``python -m``.

@@ -260,7 +260,7 @@ def _reason(root, location: tuple, details: Any) -> str:
         return f"must be {word} {context[name]:g}"
     if kind == "literal_error":
         # The error contains the words of a list that can be extended, such as that of the laws.
-        words = context.get("words") or _words_at(root, location)
+        words = context.get("words") or get_args(plain(_annotation_at(root, location)))
         if str(value) in NOT_BUILT:
             missing = f"{NOT_BUILT[str(value)]} is not available in this version"
             return f"{missing}; must be one of {', '.join(map(str, words))}"
@@ -284,10 +284,6 @@ def _reason(root, location: tuple, details: Any) -> str:
         several = "; several are given as bodies" if location == ("body",) else ""
         return f"must be {_kind(expected)}{several}"
     return _lower(details["msg"])
-
-
-def _words_at(root, location: tuple) -> tuple:
-    return get_args(plain(_annotation_at(root, location))) or ()
 
 
 def _kind(annotation: Any) -> str:

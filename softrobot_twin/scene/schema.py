@@ -669,5 +669,5 @@ def register_shape(key: str, shape: type[ShapeEntry]) -> None:
         entry.model_fields[key] = FieldInfo(annotation=shape | None, default=None)  # type: ignore[arg-type]
     Shaped.one_of = (*Shaped.one_of, key)
     forms_of.cache_clear()
-    for entry in (*_SHAPED, Scene):
-        entry.model_rebuild(force=True)
+    for model in (*_SHAPED, Scene):
+        model.model_rebuild(force=True)

@@ -216,7 +216,9 @@ class ReachingEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
             state = self.states[begin] if state is None else state
             self.target = self._places[end]
         elif target is None:
-            self.target = self._random_target()
+            # Where the effector comes to rest at random setpoints.
+            self._random_state(self.np_random)
+            self.target = self.place
         self.target = self.target if target is None else _place_of(target)
         self._stand_at(state)
         if self._draws or state is None:
@@ -328,11 +330,6 @@ class ReachingEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
             self._simulation.take_over(self._nominal, state)
             self.robot.state = self._simulation.state
         return True
-
-    def _random_target(self) -> np.ndarray:
-        """Where the effector comes to rest at random setpoints [m], shape (3,)."""
-        self._random_state(self.np_random)
-        return self.place
 
     def _random_state(self, random: np.random.Generator) -> State:
         """Brings the robot to rest at random setpoints."""

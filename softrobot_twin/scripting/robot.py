@@ -683,9 +683,9 @@ class Robot:
         if command is None and not (poses or touches):
             return self._run_alone(steps, seconds, _rate(rate))
         hertz = _rate(rate)
-        if command is None or _is_command(command):
+        if command is None or isinstance(command, NamedCommand | Command):
             count = _step_count(steps, seconds, hertz)
-            one = hold() if command is None else cast(AnyCommand, command)
+            one = hold() if command is None else command
             commands = [one] * count
         else:
             if not isinstance(command, Iterable):
@@ -964,13 +964,7 @@ def _refuse(what: str, **given: Any) -> None:
             raise CommandError(name, f"has no meaning where a run takes {what}")
 
 
-def _is_command(command: Any) -> bool:
-    return isinstance(command, NamedCommand | Command)
-
-
 def _is_table(command: Any) -> bool:
     """Whether something is a file, or has columns by name."""
     is_array = isinstance(command, np.ndarray) and command.dtype.names is not None
     return isinstance(command, Path | str) or is_array or hasattr(command, "keys")
-
-

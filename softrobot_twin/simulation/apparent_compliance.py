@@ -34,6 +34,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
+from softrobot_twin.constraints.hinge_angle import HingeAngles
 from softrobot_twin.simulation.building.limits import DISPLACEMENT_MARGIN, HOLDING_MARGIN
 from softrobot_twin.simulation.simulation import Simulation
 from softrobot_twin.simulation.step.apparent_stiffness import SHARING, effector_rows, sharing
@@ -127,7 +128,7 @@ class HeldTangent:
         # A free body, or a beam that only a motor holds, has a singular stiffness, of which a
         # factorization may take no notice.
         self._may_be_definite = not (
-            any(part.is_free for part in model.rigid) or model.has_motors_of_hinges
+            any(part.is_free for part in model.rigid) or any(isinstance(term, HingeAngles) for term in model.rows.terms)
             or not model.actuators.conserves
         )  # fmt: skip
 

@@ -7,8 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.kernels.compilation import KERNEL, njit
+from softrobot_twin.mechanics.observed_loads import ObservedLoads
 from softrobot_twin.simulation.apparent_compliance import CondensedHold, HeldTangent
-from softrobot_twin.simulation.effects.observed_forces import ObservedRows, observed_term
+from softrobot_twin.simulation.effects.observed_forces import ObservedRows
 from softrobot_twin.simulation.simulation import Simulation
 from softrobot_twin.simulation.step.apparent_stiffness import SHARING
 from softrobot_twin.solvers.factorization import Factorization
@@ -49,7 +50,7 @@ class MarkerCompliance(HeldTangent):
             simulation: The simulation.
         """
         super().__init__(simulation)
-        self.rows = ObservedRows(simulation.model, observed_term(simulation.model).places, True)
+        self.rows = ObservedRows(simulation.model, simulation.model.force_term(ObservedLoads).places, True)
         self._take_rows()
         self._of_step = self._beside_step = None
 

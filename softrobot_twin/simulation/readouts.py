@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from softrobot_twin.mechanics.observed_loads import ObservedLoads
 from softrobot_twin.mechanics.touch_loads import TouchState
-from softrobot_twin.simulation.effects.observed_forces import observed_term
 from softrobot_twin.simulation.appearance import (
     CavityDisplay,
     Pose,
@@ -128,7 +128,7 @@ class Readouts:
         self.base_names = ("base",) if self.scene.moving_base is not None else ()
         self.grip_names = tuple(grip.name for grip in self.scene.grips)
         self.reaction_names = tuple(reaction.name for reaction in self.scene.reactions)
-        places = () if (observed := observed_term(model)) is None else observed.places
+        places = () if (observed := model.force_term(ObservedLoads)) is None else observed.places
         self.observed_names = tuple(place.name for place in places)
         self.observed_with_torque = tuple(place.is_wrench for place in places)
         self.rigid_names = tuple(part.name for part in model.rigid)

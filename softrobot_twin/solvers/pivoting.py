@@ -65,7 +65,6 @@ def solve_by_pivoting(
     most_programs: int = MOST_PROGRAMS,
     active: np.ndarray | None = None,
     expired: Callable[[], bool] = never,
-    look_around: bool = False,
     second_start: Callable[[np.ndarray], np.ndarray | None] | None = None,
 ) -> QPCCSolution:
     """A local minimum, from the held actuation.
@@ -81,9 +80,6 @@ def solve_by_pivoting(
         active: Active bounds of the last solution, see `QPCCSolution.active`. Where nearly the
             same are active now, the solution is found, and proved, without a quadratic program.
         expired: Called before each program; True when the time is over.
-        look_around: Whether to solve also the branches in which one contact changes although no
-            dual promises a lower objective. This finds the global minimum more often, for one more
-            program per contact.
         second_start: Called with z of the local minimum; gives the contacts that touch where the
             search begins a second time, shape (contact_count,), or None where z is good enough.
 
@@ -109,7 +105,7 @@ def solve_by_pivoting(
         return _held(problem, held, touching) if first is None else first
     descent = _Descent(branches, budget)
     if first is None:
-        first = descent.run(held, touching, last, look_around)
+        first = descent.run(held, touching, last)
         if second_start is not None:
             again = second_start(first.unknowns)
     return first if again is None else descent.run_again(again, first)
@@ -152,14 +148,11 @@ class _Descent:
         self._pivots = 0
         self._solved_any = False
 
-    def run(self, held, touching, last, look_around) -> QPCCSolution:
+    def run(self, held, touching, last) -> QPCCSolution:
         """Find a start, descend from it, and return the best."""
         self._touching = touching
         improved = self._begin(last)
         stationarity = self._descend() if improved else Stationarity.HELD
-        while improved and look_around and self._look_around():
-            self._pivots += 1
-            stationarity = self._descend()
         z = self._branches.refine(self._best, self._touching) if improved else held
         return self._solution(z, stationarity, held)
 
@@ -172,7 +165,7 @@ class _Descent:
         """
         self._best = reached = self._branches.at(first.unknowns)
         self._touching = first.touching
-        if not self._solve(start, _is_any):
+        if not self._solve(start, lambda branch, than: True):
             return first._replace(programs=self._budget.spent)
         stationarity = self._descend()
         if not self._best.is_much_better_than(reached, MUCH_LOWER):
@@ -246,11 +239,6 @@ class _Descent:
                 return together
             self._pivots += 1
 
-    def _look_around(self) -> bool:
-        """Change one contact, degenerate or not, the least force or gap first."""
-        nearest = np.argsort(np.where(self._touching, self._best.forces, self._best.gaps))
-        return any(self._change([contact]) for contact in nearest)
-
     def _change_together(self, degenerate: np.ndarray) -> Stationarity | None:
         """Change several contacts as the convex problem over all their branches says.
 
@@ -287,10 +275,6 @@ class _Descent:
         duals = np.where(self._touching, best.gap_duals, best.force_duals)
         improving = degenerate[duals[degenerate] > IMPROVING]
         return degenerate, improving[np.argsort(-duals[improving], kind="stable")]
-
-
-def _is_any(branch: Branch, than: Branch) -> bool:
-    return True
 
 
 def _is_no_worse(branch: Branch, than: Branch) -> bool:

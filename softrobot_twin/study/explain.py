@@ -28,6 +28,7 @@ from softrobot_twin.harness.terminal import (
     warn,
 )
 from softrobot_twin.mechanics.laws import law_named
+from softrobot_twin.mechanics.observed_loads import ObservedLoads
 from softrobot_twin.mechanics.sealed_gas import SealedGas
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.body_entries import Material, RegionMaterial
@@ -38,7 +39,6 @@ from softrobot_twin.simulation.building.beam_bodies import BeamBody
 from softrobot_twin.simulation.building.cavity_actuator import wall_details
 from softrobot_twin.simulation.building.deformable_body import AtRest, MaterialPart, law_at_rest
 from softrobot_twin.simulation.command import DEFAULT_TIME_STEP
-from softrobot_twin.simulation.effects.observed_forces import observed_term
 from softrobot_twin.simulation.effects.reduction_error import FullModelError
 from softrobot_twin.simulation.mesh_error import MeshError, MeshErrorEstimator, MeshErrorUnknown
 from softrobot_twin.simulation.mounting import MountingError, prestress
@@ -497,7 +497,7 @@ def _observed_effects(simulation: Simulation, names: list[str]) -> Iterator[Effe
     observer.look()
     noise = simulation.scene.observer.marker_noise or USUAL_NOISE
     told, named = observer.told(noise), f"by a frame with {number(1e3 * noise)} mm of noise"
-    for force in observed_term(simulation.model).places:
+    for force in simulation.model.force_term(ObservedLoads).places:
         deviations = told[first : first + force.dimension]
         first += force.dimension
         what = ("force and torque on a rigid body" if force.is_wrench else
@@ -546,7 +546,9 @@ def sizes(simulation: Simulation) -> list[tuple[str, str]]:
         low, high = (np.where(np.abs(end) < rounding, 0.0, end) for end in (low, high))
         lines.append(("bounding box", f"{vector(1e3 * low)} to {vector(1e3 * high)} mm"))
     lines += _weights(simulation)
-    lines += _thinnest_parts(simulation)
+    lines += _by_value("thinnest part of", [
+        (body.name, _across(part, body.entry.element))
+        for body, part in zip(simulation.model.bodies, thinnest_parts(simulation), strict=True)])
     threads = getattr(without_rows(model.factorization), "thread_count", 1)
     lines.append(("unknowns", f"{simulation.dof_count}"
                   + (f", factorized by {threads} threads" if threads > 1 else "")))
@@ -563,13 +565,6 @@ LEAST_ACROSS = 2.0
 """Elements with four nodes across the thinnest part of a body below which a warning is printed."""
 FOUR_NODES = ("linear", "smoothed")
 """Elements that need at least as many."""
-
-
-def _thinnest_parts(simulation: Simulation) -> list[tuple[str, str]]:
-    """Elements across the thinnest part of each body."""
-    return _by_value("thinnest part of", [
-        (body.name, _across(part, body.entry.element))
-        for body, part in zip(simulation.model.bodies, thinnest_parts(simulation), strict=True)])
 
 
 def _across(part: ThinnestPart, element: str) -> str:

@@ -11,10 +11,11 @@ from softrobot_twin.calibration.calibration import calibrate
 from softrobot_twin.control.force_observer import ForceObserver
 from softrobot_twin.control.rest_watch import RestPose
 from softrobot_twin.errors import CommandError, SceneError
+from softrobot_twin.mechanics.observed_loads import ObservedLoads
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.schema import ObservedForce, Observer
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation, Touched
-from softrobot_twin.simulation.effects.observed_forces import ObservedForces, observed_term
+from softrobot_twin.simulation.effects.observed_forces import ObservedForces
 from softrobot_twin.simulation.marker_compliance import MarkerCompliance
 from softrobot_twin.solvers.multifrontal import Multifrontal
 
@@ -213,7 +214,7 @@ def test_on_another_robot_forces_are_found_after_a_calibration(small_scene_mappi
 def test_a_push_at_an_unknown_place_is_found(searching, small_scene_mapping, rng, frames, count):
     """One that grows, and one that is there at once."""
     real = built(exact(observing(small_scene_mapping, {"name": "push"})))
-    place = observed_term(real.model).places[0]
+    place = real.model.force_term(ObservedLoads).places[0]
     points = place.points.positions(real.model.nodes.rest_positions)
     may = np.flatnonzero((np.hypot(*points.T[:2]) > 0.03) | (points[:, 2] > 0.05))
     away, errors = [], []
@@ -449,7 +450,7 @@ def compensated(twin, real, force, closed, delay, rng):
 
 def test_a_scene_without_an_observer_has_nothing_of_it(drive, simulation):
     assert drive().loop.observer is None
-    assert observed_term(simulation.model) is None
+    assert simulation.model.force_term(ObservedLoads) is None
     assert not any(key.startswith("observer.") for key in simulation.state.memory)
 
 
@@ -504,7 +505,7 @@ def test_without_forces_an_observer_looks_at_touches_or_effectors_or_everywhere(
 def test_a_force_at_a_touch_acts_at_its_points(small_scene_mapping):
     mapping = observing(small_scene_mapping, {"name": "push", "touch": "hand"})
     mapping["touches"] = [{"name": "hand", "points": [[0.0, 0.08, 0.07], [0.0, 0.07, 0.07]]}]
-    (place,) = observed_term(Simulation(scene_from_mapping(mapping)).model).places
+    (place,) = Simulation(scene_from_mapping(mapping)).model.force_term(ObservedLoads).places
     assert place.name == "push"
     assert place.points.point_count == 2
 

@@ -156,7 +156,7 @@ def test_a_rigid_motion_of_all_stores_nothing_and_turns_the_forces(chain):
     # Here the first frame is free too: it turns with the others.
     fits = chain.fits
     everywhere = Superelements(fits, DEGREE, 4 * np.arange(3), 2, np.array([0, 2, 4]))
-    everywhere.tell_pressures(PRESSURES)
+    everywhere.pressures[:] = PRESSURES
     forces = np.zeros((6, 3)), np.zeros((6, 3))
     before = everywhere.enthalpy(chain.x)
     everywhere.add_forces(chain.x, forces[0])

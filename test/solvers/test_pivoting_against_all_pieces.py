@@ -20,24 +20,19 @@ def compare_with_all_pieces(robots, eliminated):
     lost = []
     for robot in robots:
         problem = robot.problem()
-        answers = [
-            solve_by_pivoting(problem, robot.held, robot.touching, look_around=around)
-            for around in (False, True)
-        ]
+        answer = solve_by_pivoting(problem, robot.held, robot.touching)
         least = least_of_all_pieces(problem, eliminated)
-        gain = answers[0].held_objective - least
-        lost.append([(answer.objective - least) / gain for answer in answers])
+        lost.append((answer.objective - least) / (answer.held_objective - least))
     return np.array(lost)
 
 
 def tell(contacts, lost):
-    for name, each in zip(("pivoting", "look around"), lost.T, strict=True):
-        missed = each[each > 1e-6]
-        print(
-            f"{contacts} contacts, {name}: global in {np.mean(each < 1e-6):.1%} of {len(each)}, "
-            f"else {missed.mean() if len(missed) else 0.0:.1%} of the gain lost in the mean, "
-            f"{each.max():.1%} at most"
-        )
+    missed = lost[lost > 1e-6]
+    print(
+        f"{contacts} contacts: global in {np.mean(lost < 1e-6):.1%} of {len(lost)}, "
+        f"else {missed.mean() if len(missed) else 0.0:.1%} of the gain lost in the mean, "
+        f"{lost.max():.1%} at most"
+    )
 
 
 @pytest.mark.parametrize("contacts", [1, 3, 5])
@@ -48,9 +43,7 @@ def test_the_local_minimum_is_nearly_always_the_global_one(robot_in_contact, eli
     tell(contacts, lost)
     # No answer is below the enumerated optimum: it is one.
     assert lost.min() > -1e-6
-    assert np.mean(lost[:, 0] < 1e-6) >= 0.8
-    assert np.mean(lost[:, 1] < 1e-6) >= 0.9
-    assert np.all(lost[:, 1] <= lost[:, 0] + 1e-6)
+    assert np.mean(lost < 1e-6) >= 0.8
 
 
 @pytest.mark.exhaustive
@@ -63,5 +56,4 @@ def test_at_least_eight_of_ten_local_minima_are_global(
     )
     tell(contacts, lost)
     assert lost.min() > -1e-6
-    assert np.mean(lost[:, 0] < 1e-6) >= 0.8
-    assert np.mean(lost[:, 1] < 1e-6) >= 0.9
+    assert np.mean(lost < 1e-6) >= 0.8

@@ -119,7 +119,8 @@ def check_walls_of_reduced(scene: Scene) -> None:
     if not reduced:
         return
     cavities, sealed = list(scene.keyed("cavities")), list(scene.keyed("sealed_cavities"))
-    carriers = {key: [_body_of(wall, scene) for wall in cavity.walls]
+    usual = scene.deformables[0].name
+    carriers = {key: [usual if wall.body is None else wall.body for wall in cavity.walls]
                 for key, cavity in (*cavities, *sealed)}  # fmt: skip
     for key, cavity in (*cavities, *sealed):
         for place, (wall, own) in enumerate(zip(cavity.walls, carriers[key], strict=True)):
@@ -142,7 +143,3 @@ def check_walls_of_reduced(scene: Scene) -> None:
         if reduced & set(carriers[key]):
             raise scene.error(f"{key}.walls", cavity.name,
                               "lies on a reduced body: gas sealed there is not built")
-
-
-def _body_of(wall: CavityWall, scene: Scene) -> str:
-    return scene.deformables[0].name if wall.body is None else wall.body

@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from softrobot_twin.constraints.hinge_angle import HingeAngles
 from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.constraints.sensors import Sensors
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
@@ -127,11 +126,6 @@ class Model:
     def slides(self):
         """Object that prescribes displacements without multipliers, or None without any."""
         return self.actuators.moves
-
-    @property
-    def has_motors_of_hinges(self) -> bool:
-        """True when a motor turns a hinge, which perhaps nothing else holds."""
-        return any(isinstance(term, HingeAngles) for term in self.rows.terms)
 
     @property
     def strain_watches(self) -> tuple[StrainWatch, ...]:

@@ -52,15 +52,6 @@ class ObservedForces(NamedTuple):
         return bool(self.wrenches.any())
 
 
-def observed_term(model: Model) -> ObservedLoads | None:
-    """The force term of what is observed in a scene; None without an observer.
-
-    Args:
-        model: The model of a simulation.
-    """
-    return model.force_term(ObservedLoads)
-
-
 class ObservedRows:
     """Rows along all axes of markers and of observed places.
 
@@ -190,7 +181,7 @@ class Observed(StepPart):
         Args:
             model: The built scene.
         """
-        self._term = observed_term(model)
+        self._term = model.force_term(ObservedLoads)
         self._rows = ObservedRows(model, self._term.places, with_markers=False)
         self._none = ObservedForces.none(len(self._term.places))
         self._found, self._rest = self._none, model.nodes.rest_positions
