@@ -60,6 +60,9 @@ PICTURES = {
                 "--rate 50 --picture-at 0.2 0.7 2.7 --picture-view 22 -60",
     "flexo": "simulate config/scenes/flexo.yaml --commands config/commands/flexo_grasp.csv "
              "--rate 100 --picture-at 0.5 7 10 --picture-view 10 -60",
+    "emio": "simulate config/scenes/emio.yaml --commands config/commands/emio_sway.csv "
+            "--rate 50 --picture-at 0.2 1.2 3.2 --picture-view 14 -60",
+    "emio_reach": "workspace config/scenes/emio.yaml --samples 400",
     "workspace": "workspace config/scenes/diamond.yaml --samples 160",
     "explained": "explain config/scenes/diamond.yaml --no-mesh-error",
 }

@@ -63,11 +63,11 @@ MOST_WINDS = 2
 # Moves at targets that are no shorter than this share of the one before, until they are shortened.
 SETTLING, MOST_SWINGS = 0.95, 8
 # Steps in which T falls by less than this share, until it goes back to the nearest stable place.
-PATIENCE, PROGRESS = 18, 1.0e-5
+PATIENCE, PROGRESS = 12, 1.0e-5
 # The body snaps where T has risen in so many steps in a row, to this multiple of the nearest place's.
 RISES, SNAPPED = 3, 4.0
 # So often it goes on from there, unless T falls by the share of `LEAPT`; then it rests there.
-MOST_RETURNS = 3
+MOST_RETURNS = 2
 # Promises below these shares of T, and of T where targets count as reached, are none.
 NO_PROMISE, NEAR_ENOUGH = 1.0e-5, 1.0e-2
 # With wanted stiffnesses, which hardly change at first, such shares of these.
@@ -289,13 +289,15 @@ class Follower(InverseActuation):
         rises = situation.is_stable and self._now > self._last_now
         self._rises = self._rises + 1 if rises else 0
         self._last_now = self._now
-        self._since += not self._settles
+        # At its targets, what they leave open may go on for long, but in balance.
+        is_calm = self._now <= self._reached and situation.is_balanced
+        self._since += not (self._settles or is_calm)
         if self._now < (1.0 - LEAPT) * self._judged:
             self._judged, self._returns = self._now, 0
         if self._now < (1.0 - PROGRESS) * self._best_seen:
             self._best_seen, self._since = self._now, 0
         snaps = self._rises >= RISES and self._has_snapped()
-        if snaps or (self._since > PATIENCE and self._now > self._reached):
+        if snaps or self._since > PATIENCE:
             self._go_back()
 
     def _leave(self) -> None:

@@ -19,10 +19,9 @@ switch between sticking and slipping on the way, effectors do not go where the o
 is sought again by what the contacts do there, and the nearest of all is made.
 
 Where these come hardly nearer, a kink is in the way, and contacts do something else beyond it. Towards
-targets that move, the optimum is sought as if nothing rubbed: made with friction, it tells how contacts
-slip that stuck. Towards others, single actuators are moved to either side, one in each step, and the
-optimum is sought by what contacts do there. Where an effector comes to depends on the way, too: steps
-look whether it is nearer to go somewhere else first, and back from where contacts slipped to.
+targets that stay, single actuators are moved to either side, one in each step, and the optimum is sought
+by what contacts do there. Where an effector comes to depends on the way, too: steps look whether it is
+nearer to go somewhere else first, and back from where contacts slipped to.
 
 Least forces and grip margins of pairs are rows of the problem where an optimum would fall below
 them. Where a margin is below its least one already, actuators only move to raise it.
@@ -776,9 +775,6 @@ class InverseWithFriction(Follower):
             # Actuators do not wind up against contacts that stick for what makes no difference.
             other = task.before if found is None else min(task.before, aim.missed(found))
             found = as_is if aim.missed(as_is) < other - task.negligible else found
-        may_slide = moves and self._rubs and self._learns
-        if may_slide and found is not None and aim.missed(found) > (1.0 - PROGRESS) * task.before:
-            return min(found, self._slid(task) or found, key=aim.missed)
         return found
 
     def _as_contacts_are(
@@ -794,7 +790,7 @@ class InverseWithFriction(Follower):
         own, best, is_good = (self._solver, self._touching), None, False
         self._solver, self._touching = self._among_open_ones, {}
         for _ in range(MOST_ROUNDS):
-            made = self._made(task, at, system, bounds, self._negligible, closes=True)
+            made = self._made(task, at, system, bounds, closes=True)
             if made is None:
                 break
             at, best = made.actuation, made.nearer_than(best)
@@ -813,15 +809,6 @@ class InverseWithFriction(Follower):
         is_bounded = ((drives <= least + slack) | (drives >= most - slack)).any()
         is_nearer = made.missed <= (1.0 - PROGRESS) * task.before
         return is_bounded and is_nearer and made.keeps_promise(task)
-
-    def _slid(self, task: Task) -> Actuation | None:
-        """The nearest by what contacts do where they are pushed as if they had no friction."""
-        made = self._made(task, task.held, task.linear, task.bounds, np.inf)
-        if made is None:
-            return None
-        at = made.actuation
-        found = self._nearest(task, at, task.linear, task.bounds, 1)
-        return min(at, found or at, key=task.aim.missed)
 
     def _look_for_detour(self, task: Task) -> None:
         """Look whether it is nearer to go somewhere else first; the actuators go if it is."""
@@ -845,7 +832,7 @@ class InverseWithFriction(Follower):
         """The nearest of what is best by what contacts do in a solution, and in what came of it."""
         best = None
         for _ in range(rounds):
-            made = self._made(task, at, system, bounds, self._negligible)
+            made = self._made(task, at, system, bounds)
             if made is None:
                 break
             at, best = made.actuation, made.nearer_than(best)
@@ -854,11 +841,10 @@ class InverseWithFriction(Follower):
         return best and best.actuation
 
     def _made(
-        self, task: Task, at: Actuation, system: Linearized, bounds: Bounds, least: float,
-        closes: bool = False,
-    ) -> Made | None:  # fmt: skip
+        self, task: Task, at: Actuation, system: Linearized, bounds: Bounds, closes: bool = False
+    ) -> Made | None:
         """What is best by what contacts do in a solution, made with friction; None without any."""
-        tied = tied_by_contacts(system, self._contacts, at, least, closes)
+        tied = tied_by_contacts(system, self._contacts, at, self._negligible, closes)
         errors, (ties, offset), (a, _, c) = task.aim.errors.copy(), tied.ties, tied.groups
         errors[: len(tied.effectors)] += tied.effectors - task.linear.effectors
         found = task.optimise(tied, errors, at, bounds)
