@@ -194,8 +194,6 @@ class Goal:
             each of shape (effector_count,).
         """
         effectors = self._model.effectors
-        if effectors is None:
-            return np.empty(0), None
         none = np.full(len(effectors.effectors), np.nan)
         return none, none if effectors.orientations else None
 
