@@ -12,10 +12,10 @@ from softrobot_twin.simulation.building import actuator_kinds
 @contextmanager
 def taken_back():
     """What is registered inside is known no more afterwards; scenes that name it are refused again."""
-    models = (*schema._SHAPED, schema.Scene)
+    models = (*schema.SHAPED_ENTRIES, schema.Scene)
     fields = [set(model.model_fields) for model in models]
-    lists = [(one, len(one)) for one in (channels._REGISTERED, actuator_kinds._KINDS)]
-    tables = [(one, set(one)) for one in (element_kinds._KINDS, schema.ACTUATOR_SECTIONS)]
+    lists = [(one, len(one)) for one in (channels.REGISTERED_CHANNELS, actuator_kinds.ACTUATOR_KINDS)]
+    tables = [(one, set(one)) for one in (element_kinds.ELEMENT_KINDS, schema.ACTUATOR_SECTIONS)]
     shapes = schema.Shaped.one_of
     try:
         yield

@@ -36,7 +36,8 @@ class ElementKind(NamedTuple):
 
 HEXAHEDRAL = "hexahedral"
 """Name of the kind that files with hexahedra get where a scene does not name one."""
-_KINDS: dict[str, ElementKind] = {}
+ELEMENT_KINDS: dict[str, ElementKind] = {}
+"""The elements by name; `register_element` adds to them."""
 
 
 def register_element(
@@ -55,14 +56,14 @@ def register_element(
     Raises:
         ValueError: Another kind has this name.
     """
-    if name in _KINDS:
+    if name in ELEMENT_KINDS:
         raise ValueError(f"the element {name!r} is registered already")
-    _KINDS[name] = ElementKind(name, make_mesh, lumps_mass, of_hexahedra, has_patches)
+    ELEMENT_KINDS[name] = ElementKind(name, make_mesh, lumps_mass, of_hexahedra, has_patches)
 
 
 def element_names() -> tuple[str, ...]:
     """Names of all kinds."""
-    return tuple(_KINDS)
+    return tuple(ELEMENT_KINDS)
 
 
 def element_named(name: str) -> ElementKind:
@@ -74,9 +75,9 @@ def element_named(name: str) -> ElementKind:
     Raises:
         KeyError: There is none.
     """
-    if name not in _KINDS:
-        raise KeyError(f"no element is named {name!r}; there are {', '.join(_KINDS)}")
-    return _KINDS[name]
+    if name not in ELEMENT_KINDS:
+        raise KeyError(f"no element is named {name!r}; there are {', '.join(ELEMENT_KINDS)}")
+    return ELEMENT_KINDS[name]
 
 
 register_element("linear", lambda mesh: mesh, lumps_mass=True)

@@ -649,7 +649,8 @@ def add_actuator_section(section: str, entry: type[ActuatorEntry]) -> None:
     Scene.model_rebuild(force=True)
 
 
-_SHAPED = Shaped, Obstacle, RigidBody
+SHAPED_ENTRIES = Shaped, Obstacle, RigidBody
+"""Entries that have a shape; `register_shape` gives them a key."""
 
 
 def register_shape(key: str, shape: type[ShapeEntry]) -> None:
@@ -662,12 +663,12 @@ def register_shape(key: str, shape: type[ShapeEntry]) -> None:
     Raises:
         ValueError: Obstacles or rigid bodies have this key already.
     """
-    if any(key in entry.model_fields for entry in _SHAPED):
+    if any(key in entry.model_fields for entry in SHAPED_ENTRIES):
         raise ValueError(f"obstacles or rigid bodies have a key {key} already")
-    for entry in _SHAPED:
+    for entry in SHAPED_ENTRIES:
         entry.__annotations__[key] = shape | None
         entry.model_fields[key] = FieldInfo(annotation=shape | None, default=None)  # type: ignore[arg-type]
     Shaped.one_of = (*Shaped.one_of, key)
     forms_of.cache_clear()
-    for model in (*_SHAPED, Scene):
+    for model in (*SHAPED_ENTRIES, Scene):
         model.model_rebuild(force=True)

@@ -187,7 +187,7 @@ def _of_sensors(quantity: Quantity, most: float) -> Channel:
     )  # fmt: skip
 
 
-_REGISTERED: list[Channel] = [
+REGISTERED_CHANNELS: list[Channel] = [
     Channel("reaction_forces", "N", "reaction_names", AXES, reaction_columns,
             _remembered("reactions.wrenches")),
     Channel("reaction_torques", "N m", "reaction_names", AXES, reaction_torque_columns,
@@ -203,17 +203,17 @@ _REGISTERED: list[Channel] = [
 
 def channels() -> tuple[Channel, ...]:
     """All channels, in the order of their columns."""
-    return (*BUILT_IN, *_REGISTERED)
+    return (*BUILT_IN, *REGISTERED_CHANNELS)
 
 
 def registered() -> tuple[Channel, ...]:
     """Those whose topics, records and measurements are loops over channels."""
-    return tuple(_REGISTERED)
+    return tuple(REGISTERED_CHANNELS)
 
 
 def measured() -> tuple[Channel, ...]:
     """Those of them that are measured."""
-    return tuple(one for one in _REGISTERED if one.most)
+    return tuple(one for one in REGISTERED_CHANNELS if one.most)
 
 
 def register_channel(channel: Channel) -> None:
@@ -227,4 +227,4 @@ def register_channel(channel: Channel) -> None:
     """
     if channel.name in _OTHERS or any(one.name == channel.name for one in channels()):
         raise ValueError(f"there is a channel {channel.name} already")
-    _REGISTERED.append(channel)
+    REGISTERED_CHANNELS.append(channel)

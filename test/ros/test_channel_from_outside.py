@@ -102,7 +102,7 @@ def test_a_record_and_its_table_hold_what_is_told_and_what_is_measured(recorded,
 
 def test_a_replay_compares_it(recorded, monkeypatch):
     shifted = FORCE._replace(read=lambda result: FORCE.read(result) + 1.0)
-    monkeypatch.setattr(channels, "_REGISTERED", [*channels._REGISTERED[:-1], shifted])
+    monkeypatch.setattr(channels, "REGISTERED_CHANNELS", [*channels.REGISTERED_CHANNELS[:-1], shifted])
     found = Replay(recorded[0]).all_ticks()
     assert list(found.by_quantity) == ["force"] and found.first.size == 1.0
     assert found.first.place.endswith("along [N]")

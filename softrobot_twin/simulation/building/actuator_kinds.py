@@ -218,7 +218,8 @@ def group_of(
     )  # fmt: skip
 
 
-_KINDS: list[ActuatorKind] = []
+ACTUATOR_KINDS: list[ActuatorKind] = []
+"""The kinds that are registered; `register_actuator` adds to them."""
 
 
 def register_actuator(kind: ActuatorKind) -> None:
@@ -230,12 +231,12 @@ def register_actuator(kind: ActuatorKind) -> None:
     Raises:
         ValueError: Another kind, or another entry of scenes, has this section.
     """
-    if any(other.section == kind.section for other in _KINDS):
+    if any(other.section == kind.section for other in ACTUATOR_KINDS):
         raise ValueError(f"there is a kind of actuator with the section {kind.section} already")
     add_actuator_section(kind.section, kind.entry)
-    _KINDS.append(kind)
+    ACTUATOR_KINDS.append(kind)
 
 
 def actuator_kinds() -> tuple[ActuatorKind, ...]:
     """All kinds that are registered."""
-    return tuple(_KINDS)
+    return tuple(ACTUATOR_KINDS)
