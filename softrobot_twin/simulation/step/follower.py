@@ -146,7 +146,8 @@ class Follower(InverseActuation):
 
     def _open(self) -> None:
         """Trust anew."""
-        self.move_limit, self._pending, self._waits, self._wakes = GREATEST, None, 0, 0
+        self.move_limit = self._greatest = GREATEST
+        self._pending, self._waits = None, 0
         self._wound, self._is_winding, self._goal = 0, False, None
         self._swing_count, self._last_length, self._is_freed = 0, np.inf, False
         # Steps in a row that did not end in balance.
@@ -238,6 +239,7 @@ class Follower(InverseActuation):
         )
         if now <= self._reached and not self._back:
             self._path.clear()
+            self._greatest = GREATEST
         if is_same:
             self._see_drift(linear, situation)
         if self._departure is not None:
@@ -358,9 +360,9 @@ class Follower(InverseActuation):
             return
         moved = np.abs(situation.places - self._resting)[situation.weights > 0.0]
         if situation.is_balanced and moved.max(initial=0.0) > WAKES * self._tolerance:
-            self._wakes += 1
+            self._greatest *= SHRINK**2
             self._resting, self._rests_balanced = None, False
-            self.move_limit = max(self.move_limit, GREATEST * SHRINK**self._wakes)
+            self.move_limit = self._greatest
 
     def _judge(self, situation: Situation) -> None:
         """Fit the radius to how much of a promise came true, once the body has settled."""
@@ -383,7 +385,7 @@ class Follower(InverseActuation):
         elif share < POOR:
             self.move_limit = max(0.5 * move.length, LEAST)
         elif share > GOOD and move.length >= 0.9 * self.move_limit:
-            self.move_limit = min(GROW * self.move_limit, GREATEST)
+            self.move_limit = min(GROW * self.move_limit, self._greatest)
 
     def _follow(self, asked: Asked) -> Actuation:
         held, self._task, self._is_noted = asked.held, None, False
