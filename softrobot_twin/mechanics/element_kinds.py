@@ -36,8 +36,8 @@ class ElementKind(NamedTuple):
 
 HEXAHEDRAL = "hexahedral"
 """Name of the kind that files with hexahedra get where a scene does not name one."""
+# The elements by name; `register_element` adds to them.
 ELEMENT_KINDS: dict[str, ElementKind] = {}
-"""The elements by name; `register_element` adds to them."""
 
 
 def register_element(

@@ -649,8 +649,8 @@ def add_actuator_section(section: str, entry: type[ActuatorEntry]) -> None:
     Scene.model_rebuild(force=True)
 
 
+# Entries that have a shape; `register_shape` gives them a key.
 SHAPED_ENTRIES = Shaped, Obstacle, RigidBody
-"""Entries that have a shape; `register_shape` gives them a key."""
 
 
 def register_shape(key: str, shape: type[ShapeEntry]) -> None:

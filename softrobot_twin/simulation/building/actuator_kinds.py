@@ -218,8 +218,8 @@ def group_of(
     )  # fmt: skip
 
 
+# The kinds that are registered; `register_actuator` adds to them.
 ACTUATOR_KINDS: list[ActuatorKind] = []
-"""The kinds that are registered; `register_actuator` adds to them."""
 
 
 def register_actuator(kind: ActuatorKind) -> None:
