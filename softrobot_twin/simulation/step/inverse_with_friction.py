@@ -512,6 +512,7 @@ class Search:
         probe: Which move is tried.
         detour: Which move is tried as a detour.
         choices: Number of moves that may be tried.
+        is_stalled: Whether the last step brought effectors hardly nearer.
     """
 
     def __init__(self, looks: bool):
@@ -526,11 +527,11 @@ class Search:
     def forget(self) -> None:
         """Begin anew, with other targets."""
         self.probe = self.detour = self.choices = self._turn = self._vain = 0
-        self._is_stalled, self._least, self._goal, self._before = False, np.inf, None, np.inf
+        self.is_stalled, self._least, self._goal, self._before = False, np.inf, None, np.inf
 
     def next(self) -> Turn:
         """What the next step tries."""
-        if not (self._looks and self._is_stalled):
+        if not (self._looks and self.is_stalled):
             return Turn.STRAIGHT
         self._turn = (self._turn + 1) % 3
         turn = tuple(Turn)[self._turn]
@@ -541,14 +542,6 @@ class Search:
                 return Turn.STRAIGHT
             self.detour += 1
         return turn
-
-    def note(self, is_stalled: bool) -> None:
-        """Note whether a step brought effectors hardly nearer.
-
-        Args:
-            is_stalled: Whether it did.
-        """
-        self._is_stalled = is_stalled
 
     def judge(self, goal: np.ndarray, left: float, before: float) -> np.ndarray | None:
         """Choose a detour, at once where it leads much nearer, else when all were tried.
@@ -572,7 +565,7 @@ class Search:
             self._vain += MOST_IN_VAIN if is_tried else 0
             return None
         self._vain += before > WORTH * self._before
-        self._before, self._is_stalled = before, False
+        self._before, self.is_stalled = before, False
         return goal
 
 
@@ -735,7 +728,7 @@ class InverseWithFriction(Follower):
             half = 0.5 * (held.drives(self._limits) + best.drives(self._limits))
             best = self._with_friction(linear, half, bounds, best)
         is_stalled = aim.missed(best) > (1.0 - PROGRESS) * before
-        self._search.note(before > LEFT**2 * reached and is_stalled)
+        self._search.is_stalled = before > LEFT**2 * reached and is_stalled
         slips = self._grips is not None and self._grips.slips_on(
             self._contacts, held.contact.multipliers, best.contact.multipliers
         )
