@@ -146,6 +146,7 @@ class Follower(InverseActuation):
 
     def _open(self) -> None:
         """Trust anew."""
+        # The greatest radius: a sixteenth each time that a resting robot wakes, until it is at its targets.
         self.move_limit = self._greatest = GREATEST
         self._pending, self._waits = None, 0
         self._wound, self._is_winding, self._goal = 0, False, None
