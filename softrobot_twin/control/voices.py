@@ -51,24 +51,28 @@ NOISE_SHARE = 0.25
 
 
 class _Publisher:
-    """What is heard of one publisher: its newest number, when, the time between what is heard of it,
-    and that between its messages, of which some may be lost [s].
+    """What is heard of one publisher: its newest number, when it was sent and heard, the time between
+    what is heard of it, and the time between its messages [s]. Some messages may be lost.
     """
 
-    def __init__(self, number: int, time: float):
-        self.number, self.heard = number, time
+    def __init__(self, number: int, sent: float, time: float):
+        self.number, self.sent, self.heard = number, sent, time
         self.interval = self.spacing = _FIRST_INTERVAL
 
-    def continues(self, number: int, time: float) -> bool:
-        """Whether a message of this number can be its next one."""
-        expected = (time - self.heard) / self.spacing if self.spacing > 0.0 else 0.0
-        return 0 < number - self.number <= _MOST_LOST + _MOST_LOST_FACTOR * expected
+    def continues(self, number: int, sent: float) -> bool:
+        """Whether a message of this number, sent at this time [s], can be its next one.
 
-    def hear(self, number: int, time: float) -> None:
+        After a listener was stopped, messages arrive in one moment, and most of them are lost. The
+        times at which they were sent are as far apart as ever.
+        """
+        expected = (sent - self.sent) / self.spacing if self.spacing > 0.0 else 0.0
+        return 0 < number - self.number <= _MOST_LOST + _MOST_LOST_FACTOR * max(expected, 0.0)
+
+    def hear(self, number: int, sent: float, time: float) -> None:
         """It sends a message."""
         self.interval = time - self.heard
-        self.spacing = self.interval / (number - self.number)
-        self.number, self.heard = number, time
+        self.spacing = (sent - self.sent) / (number - self.number)
+        self.number, self.sent, self.heard = number, sent, time
 
     def is_silent(self, now: float) -> bool:
         """Whether it has ended, as far as its interval tells."""
@@ -90,11 +94,12 @@ class PublisherWatch:
         self._used: _Publisher | None = None
         self._contested = -math.inf
 
-    def hear(self, number: int | None, time: float) -> bool:
+    def hear(self, number: int | None, sent: float, time: float) -> bool:
         """Hears a message.
 
         Args:
             number: Its number by its publisher; None where the middleware does not number them.
+            sent: When it was sent, on the clock of its publisher [s].
             time: When it arrived [s].
 
         Returns:
@@ -103,15 +108,15 @@ class PublisherWatch:
         if number is None:
             return True
         self._voices = [voice for voice in self._voices if time - voice.heard < _REMEMBERED]
-        known = [voice for voice in self._voices if voice.continues(number, time)]
+        known = [voice for voice in self._voices if voice.continues(number, sent)]
         if known:
             # Of two at the same number the last speaker is meant: the other may have ended.
             voice = max(known, key=lambda one: (one.number, one is self._last))
-            voice.hear(number, time)
+            voice.hear(number, sent, time)
             if voice is not self._last:
                 self._contested, self._used = time, None
         else:
-            voice = _Publisher(number, time)
+            voice = _Publisher(number, sent, time)
             self._voices = [*self._voices[1 - _MOST_VOICES:], voice]
         self._last = voice
         if self.is_contested(time):

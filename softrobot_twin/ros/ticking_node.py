@@ -302,7 +302,8 @@ class TickingNode(Node):
         def receive(content: bytes, about: dict) -> None:
             nonlocal said
             now = time.monotonic()
-            if not watch.hear(about["publication_sequence_number"], now):
+            sent = 1.0e-9 * about["source_timestamp"]
+            if not watch.hear(about["publication_sequence_number"], sent, now):
                 warn(shown, refusals.add(Refusal.TWO_PUBLISHERS))
                 if watch.is_contested(now):
                     said = said or (f"two publishers on {shown} ({publisher_names(self, shown)}): "

@@ -26,18 +26,20 @@ def test_one_publisher_that_loses_messages_and_is_started_again_is_never_contest
     for begin, losses in ((0.0, (0.0, 0.3)), (11.0, (0.0,)), (20.0, (0.0,))):
         end, first = begin + draw.uniform(1.0, 8.0), int(draw.choice((1, 1, 500)))
         for time, number, _ in stream(draw, begin, end, first, losses):
-            watch.hear(number, time)
+            watch.hear(number, time, time)
             assert not watch.is_contested(time)
 
 
 @pytest.mark.parametrize("case", range(20))
 def test_one_publisher_whose_listener_stops_again_and_again_is_never_contested(case, drawn_rng):
     draw, watch = drawn_rng, PublisherWatch()
-    interval, heard = 10.0 ** draw.uniform(-2.5, -1.0), 0
+    interval, number = 10.0 ** draw.uniform(-2.5, -1.0), 0
     for pause in (0.0, 0.0, *draw.uniform(0.0, 1.5, 40)):
-        # Of a queue of one, only the newest message is left after a pause.
-        heard += max(1, round(pause / interval))
-        assert watch.hear(heard, heard * interval) and not watch.is_contested(heard * interval)
+        # A message that came before a pause is heard after it, just before the newest of the queue.
+        end = number + 1 + max(1, round(pause / interval))
+        for number in (number + 1, end):
+            assert watch.hear(number, number * interval, end * interval)
+            assert not watch.is_contested(end * interval)
 
 
 def of_two(draw, first, second):
@@ -52,7 +54,7 @@ def test_two_publishers_are_contested_after_each_turn_and_neither_is_used(case, 
     draw, watch = drawn_rng, PublisherWatch()
     counts, last, turned = [0, 0], None, -np.inf
     for time, number, who in of_two(draw, *[(10**4, 1), (10**4, 40), (1, 10**4)][case % 3]):
-        used, counts[who] = watch.hear(number, time), counts[who] + 1
+        used, counts[who] = watch.hear(number, time, time), counts[who] + 1
         if counts[who] > 1 and who != last:
             turned = time
         last, contested = who, time - turned < CONTESTED_TIME
@@ -65,7 +67,7 @@ def test_two_publishers_whose_numbers_meet_are_noticed(case, drawn_rng):
     draw, watch = drawn_rng, PublisherWatch()
     noticed, counts = False, [0, 0]
     for time, number, who in of_two(draw, 1, (1, 40)[case % 2]):
-        watch.hear(number, time)
+        watch.hear(number, time, time)
         noticed |= watch.is_contested(time)
         counts[who] += time >= 3.0
     assert noticed or min(counts) < 3
@@ -73,14 +75,14 @@ def test_two_publishers_whose_numbers_meet_are_noticed(case, drawn_rng):
 
 def test_the_next_publisher_is_used_once_the_one_before_is_silent():
     watch = PublisherWatch()
-    assert all(watch.hear(number, 0.02 * number) for number in range(1, 50))
-    assert not watch.hear(1, 1.0) and not watch.hear(2, 1.02)
-    assert watch.hear(3, 1.2) and watch.hear(4, 1.22)
+    assert all(watch.hear(number, 0.02 * number, 0.02 * number) for number in range(1, 50))
+    assert not watch.hear(1, 1.0, 1.0) and not watch.hear(2, 1.02, 1.02)
+    assert watch.hear(3, 1.2, 1.2) and watch.hear(4, 1.22, 1.22)
 
 
 def test_middleware_that_numbers_nothing_is_not_contested():
     watch = PublisherWatch()
-    assert all(watch.hear(None, 0.01 * k) for k in range(10)) and not watch.is_contested(0.1)
+    assert all(watch.hear(None, 0.0, 0.01 * k) for k in range(10)) and not watch.is_contested(0.1)
 
 
 RATE, TRAVEL = 0.05, 0.04

@@ -39,7 +39,7 @@ from test.builder import builder
 from test.places import ROOT
 from test.scene_changes import yaml_file
 
-UNNUMBERED = {"publication_sequence_number": None}
+UNNUMBERED = {"publication_sequence_number": None, "source_timestamp": 0}
 """What rclpy tells of a message: by this, all are of one publisher."""
 
 NODES = (TwinNode, DeviceNode, TargetNode)

@@ -35,7 +35,7 @@ from .test_hostile_messages import begin, draw_seed, hostile_to, inputs, paramet
 
 from test.places import ROOT
 
-UNNUMBERED = {"publication_sequence_number": None}
+UNNUMBERED = {"publication_sequence_number": None, "source_timestamp": 0}
 """What rclpy tells of a message: by this, all are of one publisher."""
 
 
