@@ -35,6 +35,7 @@ from softrobot_twin.geometry.tet_mesh import tet_volumes
 HEXAHEDRON_FACES = np.array(
     [[0, 3, 2, 1], [4, 5, 6, 7], [0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7]]
 )
+OPPOSITE_FACES = ((0, 1), (2, 4), (3, 5))
 # Six tetrahedra around the diagonal from corner 0 to corner 6.
 INTO_TETS = np.array([[0, 1, 2, 6], [0, 2, 3, 6], [0, 3, 7, 6], [0, 7, 4, 6], [0, 4, 5, 6], [0, 5, 1, 6]])
 # The two triangles of a quadrilateral along each diagonal.

@@ -123,13 +123,21 @@ class Contact(Entry):
         if self.contact_distance >= self.alarm_distance:
             raise ValueError("contact_distance must be below alarm_distance")
         for index, entry in enumerate(self.between):
-            friction = self.friction if entry.friction is None else entry.friction
+            friction = self.friction_of(entry)
             if entry.least_grip_margin is not None and not friction:
                 raise refusal(f"between[{index}].least_grip_margin", entry.least_grip_margin,
                               "the pair has no friction that could be left")
             if entry.least_force is not None and not friction:
                 raise refusal(f"between[{index}].least_force", entry.least_force,
                               "is not built for a pair without friction")
+
+    def friction_of(self, entry: Touching) -> float:
+        """µ of a pair.
+
+        Args:
+            entry: The pair.
+        """
+        return self.friction if entry.friction is None else entry.friction
 
 
 class Marker(Entry):

@@ -21,7 +21,7 @@ from softrobot_twin.simulation.building.guided_bodies import Guides
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.building.scene_layout import Layout, lay_out
 from softrobot_twin.simulation.building.sensor_kinds import sensor_term
-from softrobot_twin.simulation.scene_warnings import scene_warnings, unit_slips
+from softrobot_twin.simulation.scene_warnings import scene_warnings, single_layers, unit_slips
 from softrobot_twin.solvers import FACTORIZATIONS
 from softrobot_twin.solvers.dense_stiffness import DenseStiffness
 from softrobot_twin.solvers.factorization import Factorization
@@ -57,6 +57,7 @@ def build_model(
             model.notes.extend(unit_slips(model))
             model.notes.extend(model.actuators.doubts(model))
             model.notes.extend(scene_warnings(scene, model.nodes.size))
+            model.notes.extend(single_layers(scene, model))
     except SceneError as error:
         raise scene.source.error(error) from None
     model.notes[:] = scene.source.notes(model.notes)

@@ -16,6 +16,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from softrobot_twin.geometry.hexahedral_mesh import HEXAHEDRON_FACES, OPPOSITE_FACES
+from softrobot_twin.geometry.surface import single_rows
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.entry import values_below
 from softrobot_twin.simulation.building.actuators import Actuators
@@ -35,6 +37,8 @@ YOUNG_RANGE = (1.0e3, 3.0e11)
 """Range from jelly to steel [Pa]."""
 THICK_SHARE = 1.0
 """A beam that is more across than this share of its length is none."""
+CONFINED = 1.25
+"""Cells whose sides cannot bulge are reported where they are stiffer than this many times E."""
 LOCKING_RATIO = 0.47
 """Above this Poisson ratio linear tetrahedra lock."""
 SAG_SHARE = 0.5
@@ -129,6 +133,56 @@ def _long_lengths(scene: Scene, size: float) -> Iterator[str]:
         if length > most:
             yield (f"{key} = {length:g} m is very large: the largest body is {size:.4g} m large; "
                    "is it in metres?")  # fmt: skip
+
+
+def single_layers(scene: Scene, model: Model) -> Iterator[str]:
+    """Hexahedra between a held face and one that is held too, or may stick: their sides cannot bulge.
+
+    Such a cell strains along one axis alone, by the modulus (1 - ν) E/((1 + ν)(1 - 2 ν)). No measure of
+    a step shows it: strain does not vary in the cell.
+
+    Args:
+        scene: The scene.
+        model: The built scene.
+
+    Yields:
+        A sentence for each body.
+    """
+    contact = scene.contact
+    pairs = () if contact is None else contact.between
+    sticky = {name for one in pairs if contact.friction_of(one) for name in one.pair}
+    for body in model.bodies:
+        layer = _between_held_faces(body, body.name in sticky)
+        nu = max(part.poisson_ratio for part in body.materials)
+        excess = (1.0 - nu) / ((1.0 + nu) * (1.0 - 2.0 * nu))
+        if len(layer) and excess > CONFINED:
+            yield (f"{body.key}: {len(layer)} hexahedra lie in one layer between faces that are held, or "
+                   f"stick: their sides cannot bulge, and they are up to {excess:.3g} times too stiff in "
+                   "compression; take four layers")  # fmt: skip
+
+
+def _between_held_faces(body, sticks: bool) -> np.ndarray:
+    """Which hexahedra have a free side between two faces that different things hold.
+
+    Args:
+        body: The body.
+        sticks: Whether its surface may stick to another body.
+    """
+    faces = getattr(body.mesh.corner_mesh, "hexahedra", np.zeros((0, 8), int))[:, HEXAHEDRON_FACES]
+    holders = body.fixed.astype(int)
+    for index, nodes in enumerate(body.riding.values()):
+        holders[nodes] = 2 + index
+    holder = holders[faces]
+    holder = np.where((holder == holder[..., :1]).all(axis=2), holder[..., 0], 0)
+    is_outer = np.zeros(holder.shape, bool)
+    is_outer.ravel()[single_rows(faces.reshape(-1, 4))] = True
+    held = np.where((holder == 0) & is_outer & sticks, -1, holder)
+    is_layer = np.zeros(len(faces), bool)
+    for one, other in OPPOSITE_FACES:
+        sides = np.delete(is_outer & (holder == 0), (one, other), axis=1).any(axis=1)
+        pair = held[:, [one, other]]
+        is_layer |= sides & (pair != 0).all(axis=1) & (pair[:, 0] != pair[:, 1])
+    return np.flatnonzero(is_layer)
 
 
 def _coarse_ropes(scene: Scene) -> Iterator[str]:

@@ -333,6 +333,14 @@ def test_the_force_is_right_or_hexahedra_are_told_to_be_too_coarse(size, cells):
         assert error > 0.03 or not is_told
 
 
+@pytest.mark.parametrize("cells, poisson_ratio, is_told", [
+    ([4, 4, 1], 0.475, True), ([2, 2, 1], 0.475, True), ([4, 4, 2], 0.475, False), ([4, 4, 1], 0.1, False),
+])  # fmt: skip
+def test_one_layer_whose_sides_cannot_bulge_is_warned_of(cells, poisson_ratio, is_told):
+    robot = bonded_block(FLAT, cells, poisson_ratio=poisson_ratio)
+    assert any("sides cannot bulge" in note for note in robot.simulation.notes) == is_told
+
+
 def test_a_pad_whose_patches_bear_the_pressure_is_told_of_too():
     """Of two layers, 24 to 40 % too stiff at 15 to 30 %."""
     robot = bonded_block(PAD, [3, 3, 2], volume="patches")

@@ -116,7 +116,7 @@ def contact_term(layout: Layout, notes: list[str]) -> Contacts:
     sides = _sides(layout, notes)
     pairs = []
     for index, touching in enumerate(entry.between):
-        friction = entry.friction if touching.friction is None else touching.friction
+        friction = entry.friction_of(touching)
         first, second = (sides[name] for name in touching.pair)
         pairs.append(_pair(first, second, friction, f"contact.between[{index}]", layout))
     pairs += _known_ahead(layout, sides, notes)
