@@ -310,9 +310,14 @@ def test_at_a_reached_target_lengths_rest(finger, shortenings, change):
         before = result.setpoints
 
 
-@pytest.mark.parametrize("friction, change", [(MU, None), (10.0, None), (MU, RUBBING), (0.0, RUBBING)])
-@pytest.mark.parametrize("ticks", [150, pytest.param(10_000, marks=pytest.mark.exhaustive)])
-@pytest.mark.timeout(900)
+FRICTIONS = [(MU, None), (10.0, None), (0.0, RUBBING), (MU, RUBBING)]
+
+
+@pytest.mark.parametrize("ticks, friction, change", [
+    *((150, *case) for case in FRICTIONS),
+    *(pytest.param(2000, *case, marks=pytest.mark.exhaustive) for case in FRICTIONS[:3]),
+    pytest.param(10_000, *FRICTIONS[3], marks=[pytest.mark.exhaustive, pytest.mark.timeout(900)]),
+])  # fmt: skip
 def test_no_tick_leaves_rates_lengths_tensions_and_the_cone(finger, rng, ticks, friction, change):
     """Row 30; targets jump anywhere, rest, or are those of another robot's state."""
     simulation = finger(friction, change)

@@ -49,15 +49,13 @@ def test_a_beam_that_kept_out_of_balance_for_ever_comes_to_rest(seed):
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("count, most_worse, most_restless", [
-    (4, 3, 1), pytest.param(40, 7, 2, marks=[pytest.mark.exhaustive, pytest.mark.timeout(900)]),
-])  # fmt: skip
-def test_random_robots_rest_near_the_best_place_or_tell_it(drawn_rng, count, most_worse, most_restless):
+@pytest.mark.timeout(900)
+def test_random_robots_rest_near_the_best_place_or_tell_it(drawn_rng):
     found = []
-    for _ in range(count):
+    for _ in range(12):
         robot = compare_inverse.random_robot(drawn_rng)
         found.append(compare_inverse.compare(robot, drawn_rng))
         print(robot.kind, found[-1])
     assert all(one.is_told for one in found if one.is_worse)
-    assert sum(one.is_worse for one in found) <= most_worse
-    assert sum(one.is_restless for one in found) <= most_restless
+    assert sum(one.is_worse for one in found) <= 3
+    assert sum(one.is_restless for one in found) <= 1
