@@ -356,6 +356,7 @@ def _built_stiffer_air(air_scene):
     return simulation
 
 
+@pytest.mark.exhaustive
 def test_the_loop_closes_over_valves_with_lag_limited_flow_and_noise(drive_air, _built_stiffer_air):
     flaws = DeviceFlaws(delay=0.02, marker_noise=1e-6, seed=1, valve_lag=0.1, flow_limit=1e-5,
                         pressure_noise=20.0)  # fmt: skip

@@ -262,6 +262,7 @@ def test_the_misfit_of_the_executed_command_keeps_a_wrong_model_on_its_circle(ot
     assert misfit.max() < integrated < opened
 
 
+@pytest.mark.exhaustive
 @pytest.mark.sampled
 @pytest.mark.parametrize("delay", [1, 5, 11])
 def test_a_late_robot_does_not_overshoot_and_its_cables_rest(other_meshes, delay):
@@ -284,6 +285,7 @@ def rms_now(places, path, first=60):
     return np.sqrt(((places[first:] - targets) ** 2).sum(axis=1).mean())
 
 
+@pytest.mark.exhaustive
 @pytest.mark.sampled
 @pytest.mark.parametrize("delay", [1, 4])
 def test_a_robot_that_acts_late_is_where_its_moving_target_is(other_meshes, delay):

@@ -222,6 +222,7 @@ def test_a_robot_that_stands_is_where_it_should_be(twin, softer, curve):
     assert np.abs(apart.mean()) < 2e-4 and set(drive.whys) == {""}
 
 
+@pytest.mark.exhaustive
 def test_markers_that_lie_lead_a_robot_no_further_than_the_limit_of_corrections(twin, softer, curve):
     """Mirrored about where they rest, they drive it away from its target, until they are honest again."""
     rest, limit = softer.marker_positions(), 0.005
@@ -304,6 +305,7 @@ def test_the_fast_trunk_of_the_demo_is_led_by_tensions_that_its_device_holds():
     assert errors["prediction"] < 0.35 * errors["statics"] and whys == {"", OFF}
 
 
+@pytest.mark.exhaustive
 def test_commands_keep_the_limits_of_tensions(softer, curve):
     mapping = finger(control=CONTROL)
     for cable in mapping["cables"]:
@@ -319,6 +321,7 @@ def test_commands_keep_the_limits_of_tensions(softer, curve):
     assert np.min(sent) < 0.5 + 1e-6 and np.max(sent) > 3.6 - 1e-6
 
 
+@pytest.mark.exhaustive
 def test_the_margin_is_told_and_a_margin_too_small_never_predicts(twin, softer, path):
     loop = Fast(twin, softer).loop
     told = loop.dynamic.words()
@@ -428,6 +431,7 @@ def led_along(twin, robot, path, ticks):
     return np.array(apart), np.array(sent), whys
 
 
+@pytest.mark.exhaustive
 def test_lengths_lead_a_finger_whose_cables_stay_taut():
     statics = built(moves=False)
     stand(statics, np.array([5.0, 4.0]))
@@ -451,6 +455,7 @@ def test_lengths_lead_a_finger_whose_cables_stay_taut():
     assert rms(np.abs(apart[:, 2])) < 0.15 * 2e-3
 
 
+@pytest.mark.exhaustive
 def test_pressures_a_volume_and_a_cable_lead_a_block_within_their_rates(air_scene):
     mapping = copy.deepcopy(air_scene)
     mapping |= {"integration": "dynamic", "time_scheme": "generalized_alpha"}

@@ -83,6 +83,7 @@ def test_a_cable_without_a_pull_point_begins_on_the_body(convert):
     assert cable.points == ((0.09, 0.02, 0.01),)
 
 
+@pytest.mark.exhaustive
 def test_a_controller_by_keys_is_a_note_and_another_is_not_converted(convert):
     assert "by keys" in convert("stiff_layer.py").told
     told = convert("pneumatic_fingers.py").told
@@ -273,6 +274,7 @@ def test_odd_values_are_refused_by_component_and_line(convert, folder, field, re
     assert converted.code == 2 and re.search(rf"TetrahedronFEMForceField \(odd.scn:11\).*{reason}", converted.told)
 
 
+@pytest.mark.exhaustive
 def test_a_scene_that_does_not_end_is_stopped(convert):
     converted = convert("endless.py", "while True: pass\n", "--time-limit", "2")
     assert converted.code == 2 and "ran longer than 2 s" in converted.told

@@ -90,6 +90,7 @@ def test_ticks_are_counted_on_simulated_time(world, make_twin, simulated_time):
     assert 10 < twin.tick_clock.ticks - before <= 52
 
 
+@pytest.mark.exhaustive
 def test_simulated_time_that_jumps_back_continues_within_a_second(world, make_twin, simulated_time):
     twin = make_twin(use_sim_time=True, rate=50.0)
     targets = world.speaker(PointStamped, "/twin/target/tip")
@@ -118,6 +119,7 @@ def test_simulated_time_that_jumps_back_continues_within_a_second(world, make_tw
     assert twin.clock_steps == 1
 
 
+@pytest.mark.exhaustive
 def test_twin_device_and_target_work_together_on_simulated_time(
     world, make_twin, simulated_time, small_scene_file
 ):

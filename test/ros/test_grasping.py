@@ -87,6 +87,7 @@ def test_a_motor_closes_the_fingers_and_a_pose_lifts_palm_and_cube(world, make_g
     assert len(forces()) >= 3
 
 
+@pytest.mark.exhaustive
 def test_a_device_in_contact_follows_the_twin_s_cables_and_poses(world, make_grasper):
     # Both share one thread with the test: on a busy machine messages come late.
     patient = {"message_timeout": 20.0, "device_timeout": 20.0}

@@ -204,6 +204,7 @@ def test_the_path_of_a_slack_cable_is_shorter_than_its_length_and_is_given_to_wh
     assert told.effort[1] == told.effort[3] == 0.0 < told.effort[0]
 
 
+@pytest.mark.exhaustive
 def test_a_tick_asks_once_a_second_who_listens_and_makes_no_message_anew(
     world, make_twin, posed_scene_file, monkeypatch
 ):

@@ -31,6 +31,7 @@ def slippery(friction, of_floor):
     return entries
 
 
+@pytest.mark.exhaustive
 @pytest.mark.sampled
 @pytest.mark.parametrize("of_floor", [0.0, 0.7])
 @pytest.mark.parametrize("way", [(0, 0, 20), (3, 0, 0), (0, 3, 3)])

@@ -31,6 +31,7 @@ def gaps(simulation) -> list[float]:
     return found
 
 
+@pytest.mark.exhaustive
 def test_the_path_between_the_cylinders_crosses_neither_and_would_without_contact(coarse_trunk):
     """Row 26, by the demo's own path."""
     simulation, blind = coarse_trunk(), coarse_trunk(without_cylinders)

@@ -431,6 +431,7 @@ def lag(robot, leader, lengths):
     return np.array(errors)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.sampled
 @pytest.mark.parametrize("iterations", [1, 3])
 def test_moving_targets_are_followed_also_where_all_contacts_stick(finger, iterations):

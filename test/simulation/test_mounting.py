@@ -84,6 +84,7 @@ def test_emio_hangs_where_others_found_it():
         assert tip[2] == pytest.approx(-depth, abs=5.0e-5)
 
 
+@pytest.mark.exhaustive
 def test_the_number_of_steps_does_not_change_where_emio_hangs(mounted_emio):
     for steps in (1, 2, 11):
         other = Simulation(emio().changed(mounting={"steps": steps}), with_warnings=False)

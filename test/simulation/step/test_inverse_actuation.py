@@ -61,6 +61,7 @@ def test_both_qp_solvers_give_the_same_path(diamond, circle, solver):
     assert set(answered) <= {"warm start", "DAQP", *(["OSQP"] if solver == "osqp" else [])}
 
 
+@pytest.mark.exhaustive
 def test_a_target_out_of_reach_is_approached_to_the_nearest_point_and_held(diamond):
     simulation = diamond()
     target = np.array([[0.6, 0.3, 0.125]])
