@@ -146,7 +146,7 @@ class Follower(InverseActuation):
 
     def _open(self) -> None:
         """Trust anew."""
-        # The greatest radius: a sixteenth each time that a resting robot wakes, until it is at its targets.
+        # The greatest radius: a 256th each time that a resting robot wakes, until it is at its targets.
         self.move_limit = self._greatest = GREATEST
         self._pending, self._waits = None, 0
         self._wound, self._is_winding, self._goal = 0, False, None
@@ -361,7 +361,7 @@ class Follower(InverseActuation):
             return
         moved = np.abs(situation.places - self._resting)[situation.weights > 0.0]
         if situation.is_balanced and moved.max(initial=0.0) > WAKES * self._tolerance:
-            self._greatest *= SHRINK**2
+            self._greatest *= SHRINK**4
             self._resting, self._rests_balanced = None, False
             self.move_limit = self._greatest
 
@@ -616,7 +616,9 @@ class Follower(InverseActuation):
         best, chosen, least = here, self._branch, (1.0 - LEAST_LEAP) * self._now
         self._looked, radius, self.move_limit = self._now, self.move_limit, GREATEST
         remembered = self._solver.active, self._touching, self._wait, self._next_wait
-        for branch in self._branches(asked):
+        # In unstable places the radius vanishes, which says nothing of the stable one that it has come to.
+        here_too = [self._branch] if self._situation.is_balanced and self._situation.is_stable else []
+        for branch in (*here_too, *self._branches(asked)):
             rows = self._in_branch(asked.stiffness, branch)
             if rows is not None and not (rows.gradient.compliance > 0.0).all():
                 continue
