@@ -156,9 +156,9 @@ def _check_observation(scene) -> None:
         else:
             others = framed if force.points else names_in(scene, *_RIGID)
             check_carrier(f"{key}.body", what, force.body, deformable, others)
-    if scene.observer is not None and len(scene.markers) < 3:
+    if scene.observer is not None and len(scene.markers) < 3 and not scene.sensors:
         raise refusal("markers", f"{len(scene.markers)} markers",
-                      "an observer needs three markers or more, which tell it of forces")
+                      "an observer needs three markers or more, or a sensor, which tell it of forces")
     ids = {marker.id for marker in scene.markers}
     for key, effector in scene.keyed("effectors"):
         missing = sorted(set(effector.measured_by) - ids)

@@ -19,7 +19,7 @@ class Sensor(NamedEntry):
     told: ClassVar[tuple[str, ...]] = (
         "string of {string:#point}", "path of {cable}", "bend of {bend:#point}",
         "hinge of {hinge}", "volume of {volume}", "volume in {walls:#wall}",
-        "pressure of {pressure}", "weight {weight:=}",
+        "pressure of {pressure}", "weight {weight:=}", "noise {noise}",
     )  # fmt: skip
     placed: ClassVar[dict[str, str]] = {"string": "point", "bend": "point", "axis": "direction"}
     one_of: ClassVar[tuple[str, ...]] = ("string", "cable", "bend", "hinge", "volume", "walls", "pressure")
@@ -46,6 +46,9 @@ class Sensor(NamedEntry):
     """A sealed cavity: its gauge pressure [Pa]."""
     weight: Annotated[float | None, unit("", gt=0.0)] = None
     """Weight as a target; by default none."""
+
+    noise: Annotated[float | None, unit("m, rad, m³ or Pa", gt=0.0)] = None
+    """Standard deviation; by default 0.2 % of the robot's size, by metres as a target counts."""
 
     def check(self) -> None:
         """Refuse an axis or a point where none is needed, and none where one is."""

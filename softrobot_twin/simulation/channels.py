@@ -10,7 +10,7 @@ quantity of records, which replays compare. Where it is measured too, the twin t
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import starmap
 from operator import attrgetter
 from typing import NamedTuple
@@ -111,6 +111,16 @@ class Channel(NamedTuple):
         """
         values = self.read(result)
         return [math.nan] * self.width if values is None else values[index]
+
+    def misfits(self, measured: Mapping[str, np.ndarray], result: StepResult) -> np.ndarray:
+        """Measured numbers less those of a result, NaN for others, shape (object_count, width).
+
+        Args:
+            measured: Measured numbers of all objects, by the channel's name.
+            result: The result of a step.
+        """
+        values = self.read(result)
+        return np.empty((0, self.width)) if values is None else measured[self.name] - values
 
     def wanted(self, command: Command | None, count: int) -> np.ndarray:
         """Which numbers a command wants of the effectors that have a target position.
