@@ -949,6 +949,7 @@ class BaseInput(Input):
 
     Attributes:
         pose: The newest pose; None before the first.
+        frame: The frame of the world.
         time: When the base was there, on the clock of `Arrival.time` [s].
     """
 
@@ -959,7 +960,7 @@ class BaseInput(Input):
         """Forgets what was received; the counts stay."""
         super().reset()
         self.pose: Pose | None = None
-        self.time = -math.inf
+        self.time, self.frame = -math.inf, ""
 
     @latched
     def accept(self, position, quaternion, arrival: Arrival) -> Refusal | None:
@@ -976,7 +977,7 @@ class BaseInput(Input):
         pose = Pose(np.array(position, dtype=float), quaternion)
         if refusal := refusal_of_pose(pose):
             return refusal
-        self.pose, self.time = pose, arrival.time - arrival.age
+        self.pose, self.time, self.frame = pose, arrival.time - arrival.age, arrival.frame_id
         return None
 
 

@@ -387,7 +387,7 @@ class TwinLoop:
         if self.sensors is not None:
             self._of_sensors = SensorCorrection(simulation.model.sensors.lengths)
         limits = simulation.limits
-        self._base_seen = -math.inf
+        self._base_seen, self._base_frame = -math.inf, ""
         self.observer = None if simulation.scene.observer is None else ForceObserver(simulation)
         self.dynamic: DynamicControl | None = None
         if simulation.scene.control is not None and mode is Mode.INVERSE:
@@ -988,7 +988,9 @@ class TwinLoop:
         is_late = now - self.measured_base.time > self.settings.device_timeout
         time = now if is_late else self.measured_base.time
         if time > self._base_seen:
-            self.simulation.move_base(*pose, time)
+            # In another frame than before nothing is known of its velocity.
+            is_anew, self._base_frame = self._base_frame != self.measured_base.frame, self.measured_base.frame
+            self.simulation.move_base(*pose, time, is_anew)
             self._base_seen = time
 
     def _observe(self, seen: np.ndarray, activity: Activity, felt: tuple, now: float) -> None:

@@ -38,6 +38,8 @@ CLAIM = QoSProfile(depth=10, reliability=BEST_EFFORT)
 """Of what each of several nodes says many times a second."""
 LATCHED = QoSProfile(depth=1, reliability=RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """Of what changes rarely: who subscribes late receives the last message."""
+ALL_LATCHED = QoSProfile(depth=100, reliability=RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+"""That of `/tf_static`."""
 DIAGNOSTICS = QoSProfile(depth=10, reliability=RELIABLE)
 TRANSFORMS = QoSProfile(depth=100, reliability=RELIABLE)
 """That of tf2."""
