@@ -192,7 +192,7 @@ TWIN_TOPICS = _by_name(
     Topic("~/target_stiffness/<effector>", IN, Vector3Stamped, NEWEST, "N/m",
           "along x, y, z, NaN where free; replaces `stiffness.target` until `~/reset` "
           "or `~/enable`", "stiffness.accept"),
-    Topic("~/target_sensors", IN, JointState, NEWEST, "m, rad, m³, Pa",
+    Topic("~/target_sensors", IN, JointState, NEWEST, "m, rad, m³, Pa, N",
           "of sensors with a `weight`: wanted values in `position`, NaN where free; others keep "
           "theirs until `~/reset` or `~/enable`", "sensors.accept"),
     Topic("~/target_velocity", IN, Twist, NEWEST, "m/s, rad/s",
@@ -300,7 +300,7 @@ def channel_topic(channel: Channel) -> Topic:
         channel: The channel.
     """
     return Topic(f"~/{channel.name}/<object>", OUT, JointState, NEWEST, channel.unit,
-                 f"{', '.join(channel.parts)} in `position`")
+                 ", ".join(channel.parts))
 
 
 def measured_topic(channel: Channel) -> Topic:
@@ -311,7 +311,7 @@ def measured_topic(channel: Channel) -> Topic:
     """
     name = channel.measured_name
     return Topic(f"~/{name}/<{channel.name}>", IN, JointState, STREAM, channel.unit,
-                 f"as `~/{channel.name}/<object>`; larger than {channel.most:g} is refused",
+                 f"as `~/{channel.name}/<object>`; at most {channel.most:g}",
                  f"{name}.accept")  # fmt: skip
 
 

@@ -59,6 +59,7 @@ _NAMES: tuple[tuple[str, str, tuple[str, ...], tuple[str, ...]], ...] = (
     ("sensors.cable", "{} measures", ("cables",), ()),
     ("sensors.hinge", "{} measures", ("beams",), ()),
     ("sensors.pressure", "{} measures", ("sealed_cavities",), ()),
+    ("sensors.spring", "{} measures", ("springs",), ()),
     ("sensors.volume", "{} measures", ("cavities", "sealed_cavities"), ()),
     ("sensors.walls.also_on", "{} is on", _DEFORMABLE, ()),
     ("grips.holds", "grip {} holds", _RIGID, ("world",)),

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.simulation.building.actuator_kinds import Quantity
-from softrobot_twin.simulation.building.sensor_kinds import ANGLE, LENGTH, PRESSURE, VOLUME
+from softrobot_twin.simulation.building.sensor_kinds import ANGLE, FORCE, LENGTH, PRESSURE, VOLUME
 from softrobot_twin.simulation.building.table_columns import (
     AXES,
     base_load_columns,
@@ -207,7 +207,7 @@ REGISTERED_CHANNELS: list[Channel] = [
     Channel("grip_holds", "1", "grip_names", ("holds",), lambda name: (holds_column(name),),
             lambda result: None if (held := result.state.memory.get("grips.holds")) is None
             else held[:, None]),
-    *starmap(_of_sensors, ((LENGTH, 1e3), (ANGLE, 1e3), (VOLUME, 1e3), (PRESSURE, 1e9))),
+    *starmap(_of_sensors, ((LENGTH, 1e3), (ANGLE, 1e3), (VOLUME, 1e3), (PRESSURE, 1e9), (FORCE, 1e6))),
 ]  # fmt: skip
 
 
