@@ -1199,13 +1199,14 @@ class ChannelInput(Input):
         self._past[index].append((self.time, values))
         return None
 
-    def read(self, now: float) -> np.ndarray:
+    def read(self, now: float, since: float = -math.inf) -> np.ndarray:
         """The newest numbers, shape (object_count, width): NaN where older than `device_timeout`.
 
         Args:
             now: Time on the clock of `Arrival.time` [s].
+            since: NaN too where nothing was heard after this time [s].
         """
-        is_late = now - self._heard > self.settings.device_timeout
+        is_late = (now - self._heard > self.settings.device_timeout) | (self._heard <= since)
         return np.where(is_late[:, None], np.nan, self._values)
 
     def at(self, time: float) -> np.ndarray:

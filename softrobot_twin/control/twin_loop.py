@@ -387,7 +387,7 @@ class TwinLoop:
         if self.sensors is not None:
             self._of_sensors = SensorCorrection(simulation.model.sensors.lengths)
         limits = simulation.limits
-        self._base_seen, self._base_frame = -math.inf, ""
+        self._base_seen, self._base_frame, self._followed = -math.inf, "", -math.inf
         self.observer = None if simulation.scene.observer is None else ForceObserver(simulation)
         self.dynamic: DynamicControl | None = None
         if simulation.scene.control is not None and mode is Mode.INVERSE:
@@ -1106,8 +1106,10 @@ class TwinLoop:
                     model = self.observer.under_loads(model)
                 misfit = self.measurement.misfit(markers, model)
         if self.settings.closed_loop and follows and self.sensors is not None:
+            # Each measurement counts once.
+            since, self._followed = self._followed, now
             self._of_sensors.follow(
-                self._sensors(lambda one: one.read(now)), self.simulation.sensor_readings(),
+                self._sensors(lambda one: one.read(now, since)), self.simulation.sensor_readings(),
                 self.settings.correction_limit,
                 0.0 if self.observer is None else self.observer.of_sensors(self.observer.shifts))
         targets, before = aims.reading.targets, self._aimed

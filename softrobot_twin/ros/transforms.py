@@ -125,6 +125,9 @@ class BaseFollower:
         frame: Name of the frame in `/tf`.
         take: Takes position [m], quaternion (x, y, z, w), and the header.
 
+    Attributes:
+        links: The frames that are known, by name.
+
     Raises:
         ParameterError: tf2_msgs is missing.
     """
@@ -136,7 +139,7 @@ class BaseFollower:
             raise ParameterError("base_frame", frame, "", "needs tf2_msgs, which is not installed: "
                                  "send ~/base_pose") from None  # fmt: skip
         self._frame, self._take = frame, take
-        self._links: dict[str, _Link] = {}
+        self.links: dict[str, _Link] = {}
         # Frames of the chain, and the times and the frame above it that were passed on last.
         self._chain, self._told = {frame}, (-1, "")
         self._fixed: set[str] = set()
@@ -154,11 +157,11 @@ class BaseFollower:
         is_of_chain = False
         for one in message.transforms:
             child, parent = one.child_frame_id, one.header.frame_id
-            link = self._links.get(child)
+            link = self.links.get(child)
             if link is None or link.parent != parent:
-                if link is None and len(self._links) >= MOST_FRAMES and child not in self._chain:
+                if link is None and len(self.links) >= MOST_FRAMES and child not in self._chain:
                     continue
-                link = self._links[child] = _Link(parent)
+                link = self.links[child] = _Link(parent)
             (self._fixed.add if is_fixed else self._fixed.discard)(child)
             link.add(NANOSECONDS * one.header.stamp.sec + one.header.stamp.nanosec, one.transform)
             is_of_chain |= child in self._chain
@@ -168,13 +171,13 @@ class BaseFollower:
     def _tell(self) -> None:
         """Passes the pose of the frame on where it is known for a later time, or in another frame."""
         frame, chain = self._frame, list[str]()
-        while frame in self._links and frame not in chain:
+        while frame in self.links and frame not in chain:
             chain.append(frame)
-            frame = self._links[frame].parent
+            frame = self.links[frame].parent
         self._chain = {self._frame, frame, *chain}
         if not chain or frame in chain:
             return  # Nothing is known, or only a circle.
-        times = [self._links[one].newest for one in chain]
+        times = [self.links[one].newest for one in chain]
         stamp = min((time for time, one in zip(times, chain) if one not in self._fixed), default=max(times))
         if (stamp, frame) == self._told:
             return
@@ -182,7 +185,7 @@ class BaseFollower:
         place, turn = np.zeros(3), Rotation.identity()
         try:
             for one in chain:
-                at, turned = self._links[one].at(stamp)
+                at, turned = self.links[one].at(stamp)
                 place, turn = at + turned.apply(place), turned * turn
             quaternion = turn.as_quat()
         except ValueError:

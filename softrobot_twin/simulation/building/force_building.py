@@ -647,12 +647,27 @@ def _between(layout: Layout, spring, key: str, notes: list[str]) -> _Part:
 
 
 def length_at_rest(spring) -> float:
-    """L₀ of a spring's entry [m]."""
+    """L₀ of a spring [m].
+
+    Args:
+        spring: Its entry.
+    """
     first, second = (end.point for end in spring.ends)
     return np.linalg.norm(np.subtract(second, first)) if spring.rest_length is None else spring.rest_length
 
 
 def spring_end(layout: Layout, end, key: str, notes: list[str]) -> BarycentricMapping:
+    """An end of a spring that is not in the world.
+
+    Args:
+        layout: The bodies.
+        end: Its entry.
+        key: Key of both ends, for errors.
+        notes: List to which a warning is appended where the point is snapped to its body.
+
+    Raises:
+        SceneError: The point is too far from its body.
+    """
     if end.on not in layout.mass_nodes:
         return layout.carried(end.on, [end.point], key, notes)
     own = layout.mass_nodes[end.on]
