@@ -432,7 +432,7 @@ class TwinDiagnostics:
             }
             for one in measured():
                 names = one.names(loop.simulation)
-                for name, off in zip(names, one.misfits(newest.measured, newest.result), strict=True):
+                for name, off in zip(names, one.misfits(newest.measured, newest.result)):
                     values |= {f"{column}_misfit": float(part)
                                for column, part in zip(one.columns(name), off) if np.isfinite(part)}
         left_out = ", ".join(

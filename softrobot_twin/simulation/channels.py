@@ -113,14 +113,16 @@ class Channel(NamedTuple):
         return [math.nan] * self.width if values is None else values[index]
 
     def misfits(self, measured: Mapping[str, np.ndarray], result: StepResult) -> np.ndarray:
-        """Measured numbers less those of a result, NaN for others, shape (object_count, width).
+        """Measured numbers less those of a result, NaN where unknown, shape (object_count, width).
+
+        None at all are known in a result that does not tell them.
 
         Args:
             measured: Measured numbers of all objects, by the channel's name.
             result: The result of a step.
         """
-        values = self.read(result)
-        return np.empty((0, self.width)) if values is None else measured[self.name] - values
+        values, known = self.read(result), measured.get(self.name)
+        return np.empty((0, self.width)) if values is None or known is None else known - values
 
     def wanted(self, command: Command | None, count: int) -> np.ndarray:
         """Which numbers a command wants of the effectors that have a target position.
