@@ -300,7 +300,7 @@ def channel_topic(channel: Channel) -> Topic:
         channel: The channel.
     """
     return Topic(f"~/{channel.name}/<object>", OUT, JointState, NEWEST, channel.unit,
-                 ", ".join(channel.parts))
+                 f"{', '.join(channel.parts)} in `position`")
 
 
 def measured_topic(channel: Channel) -> Topic:
@@ -311,7 +311,7 @@ def measured_topic(channel: Channel) -> Topic:
     """
     name = channel.measured_name
     return Topic(f"~/{name}/<{channel.name}>", IN, JointState, STREAM, channel.unit,
-                 f"as `~/{channel.name}/<object>`; at most {channel.most:g}",
+                 f"as `~/{channel.name}/<object>`; ≤ {channel.most:g}",
                  f"{name}.accept")  # fmt: skip
 
 
