@@ -1,4 +1,4 @@
-"""Sensors: lengths, angles, volumes and pressures of a state, and how they change with it.
+"""Sensors: lengths, angles, volumes, pressures and forces of a state, and how they change with it.
 
 A sensor of value m has one row h = ∂m/∂q. Where a target may be given for it, its row is one of the
 inverse problem, in metres as those of effectors: ℓ m, with a length ℓ per unit of the sensor.
@@ -20,14 +20,14 @@ class SensedTerm(NamedTuple):
     Attributes:
         term: The term.
         zeros: Values where the rows of the term are zero, shape (count,).
-        sign: Change of each value by its row.
+        sign: Change of each value by its row, shape (count,) or one for all.
         lengths: ℓ of each [m per unit], shape (count,).
         spans: A large change of each, in its unit, shape (count,).
     """
 
     term: ConstraintTerm
     zeros: np.ndarray
-    sign: float
+    sign: float | np.ndarray
     lengths: np.ndarray
     spans: np.ndarray
 
@@ -71,7 +71,7 @@ class Sensors(ConstraintTerm):
         for part, (rows, entries) in zip(self._parts, self._places, strict=True):
             part.term.evaluate(positions, blocks[entries], values[rows])
             values[rows] = part.zeros + part.sign * values[rows]
-            blocks[entries] *= part.sign
+            blocks[entries] *= np.broadcast_to(part.sign, len(part.zeros))[part.term.entry_rows, None]
         blocks *= self.lengths[self.entry_rows, None]
         values *= self.lengths
 

@@ -1,4 +1,4 @@
-"""Cables that are laid around round obstacles, without friction.
+"""Cables that are laid around round obstacles, without friction and with it.
 
 Between two of its points a cable runs straight to an infinite cylinder of radius r, around it on a helix,
 and straight on: the shortest way, always on the side on which it lies at rest. Across the axis the
@@ -11,6 +11,9 @@ Along the axis it advances in proportion to its length. As it is the shortest wa
 its points as if the places where it leaves the cylinder stayed: so each of both straight parts is a
 segment that ends at a place in the world, which every state has of its own, and the arc adds its length.
 The stiffness is that of these segments. Across the axis that is exact while the cable touches.
+
+With friction the arc is one point more of the path (`cable_friction`), at which the cable turns by the angle
+of its helix, r φ² / arc: where it slips, the tension falls by the capstan equation over the whole arc.
 """
 
 from __future__ import annotations
@@ -20,6 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.constraints.cable import CablePath, Cables, Wrap
+from softrobot_twin.constraints.cable_friction import FrictionCables
 
 # An angle beyond is one that is past the other side of the cylinder, which the cable left.
 FARTHEST = 1.75 * np.pi
@@ -127,7 +131,7 @@ class WrappedCables(Cables):
     def __init__(self, paths: tuple[CablePath, ...], *places, **options):
         """See `Cables`; `CablePath.wraps` says which segments are laid around what."""
         self._wraps = [wrap for path in paths for _, wrap in sorted(path.wraps.items())]
-        self._arcs = np.zeros(len(paths))
+        self._arcs, self._of_wraps = np.zeros(len(paths)), np.zeros((2, len(self._wraps)))
         self._first: np.ndarray | None = None
         super().__init__(paths, *places, **options)
 
@@ -144,13 +148,14 @@ class WrappedCables(Cables):
             self._bases = self._constants.copy()
             self._rounding[self._first] = self._rounding[self._first + 1] = 0.0
         self._arcs[:] = 0.0
-        for s, wrap in zip(self._first, self._wraps, strict=True):
+        for index, (s, wrap) in enumerate(zip(self._first, self._wraps, strict=True)):
             moving = np.einsum("sa,sai->si", self._coefficients[s : s + 2], positions[self._nodes[s : s + 2]])
             ends = moving + self._bases[s : s + 2]
             way = course(-ends[0], ends[1], wrap)
             self._constants[s] = self._bases[s] + way.leaves
             self._constants[s + 1] = self._bases[s + 1] - way.joins
             self._arcs[self.cable_of_stretch[s]] += way.arc
+            self._of_wraps[:, index] = way.arc, wrap.radius * way.angle**2 / way.arc if way.arc else 0.0
 
     def largest_share(self, positions: np.ndarray, move: np.ndarray) -> float:
         """See `Cables`."""
@@ -166,3 +171,14 @@ class WrappedCables(Cables):
         """See `Cables`."""
         self._place(positions)
         return super().add_row_stiffness(positions, stiffness, storage)
+
+
+class RubbingWraps(WrappedCables, FrictionCables):
+    """Constraint term of cables of which some are laid around cylinders, and some rub."""
+
+    def _measure(self, positions: np.ndarray) -> None:
+        self._place(positions)
+        super()._measure(positions)
+        # The point is where the arc begins: what passes it has left the segment before.
+        arcs, self.angles[self._first + 1] = self._of_wraps
+        self._lengths[self._first + 1] += arcs

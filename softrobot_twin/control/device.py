@@ -13,7 +13,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 
 from softrobot_twin.control.arrival import Refusal
-from softrobot_twin.control.inputs import ActuatorInput, ActuatorNames, NameOrder, replaced
+from softrobot_twin.control.inputs import PAST, ActuatorInput, ActuatorNames, NameOrder, Past, between, replaced
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.voices import LAG_RATE, LAG_SHARE, LAG_TIME, PlaceWatch
 from softrobot_twin.simulation.building.limits import ActuatorLimits, Pulleys
@@ -26,10 +26,6 @@ OUTSIDE_SHARE_OF_REST = 0.01
 OUTSIDE_SCALES = 1.0e6
 """An actuator without a limit is measured this many of its scales from where it is at rest at most."""
 
-PAST = 1024
-"""Measurements that are kept, to tell the setpoints when a camera saw the robot."""
-NEAR = 0.1
-"""Setpoints of a moment are known when they were measured within this time of it [s]."""
 
 _OF_ALL = ""
 """Key of the message that measures all actuators, beside the names of cavities."""
@@ -231,7 +227,7 @@ class MeasuredSetpoints(ActuatorInput):
         super().reset()
         self.arrived = np.full(len(self._low), -np.inf)
         self.places = PlaceWatch(*self._moves)
-        self.past: deque[tuple[float, np.ndarray]] = deque(maxlen=PAST)
+        self.past: Past = deque(maxlen=PAST)
         self._measured = np.full(len(self._low), np.nan)
         self._implausible: dict[str, ImplausibleSetpoint] = {}
 
@@ -270,17 +266,7 @@ class MeasuredSetpoints(ActuatorInput):
             In the unit of each actuator's kind, shape (actuator_count,); None where nothing was
             measured within `NEAR` of it.
         """
-        earlier = later = None
-        for one in reversed(self.past):
-            if one[0] <= time:
-                earlier = one
-                break
-            later = one
-        near = [one for one in (earlier, later) if one is not None and abs(one[0] - time) <= NEAR]
-        if len(near) < 2:
-            return near[0][1] if near else None
-        (start, before), (end, behind) = near
-        return before + (time - start) / (end - start) * (behind - before)
+        return between(self.past, time)
 
     def put_efforts(self, places: np.ndarray, efforts: np.ndarray) -> None:
         """Keeps measured efforts of some actuators; the others stay.

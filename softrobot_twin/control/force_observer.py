@@ -1,4 +1,4 @@
-"""Forces that nobody modelled, found from where the markers are beside the model.
+"""Forces that nobody modelled, found from where markers and sensors are beside the model.
 
 A force f at a place moves the markers by G f, while the actuators hold what they hold; G comes from
 the factorization of the last step. So the displacements y of the markers by all loads that the model
@@ -14,6 +14,9 @@ The model bears as much of a force as markers support. What moves all markers as
 no force, but a robot that is not where it was sent, or markers that lie. What may be either moves the
 effectors by a limit at most, and the correction of targets takes it over: the misfit is integrated once,
 by the law that holds without an observer. A force without support decays.
+
+A sensor is measured as a marker is, by one number in place of three: its value as it counts in metres,
+with the deviation of its own noise. `ObservedRows` says how both are put together.
 
 An unknown place is the point of the surface at which a pushing force explains the markers best. What
 the model itself is off does not vanish by averaging: it is carried to the deviations of the forces.
@@ -32,6 +35,7 @@ from softrobot_twin.control.marker_checks import FARTHEST_MISFIT
 from softrobot_twin.control.model_history import Moment
 from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.simulation import CommandSetpoints, Hold, Simulation, State
+from softrobot_twin.simulation.building.sensor_kinds import in_order
 from softrobot_twin.simulation.command import LONG
 from softrobot_twin.simulation.effects.observed_forces import ObservedForces, numbers_of
 from softrobot_twin.simulation.marker_compliance import MarkerCompliance
@@ -72,6 +76,9 @@ OUTVOTED = 3
 """Of markers that are seen, at most one of so many may not be plausible where forces are learnt."""
 SURER = 4.0
 """A force is certain where the actuators leave so many times as much of the squares of deviations."""
+SENSOR_NOISE = 0.002
+"""Standard deviation of a sensor where the scene gives none, as it counts in metres, as a share of the
+robot's size."""
 USUAL_NOISE = 1.0e-4
 """Standard deviation of a marker's coordinate where neither scene nor measurement gives one [m]."""
 GREATEST = 3.0
@@ -103,10 +110,11 @@ class ForceObserver:
         is_settling: Whether forces have changed so much that they are not yet known.
         handed_over: How much further forces move the markers since the last `update` or `fade`, but for what
             is certain to be a sudden force: the correction of targets takes that over, so that no command
-            changes [m], shape (marker_count, 3).
+            changes [m], shape (quantity_count, 3).
         is_blind: Whether the tangent of the last look was indefinite: measurements are not used then.
         belief: The share of the forces that markers support, 0 to 1.
-        by_loads: Their motion by each number of the loads, shape (3 marker_count, load_count).
+        by_loads: Their motion by each number of the loads, shape (3 quantity_count, load_count).
+        quantity_count: Number of all that is measured, see `ObservedRows`.
     """
 
     def __init__(self, simulation: Simulation):
@@ -122,10 +130,21 @@ class ForceObserver:
         size = simulation.model.nodes.finite_size
         arms = np.concatenate([np.repeat([1.0, size], 3)[:count] for count in sizes])
         self._arms, self._size = arms, size
-        count = len(simulation.marker_ids)
-        groups = [own for own in simulation.effector_markers if len(own)] or np.arange(count)[:, None]
-        # Means of the markers of each effector, or all markers, shape (n, marker_count).
+        rows = self._compliance.rows
+        self.quantity_count = count = rows.quantity_count
+        groups = [own for own in simulation.effector_markers if len(own)]
+        groups += [[place] for place in range(count - len(rows.unseen), count)]
+        groups = groups or np.arange(count)[:, None]
+        # Means of the markers of each effector, or itself, or all quantities, shape (n, quantity_count).
         self._means = np.array([np.isin(np.arange(count), own) / len(own) for own in groups])
+        # Of each quantity: whether it is of a sensor, its number of coordinates, and its noise [m].
+        self._is_sensor = np.isin(np.arange(count) - rows.marker_count, np.arange(rows.sensor_count))
+        self._coordinates = np.where(self._is_sensor, 1, 3)
+        self._lengths = np.empty(0) if simulation.model.sensors is None else simulation.model.sensors.lengths
+        self._sensor_noises = np.full(rows.sensor_count, SENSOR_NOISE * size)
+        for index, (_, sensor) in enumerate(in_order(simulation.scene)):
+            if sensor.noise is not None:
+                self._sensor_noises[index] = sensor.noise * self._lengths[index]
         # Covariance before anything is seen, and what a second adds to it.
         self._prior = np.diag((self._entry.greatest_force * arms) ** 2)
         self._known = np.linalg.inv(self._prior)
@@ -134,7 +153,7 @@ class ForceObserver:
 
     def reset(self) -> None:
         """Forgets all forces."""
-        count = len(self._simulation.marker_ids)
+        count = self.quantity_count
         self.found, self._still = ObservedForces.none(len(self._places)), 0.0
         self.is_settling = self.is_blind = self._is_sure = False
         self.lag = np.zeros((count, 3))
@@ -151,7 +170,7 @@ class ForceObserver:
         self._followed = self._begun = -math.inf
 
     def look(self) -> None:
-        """Finds what forces do to the markers where the last step ended. Called after each step."""
+        """Finds what forces do to the quantities where the last step ended. Called after each step."""
         found = self._compliance.at_state(self.found.points, may_be_slow=False)
         self.is_blind = found is None
         if found is None:
@@ -176,6 +195,36 @@ class ForceObserver:
                 break
             self.look()
 
+    def _together(self, markers: np.ndarray, sensors: np.ndarray, effectors: np.ndarray) -> np.ndarray:
+        """All quantities [m], shape (quantity_count, 3).
+
+        Args:
+            markers: Places of the markers [m], shape (marker_count, 3).
+            sensors: Values of the sensors, each in its unit, shape (sensor_count,).
+            effectors: Places of all effectors [m], shape (effector_count, 3).
+        """
+        shown = np.zeros((len(sensors), 3))
+        shown[:, 0] = self._lengths * sensors
+        return np.concatenate([markers, shown, effectors[self._compliance.rows.unseen]])
+
+    def _variances(self, noise: float) -> np.ndarray:
+        """Variances of the coordinates of the quantities by noise [m²], shape (quantity_count,).
+
+        Args:
+            noise: Standard deviation of each coordinate of a marker, where the scene gives none [m].
+        """
+        noises = np.full(self.quantity_count, self._entry.marker_noise or noise)
+        noises[self._is_sensor] = self._sensor_noises
+        return noises**2
+
+    def of_sensors(self, moves: np.ndarray) -> np.ndarray:
+        """What sensors show of motions, each in its unit, shape (sensor_count,).
+
+        Args:
+            moves: Motion of the quantities [m], shape (quantity_count, 3).
+        """
+        return moves[self._is_sensor, 0] / self._lengths
+
     def moment(self, markers: np.ndarray, effectors: np.ndarray) -> Moment:
         """The model where the last step ended, as it will have settled.
 
@@ -183,7 +232,8 @@ class ForceObserver:
             markers: Its markers [m], shape (marker_count, 3).
             effectors: Its effectors [m], shape (effector_count, 3).
         """
-        return Moment(markers + self.lag, effectors, self.loads, self.by_loads,
+        shown = self._together(markers, self._simulation.sensor_readings(), effectors)
+        return Moment(shown + self.lag, effectors, self.loads, self.by_loads,
                       setpoints=self._simulation.state.setpoints)  # fmt: skip
 
     @property
@@ -197,7 +247,7 @@ class ForceObserver:
         return numbers_of(self._places, self.found.wrenches)
 
     def told(self, noise: float) -> np.ndarray:
-        """Standard deviations of the loads by one frame of all markers, where the last look was.
+        """Standard deviations of the loads by all markers and sensors once, where the last look was.
 
         Of a place that is found these are the medians over its points.
 
@@ -207,12 +257,14 @@ class ForceObserver:
         Returns:
             [N] and [N m], shape (load_count,).
         """
-        R = (self._entry.marker_noise or noise) ** 2 + self._entry.systematic_error**2
-        information = self._known + self.by_loads.T @ self.by_loads / R
+        R = (self._variances(noise) + self._entry.systematic_error**2).repeat(3)
+        R = R[: len(R) - 3 * len(self._compliance.rows.unseen)]
+        seen = self.by_loads[: len(R)]
+        information = self._known + seen.T / R @ seen
         deviations = np.sqrt(np.linalg.inv(information).diagonal())
         for place in self._unknown:
-            own, field = self._own[place], self._compliance.by_candidates(place)
-            each = np.linalg.inv(self._known[own, own] + field.transpose(0, 2, 1) @ field / R)
+            own, field = self._own[place], self._compliance.by_candidates(place)[:, : len(R)]
+            each = np.linalg.inv(self._known[own, own] + field.transpose(0, 2, 1) / R @ field)
             deviations[own] = np.median(np.sqrt(np.diagonal(each, axis1=1, axis2=2)), axis=0)
         return deviations
 
@@ -238,14 +290,14 @@ class ForceObserver:
 
     @property
     def shifts(self) -> np.ndarray:
-        """How far the forces that the model bears move the markers [m], shape (marker_count, 3)."""
+        """How far the forces that the model bears move the quantities [m], shape (quantity_count, 3)."""
         return (self.by_loads @ self.loads).reshape(-1, 3)
 
     def update(
         self, markers: np.ndarray, model: Moment, noise: float, stamp: int, measured: tuple = (),
-        limit: float = math.inf, left_out: int = 0,
+        limit: float = math.inf, left_out: int = 0, sensors: np.ndarray | None = None,
     ) -> Moment | None:  # fmt: skip
-        """Uses the markers of one measurement.
+        """Uses the markers and sensors of one measurement.
 
         The simulation stands where it did.
 
@@ -257,6 +309,8 @@ class ForceObserver:
             measured: What else steps are to bear.
             limit: Forces that are not certain move no effector further [m].
             left_out: How many more markers are seen, but not plausible.
+            sensors: Measured sensors, each in its unit, NaN for others, shape (sensor_count,); None for
+                none. Of those that are further from the model than a marker may be nothing is believed.
 
         Returns:
             The model of that moment under the loads that are known now, where it is another one
@@ -266,6 +320,11 @@ class ForceObserver:
         self.handed_over[:] = 0.0
         if since == 0.0:
             return None
+        sensors = np.full(len(self._lengths), np.nan) if sensors is None else sensors
+        markers = self._together(markers, sensors, np.full_like(model.effectors, np.nan))
+        off = np.abs(markers - model.markers)[:, 0]
+        is_far = self._is_sensor & (off > FARTHEST_MISFIT * self._size)
+        markers[is_far], left_out = np.nan, left_out + int(is_far.sum())
         since, seen = min(abs(since), 1.0), int(np.isfinite(markers).all(axis=1).sum())
         self._blind_for = self._blind_for + since if self.is_blind else 0.0
         is_unsupported = not seen or OUTVOTED * left_out > left_out + seen
@@ -284,7 +343,7 @@ class ForceObserver:
                               by_loads=self.by_loads)  # fmt: skip
 
     def fade(self, duration: float) -> None:
-        """Lets the forces decay: no marker supports them.
+        """Lets the forces decay: no measurement supports them.
 
         Args:
             duration: Time that has passed [s].
@@ -338,31 +397,34 @@ class ForceObserver:
     def _use(
         self, markers: np.ndarray, model: Moment, noise: float, since: float, limit: float
     ) -> bool:
-        """Uses markers by one linearization; whether a load acts at another place than before."""
+        """Uses quantities by one linearization; whether a load acts at another place than before."""
         beside = markers - self.under_loads(model).markers
         seen = np.isfinite(beside).all(axis=1)
         beside = np.where(seen[:, None], beside, 0.0)
         moved = np.linalg.norm((markers - model.markers)[seen], axis=1)
         far = np.sort(moved)[len(moved) // 2]
-        R = ((self._entry.marker_noise or noise) ** 2,
-             self._entry.systematic_error**2 + (DOUBT * far) ** 2)
+        noises, systematic = self._variances(noise), self._entry.systematic_error**2 + (DOUBT * far) ** 2
+        R = noises + systematic
         given = self.loads
         borne = self.by_loads @ given
         if self._unknown and self.is_settling and np.abs(self.lag).max() > UNSETTLED * far:
             return False
-        if self._notice(borne + beside.ravel(), sum(R), seen.astype(float)):
+        if self._notice(borne + beside.ravel(), R, seen.astype(float)):
             self._counts[:] = 0.0
         if not self._counts.any():
             self._begun, self._is_sure = self.stamp, False
         self._counts = KEPT * self._counts + seen
         self._mean += (seen / np.maximum(self._counts, 1.0))[:, None] * (beside - self._mean)
-        has_moved = self._find(borne + self._mean.ravel(), *R)
+        has_moved = self._find(borne + self._mean.ravel(), noises, systematic)
         y = borne + beside.ravel()
-        after, spread, weights = estimate(
-            self._loads, self._covariance, y, self.by_loads, sum(R), seen.astype(float))
+        after, spread, weights = _estimate(
+            self._loads, self._covariance, y, self.by_loads, R, seen.astype(float))
         most = GREATEST * self._entry.greatest_force * self._arms
         after = np.clip(after, -most, most)
-        borne_next = self._allowed(after, y, noise, seen.astype(float), since, limit)
+        weighted = self.by_loads.T * (seen / R).repeat(3)
+        # Of what does nothing to the measurements of now, nothing is borne.
+        unseen = np.linalg.solve(self._known + weighted @ self.by_loads, self._known @ after)
+        borne_next = self._allowed(after - unseen, y, noise, seen.astype(float), since, limit)
         moved = np.linalg.norm((self.by_loads @ borne_next - borne).reshape(-1, 3), axis=1).max()
         self.is_settling = bool(moved > REACH * self._size)
         if self.is_settling:
@@ -371,7 +433,7 @@ class ForceObserver:
             after, spread, self._counts[:] = borne_next, self._prior, 0.0
         self._moved = moved
         self._loads, self._covariance = after, spread
-        self._tell(borne_next, sum(R), weights)
+        self._tell(borne_next, R, weights)
         self._mean -= (self.by_loads @ self.loads - borne).reshape(-1, 3)
         return has_moved
 
@@ -383,16 +445,17 @@ class ForceObserver:
 
         Args:
             loads: Numbers of the loads, shape (load_count,).
-            y: Displacements of the markers by all loads [m], shape (3 marker_count,).
-            noise: Standard deviation of a coordinate [m].
-            seen: 1 for each marker that is seen, else 0, shape (marker_count,).
+            y: Displacements of the quantities by all loads [m], shape (3 quantity_count,).
+            noise: Standard deviation of a coordinate of a marker [m].
+            seen: 1 for each quantity that is seen, else 0, shape (quantity_count,).
             since: Time that has passed since the last measurement [s].
             limit: Forces that are not certain move no effector further [m].
         """
-        own = (self._entry.marker_noise or noise) ** 2 + self._entry.systematic_error**2
+        noises = self._variances(noise)
+        own = noises + self._entry.systematic_error**2
         far = np.sort(np.linalg.norm(y.reshape(-1, 3), axis=1)[seen > 0.0])
         R, G = own + (DOUBT * far[len(far) // 2]) ** 2, self.by_loads
-        belief, is_certain = self._support(y, noise, own, R, seen)
+        belief, is_certain = self._support(y, noises, own, R, seen)
         self._is_sure |= is_certain
         most = min(math.inf if is_certain else limit, FARTHEST_MISFIT * self._size)
         moved = self._means @ (G @ loads).reshape(-1, 3)
@@ -406,38 +469,38 @@ class ForceObserver:
         return allowed
 
     def _support(
-        self, y: np.ndarray, noise: float, own: float, R: float, seen: np.ndarray
+        self, y: np.ndarray, noises: np.ndarray, own: np.ndarray, R: np.ndarray, seen: np.ndarray
     ) -> tuple[float, bool]:
-        """How far markers support loads, and whether no motion by the actuators explains them as well.
+        """How far measurements support loads, and whether no motion by the actuators explains them as well.
 
         Args:
-            y: Displacements of the markers by all loads [m], shape (3 marker_count,).
-            noise: Standard deviation of a coordinate [m].
-            own: Variance of a coordinate by noise and the model's error [m²].
+            y: Displacements of the quantities by all loads [m], shape (3 quantity_count,).
+            noises: Variance of a coordinate of each by noise [m²], shape (quantity_count,).
+            own: The same with the model's error [m²].
             R: The same with what a linearization may be wrong by [m²].
-            seen: 1 for each marker that is seen, else 0, shape (marker_count,).
+            seen: 1 for each quantity that is seen, else 0, shape (quantity_count,).
 
         Returns:
             The share, 0 to 1, and whether loads of any size may move the effectors.
         """
-        A, count = self._by_actuators, 3 * int(seen.sum())
+        A, count = self._by_actuators, int(self._coordinates @ seen)
         A = A / np.maximum(np.abs(A).max(axis=0, initial=0.0), np.finfo(float).tiny)
-        none, by_noise = _squares(y, R, seen), count * own / R
+        none, by_noise = _squares(y, R, seen), float(self._coordinates * seen @ (own / R))
         unexplained = _unexplained(y, self.by_loads, self._prior, R, seen)
         explained, left = none - unexplained, max(unexplained - by_noise, 0.0)
         wide = self._size**2 * np.eye(A.shape[1])
         elsewhere = max(_unexplained(y, A, wide, R, seen) - by_noise, 0.0)
         belief, loads = 0.0, len(self._arms)
-        by_marker_noise = greatest_square(loads) * (self._entry.marker_noise or noise) ** 2 / R
-        if explained > max(left, by_marker_noise) and left <= elsewhere + NEARER:
+        by_chance = greatest_square(min(loads, count)) * float((seen * noises / R).max())
+        if explained > max(left, by_chance) and left <= elsewhere + NEARER:
             belief = min(2.0 - 2.0 * left / explained, 1.0)
-        by_luck = NEARER + (greatest_square(count) - count) * own / R
+        by_luck = NEARER + (greatest_square(count) / count - 1.0) * by_noise
         return belief, elsewhere > SURER * left + by_luck
 
-    def _notice(self, y: np.ndarray, R: float, seen: np.ndarray) -> bool:
+    def _notice(self, y: np.ndarray, R: np.ndarray, seen: np.ndarray) -> bool:
         """Begins anew with each force that changed at once; whether one did."""
         count = len(self._loads)
-        free, spread, _ = estimate(np.zeros(count), self._prior, y, self.by_loads, R, seen)
+        free, spread, _ = _estimate(np.zeros(count), self._prior, y, self.by_loads, R, seen)
         has_changed = False
         for own in self._own:
             off = free[own] - self._loads[own]
@@ -448,14 +511,14 @@ class ForceObserver:
                 has_changed = True
         return has_changed
 
-    def _tell(self, allowed: np.ndarray, R: float, weights: np.ndarray) -> None:
+    def _tell(self, allowed: np.ndarray, R: np.ndarray, weights: np.ndarray) -> None:
         """Says what the model is to bear of what is allowed, and how sure it is."""
-        weighted, lag = self.by_loads.T * (weights.repeat(3) / R), self.lag.ravel()
+        weighted, lag = self.by_loads.T * (weights / R).repeat(3), self.lag.ravel()
         gain = np.linalg.solve(self._known + weighted @ self.by_loads, weighted)
         off, square = self._entry.systematic_error**2 + UNSETTLED**2 * (lag @ lag) / lag.size, gain @ gain.T
         deviations = np.sqrt((self._covariance + off * square).diagonal())
         # What noise and the model's own error alone would make of no force.
-        by_noise = (R + off) * square
+        by_noise = (gain * (R + off).repeat(3)) @ gain.T
         given, points = self.loads, self.found.points
         is_detected = np.zeros(len(self._places), bool)
         for place, own in enumerate(self._own):
@@ -479,12 +542,12 @@ class ForceObserver:
             wrenches[place, :count], spreads[place, :count] = given[own], deviations[own]
         self.found = ObservedForces(wrenches, spreads, points, is_detected)
 
-    def _find(self, y: np.ndarray, noise: float, systematic: float) -> bool:
+    def _find(self, y: np.ndarray, noises: np.ndarray, systematic: float) -> bool:
         """Looks for the points of the surface at which forces explain the displacements best.
 
         Args:
-            y: Mean displacements by all loads [m], shape (3 marker_count,).
-            noise: Variance of a coordinate in one measurement [m²].
+            y: Mean displacements by all loads [m], shape (3 quantity_count,).
+            noises: Variance of a coordinate of each in one measurement [m²], shape (quantity_count,).
             systematic: What does not become less in a mean [m²].
 
         Returns:
@@ -492,7 +555,7 @@ class ForceObserver:
         """
         if not self._unknown:
             return False
-        R = np.repeat(noise / np.maximum(self._counts, 1.0e-9) + systematic, 3)
+        R = np.repeat(noises / np.maximum(self._counts, 1.0e-9) + systematic, 3)
         return any([self._find_one(place, y, R) for place in self._unknown])
 
     def _find_one(self, place: int, y: np.ndarray, R: np.ndarray) -> bool:
@@ -504,7 +567,7 @@ class ForceObserver:
         w = 1.0 / R
         here = self.by_loads[:, own]
         left = y - here @ np.linalg.lstsq(here * np.sqrt(w)[:, None], y * np.sqrt(w), rcond=None)[0]
-        if w @ (left * left) <= greatest_square(len(w)):
+        if w @ (left * left) <= greatest_square(int(self._coordinates.sum())):
             return False
         field = self._compliance.by_candidates(place)
         if not np.isfinite(field).all():
@@ -581,6 +644,15 @@ def estimate(before, covariance, y, G, R, seen):
     return before + change, after, weights
 
 
+def _estimate(
+    before: np.ndarray, covariance: np.ndarray, y: np.ndarray, G: np.ndarray, R: np.ndarray,
+    seen: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+    """The same by quantities of other variances each, R of shape (quantity_count,)."""
+    per = np.sqrt(1.0 / R).repeat(3)
+    return estimate(before, covariance, per * y, per[:, None] * G, 1.0, seen)
+
+
 def square_by_deviations(values: np.ndarray, covariance: np.ndarray) -> float:
     """Square of values by their deviations; none along what no measurement tells.
 
@@ -591,21 +663,21 @@ def square_by_deviations(values: np.ndarray, covariance: np.ndarray) -> float:
     return float(values @ np.linalg.pinv(covariance, hermitian=True) @ values)
 
 
-def _squares(off: np.ndarray, R: float, seen: np.ndarray) -> float:
-    """Sum of the squares of deviations of markers; one that is far off counts as `HUBER` of them.
+def _squares(off: np.ndarray, R: np.ndarray, seen: np.ndarray) -> float:
+    """Sum of the squares of deviations of quantities; one that is far off counts as `HUBER` of them.
 
     Args:
-        off: Displacements that nothing explains [m], shape (3 marker_count,).
-        R: Variance of a coordinate [m²].
-        seen: 1 for each marker that is seen, else 0, shape (marker_count,).
+        off: Displacements that nothing explains [m], shape (3 quantity_count,).
+        R: Variance of a coordinate of each [m²], shape (quantity_count,).
+        seen: 1 for each quantity that is seen, else 0, shape (quantity_count,).
     """
     squares = (off.reshape(-1, 3) ** 2).sum(axis=1) / R
     return float(seen @ np.minimum(squares, HUBER**2))
 
 
 def _unexplained(
-    y: np.ndarray, G: np.ndarray, covariance: np.ndarray, R: float, seen: np.ndarray
+    y: np.ndarray, G: np.ndarray, covariance: np.ndarray, R: np.ndarray, seen: np.ndarray
 ) -> float:
-    """Sum of the squares of deviations of markers that motions G of a covariance leave; see `estimate`."""
-    found, _, _ = estimate(np.zeros(G.shape[1]), covariance, y, G, R, seen)
+    """Sum of the squares of deviations of quantities that motions G of a covariance leave; see `estimate`."""
+    found, _, _ = _estimate(np.zeros(G.shape[1]), covariance, y, G, R, seen)
     return _squares(y - G @ found, R, seen)

@@ -7,6 +7,7 @@ kept message.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from itertools import product
 from typing import NamedTuple
@@ -39,6 +40,34 @@ UNNAMED = -1
 """Index of an actuator that a message does not name."""
 FARTHEST = 1.0 / 3.0
 """A touched point may be measured this far from where it is at rest, as a share of the robot's size."""
+
+
+PAST = 1024
+"""Measurements that are kept, to tell what was measured when a camera saw the robot."""
+NEAR = 0.1
+"""Values of a moment are known when they were measured within this time of it [s]."""
+Past = deque[tuple[float, np.ndarray]]
+"""Times of the last measurements on the clock of `Arrival.time` [s], and their values."""
+
+
+def between(past: Past, time: float) -> np.ndarray | None:
+    """Values at a time, between two measurements or next to one; None where none is within `NEAR`.
+
+    Args:
+        past: The measurements.
+        time: On the clock of `Arrival.time` [s].
+    """
+    earlier = later = None
+    for one in reversed(past):
+        if one[0] <= time:
+            earlier = one
+            break
+        later = one
+    near = [one for one in (earlier, later) if one is not None and abs(one[0] - time) <= NEAR]
+    if len(near) < 2:
+        return near[0][1] if near else None
+    (start, before), (end, behind) = near
+    return before + (time - start) / (end - start) * (behind - before)
 
 
 # --- targets -------------------------------------------------------------------------------------
@@ -920,6 +949,7 @@ class BaseInput(Input):
 
     Attributes:
         pose: The newest pose; None before the first.
+        frame: The frame of the world.
         time: When the base was there, on the clock of `Arrival.time` [s].
     """
 
@@ -930,7 +960,7 @@ class BaseInput(Input):
         """Forgets what was received; the counts stay."""
         super().reset()
         self.pose: Pose | None = None
-        self.time = -math.inf
+        self.time, self.frame = -math.inf, ""
 
     @latched
     def accept(self, position, quaternion, arrival: Arrival) -> Refusal | None:
@@ -947,7 +977,7 @@ class BaseInput(Input):
         pose = Pose(np.array(position, dtype=float), quaternion)
         if refusal := refusal_of_pose(pose):
             return refusal
-        self.pose, self.time = pose, arrival.time - arrival.age
+        self.pose, self.time, self.frame = pose, arrival.time - arrival.age, arrival.frame_id
         return None
 
 
@@ -1117,6 +1147,10 @@ class ChannelInput(Input):
         frame_id: The only accepted frame.
         settings: Timeouts.
         refusals: Counts refused messages.
+
+    Attributes:
+        stamp: Time of the newest measurement [ns].
+        time: The same on the clock of `Arrival.time` [s].
     """
 
     def __init__(
@@ -1130,6 +1164,8 @@ class ChannelInput(Input):
         """Forgets the measurements; the counts stay."""
         super().reset()
         self._values, self._heard = np.full(self._shape, np.nan), np.full(self._shape[0], -math.inf)
+        self._past: list[Past] = [deque(maxlen=PAST) for _ in self._values]
+        self.stamp, self.time = 0, -math.inf
 
     def accept(self, index: int, names: Sequence[str], values, others, arrival: Arrival) -> Refusal | None:
         """Checks the measured numbers of an object and keeps them.
@@ -1159,16 +1195,29 @@ class ChannelInput(Input):
         if np.abs(values).max() > self._channel.most:
             return Refusal.OUT_OF_RANGE
         self._values[index], self._heard[index] = values, arrival.time
+        self.stamp, self.time = arrival.stamp or arrival.ros_time, arrival.time - arrival.age
+        self._past[index].append((self.time, values))
         return None
 
-    def read(self, now: float) -> np.ndarray:
+    def read(self, now: float, since: float = -math.inf) -> np.ndarray:
         """The newest numbers, shape (object_count, width): NaN where older than `device_timeout`.
 
         Args:
             now: Time on the clock of `Arrival.time` [s].
+            since: NaN too where nothing was heard after this time [s].
         """
-        is_late = now - self._heard > self.settings.device_timeout
+        is_late = (now - self._heard > self.settings.device_timeout) | (self._heard <= since)
         return np.where(is_late[:, None], np.nan, self._values)
+
+    def at(self, time: float) -> np.ndarray:
+        """The numbers at a time, of the same shape: NaN where none are known; see `between`.
+
+        Args:
+            time: On the clock of `Arrival.time` [s].
+        """
+        found = [between(past, time) for past in self._past]
+        nowhere = np.full(self._shape[1], np.nan)
+        return np.array([nowhere if one is None else one for one in found]).reshape(self._shape)
 
 
 def _fault_of_touch(vector: np.ndarray, start, most: float) -> Refusal | None:

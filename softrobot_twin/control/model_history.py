@@ -25,10 +25,11 @@ class Moment(NamedTuple):
     """The model at one moment.
 
     Attributes:
-        markers: Positions of the markers [m], shape (marker_count, 3).
+        markers: Positions of the markers [m], shape (marker_count, 3). In a scene with an observer
+            further quantities follow, see `ObservedRows`.
         effectors: Positions of the effectors [m], shape (effector_count, 3).
         loads: Numbers of the loads that an observer found and the model bore, shape (load_count,).
-        by_loads: Motion of the markers by each of these, shape (3 marker_count, load_count).
+        by_loads: Motion of the markers and quantities by each of these, shape (3 count, load_count).
         delay: How late the device was there [s]; NaN where this is not known.
         setpoints: The model's setpoints, in the actuators' units, shape (actuator_count,); None in a
             scene without an observer.
@@ -53,7 +54,7 @@ class ModelHistory:
 
     Args:
         travels: Range of the setpoint of each actuator, in its unit, shape (actuator_count,).
-        marker_count: Number of markers.
+        marker_count: Number of markers and further quantities.
         effector_count: Number of effectors.
         capacity: Number of ticks to keep.
         load_count: Numbers of the loads that an observer finds.

@@ -139,17 +139,21 @@ class SensorCorrection:
         """Forget the misfit."""
         self.offsets = np.zeros(len(self._lengths))
 
-    def follow(self, measured: np.ndarray, shown: np.ndarray, limit: float) -> None:
+    def follow(
+        self, measured: np.ndarray, shown: np.ndarray, limit: float, loaded: np.ndarray | float = 0.0
+    ) -> None:
         """Take a share of what the misfit has changed by.
 
         Args:
             measured: What was measured last, NaN where it is too old, shape (sensor_count,).
             shown: What the model shows, same shape.
-            limit: No misfit counts as more [m].
+            limit: No misfit counts as more, together with `loaded` [m].
+            loaded: How much of what the model shows is by forces of an observer, same shape.
         """
         change = MISFIT_SHARE * np.nan_to_num(measured - shown - self.offsets)
         most = limit / self._lengths
-        self.offsets = np.clip(self.offsets + change, -most, most)
+        low, high = np.minimum(-most - loaded, 0.0), np.maximum(most - loaded, 0.0)
+        self.offsets = np.clip(self.offsets + change, low, high)
 
 
 def approach(positions: np.ndarray, aims: np.ndarray, reach: float) -> np.ndarray:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import compress
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -376,6 +377,8 @@ class TwinLoop:
         self.inputs = inputs_of(simulation, mode, settings, frame_id, self.cavities, velocity_effector)
         vars(self).update(self.inputs)
         self._channels = {one.name: self.inputs[one.measured_name] for one in measured()}
+        # Together in the order of the scene's sensors.
+        self._by_sensors = [one for name, one in self._channels.items() if name.startswith("sensor_")]
         self._no_targets = TargetReading.none(simulation.oriented_effectors)
         self._guidance = Guidance(simulation, self.poses)
         self.measurement = EffectorMeasurement(simulation)
@@ -384,13 +387,14 @@ class TwinLoop:
         if self.sensors is not None:
             self._of_sensors = SensorCorrection(simulation.model.sensors.lengths)
         limits = simulation.limits
-        self._base_seen = -math.inf
+        self._base_seen, self._base_frame, self._followed = -math.inf, "", -math.inf
         self.observer = None if simulation.scene.observer is None else ForceObserver(simulation)
         self.dynamic: DynamicControl | None = None
         if simulation.scene.control is not None and mode is Mode.INVERSE:
             self.dynamic = DynamicControl(simulation, settings.period, settings.prediction)
         self._history = ModelHistory(
-            limits.travel(limits.drive_scale), len(simulation.marker_ids),
+            limits.travel(limits.drive_scale),
+            len(simulation.marker_ids) if self.observer is None else self.observer.quantity_count,
             len(simulation.effector_names),
             load_count=0 if self.observer is None else len(self.observer.loads))
         self._plausibility = MarkerPlausibility(simulation)
@@ -702,7 +706,7 @@ class TwinLoop:
         felt = None if self.touches is None else self.touches.read(now)
         touched = [] if felt is None else [felt]
         if self.observer is not None:
-            self._observe(seen, activity, tuple(touched))
+            self._observe(seen, activity, tuple(touched), now)
             touched.append(self.observer.found)
         result, released, violated = self._step(command, touched, time.reach, cause)
         if self.observer is not None and not result.report.is_resting:
@@ -984,29 +988,38 @@ class TwinLoop:
         is_late = now - self.measured_base.time > self.settings.device_timeout
         time = now if is_late else self.measured_base.time
         if time > self._base_seen:
-            self.simulation.move_base(*pose, time)
+            # In another frame than before nothing is known of its velocity.
+            is_anew, self._base_frame = self._base_frame != self.measured_base.frame, self.measured_base.frame
+            self.simulation.move_base(*pose, time, is_anew)
             self._base_seen = time
 
-    def _observe(self, seen: np.ndarray, activity: Activity, felt: tuple) -> None:
-        """Finds the forces that nobody modelled, by the markers that are plausible.
+    def _observe(self, seen: np.ndarray, activity: Activity, felt: tuple, now: float) -> None:
+        """Finds the forces that nobody modelled, by plausible markers, and sensors at the same time.
 
         Args:
             seen: Measured markers [m], shape (marker_count, 3); NaN for hidden markers.
             activity: What the loop does.
             felt: What is measured of touches.
+            now: Time on the clock of `Arrival.time` [s].
         """
         if not activity.follows_robot:
             self.observer.reset()
             return
-        stamp = self.markers.stamp
+        newest, is_any = self.markers, True
         if seen is self.markers.hidden:
+            # Then sensors tell alone.
+            newest = max(self._by_sensors, key=attrgetter("time"))
+            is_any = newest.age(now) <= self.settings.device_timeout
+        stamp = newest.stamp
+        if not is_any:
             self.observer.fade(self.settings.period)
         elif self._history.is_any and self.observer.is_new(stamp):
-            model = self._executed(stamp) or self._history.at(stamp)
+            model = self._executed(stamp, newest.time) or self._history.at(stamp)
             accepted = self._plausibility.without_left_out(seen)
             loaded = self.observer.update(
                 accepted, model, self._plausibility.noise, stamp, felt,
-                self.settings.correction_limit, len(self._plausibility.left_out))
+                self.settings.correction_limit, len(self._plausibility.left_out),
+                self._sensors(lambda one: one.at(newest.time)))
             if loaded is not None:
                 self._history.load_otherwise(model, loaded)
             if (settled := self.observer.settled) is not None:
@@ -1018,10 +1031,17 @@ class TwinLoop:
         if self.settings.closed_loop and activity is Activity.FOLLOWING and self.observer.handed_over.any():
             # The command stays what it is, until the correction sees that it should not.
             self.correction.offsets += self.measurement.moved(self.observer.handed_over)
+            if self.sensors is not None:
+                self._of_sensors.offsets -= self.observer.of_sensors(self.observer.handed_over)
 
-    def _executed(self, stamp: int) -> Moment | None:
-        """The model at the command that the robot executed at a time [ns]; None where unknown."""
-        setpoints = self.device.at(self.markers.time)
+    def _executed(self, stamp: int, time: float) -> Moment | None:
+        """The model at the command that the robot executed at a time [ns]; None where unknown.
+
+        Args:
+            stamp: The time [ns].
+            time: The same on the clock of `Arrival.time` [s].
+        """
+        setpoints = self.device.at(time)
         return None if setpoints is None else self._history.executed(setpoints, stamp)
 
     def _compare(self, seen: np.ndarray, activity: Activity) -> tuple[np.ndarray, Misfit]:
@@ -1039,17 +1059,17 @@ class TwinLoop:
             self._plausibility.judge(None, stamp, follows)
             return seen, Misfit(seen, math.nan, 0)
         model = self._history.at(stamp)
-        expected, bare = model.markers, None
+        expected, bare = model.markers[: len(seen)], None
         if self.observer is not None:
             # What the observer found may be imagined.
-            bare = seen - expected + (model.by_loads @ model.loads).reshape(-1, 3)
+            bare = seen - expected + (model.by_loads @ model.loads).reshape(-1, 3)[: len(seen)]
         self._plausibility.judge(seen - expected, stamp, follows, bare, seen)
         measured = self._plausibility.without_left_out(seen)
         return measured, self.markers.misfit(measured, expected)
 
     def _remember(self, ros_time: int, markers: np.ndarray, result: StepResult) -> None:
-        """Adds the model of this tick [ns] to its history, where markers can be compared with it."""
-        if not len(markers):
+        """Adds the model of this tick [ns] to its history, where measurements are compared with it."""
+        if not len(markers) and self.observer is None:
             return
         if self.observer is None:
             moment = Moment(markers, result.effector_positions)
@@ -1057,10 +1077,9 @@ class TwinLoop:
             moment = self.observer.moment(markers, result.effector_positions)
         self._history.add(ros_time, result.setpoints, moment)
 
-    def _measured_sensors(self, now: float) -> np.ndarray:
-        """What was measured of the sensors last, NaN where it is too old, shape (sensor_count,)."""
-        own = [one for one in measured() if one.name.startswith("sensor_")]
-        return np.concatenate([self._channels[one.name].read(now)[:, 0] for one in own])
+    def _sensors(self, read: Callable[[ChannelInput], np.ndarray]) -> np.ndarray:
+        """What is measured of all sensors by their inputs, each in its unit, shape (sensor_count,)."""
+        return np.concatenate([read(one)[:, 0] for one in self._by_sensors])
 
     def _correct(
         self, activity: Activity, aims: Aims, effectors: np.ndarray, markers: np.ndarray,
@@ -1080,16 +1099,19 @@ class TwinLoop:
             # Measured lengths do not tell which tensions were executed.
             by_effort = self.dynamic is not None and self.dynamic.by_effort
             is_new = self.correction.is_new(stamp) and not by_effort
-            model = self._executed(stamp) if is_new else None
+            model = self._executed(stamp, self.markers.time) if is_new else None
             if model is not None:
                 self.lead.see(model.delay, stamp)
                 if self.observer is not None:
                     model = self.observer.under_loads(model)
                 misfit = self.measurement.misfit(markers, model)
         if self.settings.closed_loop and follows and self.sensors is not None:
+            # Each measurement counts once.
+            since, self._followed = self._followed, now
             self._of_sensors.follow(
-                self._measured_sensors(now), self.simulation.sensor_readings(),
-                self.settings.correction_limit)
+                self._sensors(lambda one: one.read(now, since)), self.simulation.sensor_readings(),
+                self.settings.correction_limit,
+                0.0 if self.observer is None else self.observer.of_sensors(self.observer.shifts))
         targets, before = aims.reading.targets, self._aimed
         self._aimed = targets
         stands = targets is before or targets.tobytes() == before.tobytes()

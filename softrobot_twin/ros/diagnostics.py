@@ -26,6 +26,7 @@ from softrobot_twin.ros.ticking_node import Clash, publisher_names
 from softrobot_twin.scene.schema import Contact
 from softrobot_twin.simulation import Status
 from softrobot_twin.simulation.building.actuators import Actuators
+from softrobot_twin.simulation.channels import measured
 from softrobot_twin.simulation.effects.reduction_error import LARGE_BY_SIZE, LARGE_SHARE
 from softrobot_twin.simulation.result import GRIP, RATE
 
@@ -429,6 +430,11 @@ class TwinDiagnostics:
                 "delay_ms": loop.lead.delay * _MILLI,
                 "lead_mm": float(np.linalg.norm(loop.lead.ways, axis=1).max(initial=0.0)) * _MILLI,
             }
+            for one in measured():
+                names = one.names(loop.simulation)
+                for name, off in zip(names, one.misfits(newest.measured, newest.result)):
+                    values |= {f"{column}_misfit": float(part)
+                               for column, part in zip(one.columns(name), off) if np.isfinite(part)}
         left_out = ", ".join(
             f"{marker} ({ticks} ticks)" for marker, ticks in sorted(self._window.left_out.items())
         )

@@ -38,6 +38,8 @@ CLAIM = QoSProfile(depth=10, reliability=BEST_EFFORT)
 """Of what each of several nodes says many times a second."""
 LATCHED = QoSProfile(depth=1, reliability=RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """Of what changes rarely: who subscribes late receives the last message."""
+ALL_LATCHED = QoSProfile(depth=100, reliability=RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+"""That of `/tf_static`."""
 DIAGNOSTICS = QoSProfile(depth=10, reliability=RELIABLE)
 TRANSFORMS = QoSProfile(depth=100, reliability=RELIABLE)
 """That of tf2."""
@@ -190,7 +192,7 @@ TWIN_TOPICS = _by_name(
     Topic("~/target_stiffness/<effector>", IN, Vector3Stamped, NEWEST, "N/m",
           "along x, y, z, NaN where free; replaces `stiffness.target` until `~/reset` "
           "or `~/enable`", "stiffness.accept"),
-    Topic("~/target_sensors", IN, JointState, NEWEST, "m, rad, m³, Pa",
+    Topic("~/target_sensors", IN, JointState, NEWEST, "m, rad, m³, Pa, N",
           "of sensors with a `weight`: wanted values in `position`, NaN where free; others keep "
           "theirs until `~/reset` or `~/enable`", "sensors.accept"),
     Topic("~/target_velocity", IN, Twist, NEWEST, "m/s, rad/s",
@@ -309,7 +311,7 @@ def measured_topic(channel: Channel) -> Topic:
     """
     name = channel.measured_name
     return Topic(f"~/{name}/<{channel.name}>", IN, JointState, STREAM, channel.unit,
-                 f"as `~/{channel.name}/<object>`; larger than {channel.most:g} is refused",
+                 f"as `~/{channel.name}/<object>`; ≤ {channel.most:g}",
                  f"{name}.accept")  # fmt: skip
 
 

@@ -6,22 +6,28 @@ The package tf2_msgs is part of a ROS installation, and not of the wheels of rcl
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
 from rclpy.node import Node
+from scipy.spatial.transform import Rotation
 from std_msgs.msg import Header
 
+from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.control.twin_loop import TickOutcome
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.audience import Audience
-from softrobot_twin.ros.messages import coordinates
-from softrobot_twin.ros.topics import TWIN_TOPICS
+from softrobot_twin.ros.messages import coordinates, stamp_of
+from softrobot_twin.ros.topics import ALL_LATCHED, TRANSFORMS, TWIN_TOPICS
 from softrobot_twin.simulation import Simulation
 
 _UNTURNED = (0.0, 0.0, 0.0, 1.0)
+MOST_FRAMES, _KEPT = 1000, 32
+"""Frames of others that are known at most, and how many transforms of each are kept."""
 OF_EFFECTOR = "_effector"
 """Added to the name of an effector that has the name of a rigid body."""
 
@@ -72,13 +78,55 @@ def make_transforms(
     return transforms
 
 
+class _Link:
+    """A frame below another one, and where it was there lately."""
+
+    def __init__(self, parent: str):
+        self.parent, self._past = parent, deque[tuple[int, Transform]](maxlen=_KEPT)
+
+    @property
+    def newest(self) -> int:
+        """Time of the last transform [ns]."""
+        return self._past[-1][0]
+
+    def add(self, stamp: int, transform: Transform) -> None:
+        """Keep a transform; one that is older than the last begins anew."""
+        if self._past and stamp < self.newest:
+            self._past.clear()
+        self._past.append((stamp, transform))
+
+    def at(self, stamp: int) -> tuple[np.ndarray, Rotation]:
+        """Place [m] and rotation at a time [ns], between two transforms or at the nearest one.
+
+        Raises:
+            ValueError: A rotation is none.
+        """
+        after = next((one for one in self._past if one[0] >= stamp), self._past[-1])
+        before = next((one for one in reversed(self._past) if one[0] <= stamp), after)
+        (start, turned), (end, turn) = (_placed(one) for one in (before[1], after[1]))
+        share = (stamp - before[0]) / (after[0] - before[0]) if before[0] < stamp < after[0] else 1.0
+        way = Rotation.from_rotvec(share * (turned.inv() * turn).as_rotvec())
+        return start + share * (end - start), turned * way
+
+
+def _placed(transform: Transform) -> tuple[np.ndarray, Rotation]:
+    """Place [m] and rotation of a transform."""
+    place, turn = transform.translation, transform.rotation
+    return np.array([place.x, place.y, place.z]), Rotation.from_quat([turn.x, turn.y, turn.z, turn.w])
+
+
 class BaseFollower:
-    """Passes transforms of one frame on, as poses of a moving base.
+    """Passes poses of one frame on, as those of a moving base, in the frame that none is above.
+
+    They follow from a chain of transforms, at the last time of which all that move are known.
 
     Args:
         node: The twin.
         frame: Name of the frame in `/tf`.
         take: Takes position [m], quaternion (x, y, z, w), and the header.
+
+    Attributes:
+        links: The frames that are known, by name.
 
     Raises:
         ParameterError: tf2_msgs is missing.
@@ -91,19 +139,58 @@ class BaseFollower:
             raise ParameterError("base_frame", frame, "", "needs tf2_msgs, which is not installed: "
                                  "send ~/base_pose") from None  # fmt: skip
         self._frame, self._take = frame, take
-        self.subscription = node.create_subscription(TFMessage, "/tf", self.receive, 100)
+        self.links: dict[str, _Link] = {}
+        # Frames of the chain, and the times and the frame above it that were passed on last.
+        self._chain, self._told = {frame}, (-1, "")
+        self._fixed: set[str] = set()
+        self.subscriptions = [
+            node.create_subscription(TFMessage, "/tf", self.receive, TRANSFORMS),
+            node.create_subscription(TFMessage, "/tf_static", partial(self.receive, is_fixed=True), ALL_LATCHED)]
 
-    def receive(self, message) -> None:
-        """Takes the transforms of the frame out of a message.
+    def receive(self, message, is_fixed: bool = False) -> None:
+        """Keeps transforms, and passes a pose on where a later one follows from them.
 
         Args:
             message: A TFMessage.
+            is_fixed: Whether the transforms hold at all times.
         """
+        is_of_chain = False
         for one in message.transforms:
-            if one.child_frame_id == self._frame:
-                place, turn = one.transform.translation, one.transform.rotation
-                self._take(np.array([place.x, place.y, place.z]),
-                           np.array([turn.x, turn.y, turn.z, turn.w]), one.header)  # fmt: skip
+            child, parent = one.child_frame_id, one.header.frame_id
+            link = self.links.get(child)
+            if link is None or link.parent != parent:
+                if link is None and len(self.links) >= MOST_FRAMES and child not in self._chain:
+                    continue
+                link = self.links[child] = _Link(parent)
+            (self._fixed.add if is_fixed else self._fixed.discard)(child)
+            link.add(NANOSECONDS * one.header.stamp.sec + one.header.stamp.nanosec, one.transform)
+            is_of_chain |= child in self._chain
+        if is_of_chain:
+            self._tell()
+
+    def _tell(self) -> None:
+        """Passes the pose of the frame on where it is known for a later time, or in another frame."""
+        frame, chain = self._frame, list[str]()
+        while frame in self.links and frame not in chain:
+            chain.append(frame)
+            frame = self.links[frame].parent
+        self._chain = {self._frame, frame, *chain}
+        if not chain or frame in chain:
+            return  # Nothing is known, or only a circle.
+        times = [self.links[one].newest for one in chain]
+        stamp = min((time for time, one in zip(times, chain) if one not in self._fixed), default=max(times))
+        if (stamp, frame) == self._told:
+            return
+        self._told = stamp, frame
+        place, turn = np.zeros(3), Rotation.identity()
+        try:
+            for one in chain:
+                at, turned = self.links[one].at(stamp)
+                place, turn = at + turned.apply(place), turned * turn
+            quaternion = turn.as_quat()
+        except ValueError:
+            quaternion = np.zeros(4)  # Which the input refuses, and counts.
+        self._take(place, quaternion, Header(stamp=stamp_of(stamp), frame_id=frame))
 
 
 class TransformOutput:

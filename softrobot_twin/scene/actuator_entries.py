@@ -98,7 +98,7 @@ class Cable(OnBody, ActuatorEntry):
     points: Annotated[tuple[Vector, ...], Field(min_length=1)]
     """Its path, from the pull point on."""
     wraps: tuple[Name, ...] = ()
-    """Capsules or cylinders that it is laid around without friction, one between two points."""
+    """Capsules or cylinders that it is laid around, one between two points."""
     hold_radius: Annotated[float, unit("m", ge=0.0)] = 0.0
     """Radius over which a point holds the material. With 0 finer meshes yield more."""
     shortening: Annotated[OpenRange, unit("m"), allows_zero("the shortening at rest")] = NO_LIMITS
@@ -112,7 +112,7 @@ class Cable(OnBody, ActuatorEntry):
     axial_stiffness: Annotated[OpenNumber | None, unit("N", gt=0.0)] = None
     """EA: tension by strain; by default it does not stretch."""
     friction: Annotated[float, unit("", ge=0.0)] = 0.0
-    """µ at its points: the tension falls by exp(-µβ) at a turn by β."""
+    """µ at points and wraps: the tension falls by exp(-µβ) at a turn by β."""
     offset: Annotated[float, unit("m")] = 0.0
     """Measured less true length."""
     presliding: Annotated[float | None, unit("m", gt=0.0)] = None
@@ -120,9 +120,9 @@ class Cable(OnBody, ActuatorEntry):
 
     def check(self) -> None:
         """Refuse presliding without friction, and what is not built around obstacles."""
-        if self.wraps and (self.friction or self.axial_stiffness is not None):
-            key = "friction" if self.friction else "axial_stiffness"
-            raise refusal(key, getattr(self, key), "is not built for a cable that wraps obstacles")
+        if self.wraps and self.axial_stiffness is not None:
+            raise refusal("axial_stiffness", self.axial_stiffness,
+                          "is not built for a cable that wraps obstacles")
         if self.presliding is not None and not self.friction:
             raise refusal("presliding", self.presliding,
                           "is how friction builds up, but the cable has none: give friction")

@@ -59,6 +59,7 @@ _NAMES: tuple[tuple[str, str, tuple[str, ...], tuple[str, ...]], ...] = (
     ("sensors.cable", "{} measures", ("cables",), ()),
     ("sensors.hinge", "{} measures", ("beams",), ()),
     ("sensors.pressure", "{} measures", ("sealed_cavities",), ()),
+    ("sensors.spring", "{} measures", ("springs",), ()),
     ("sensors.volume", "{} measures", ("cavities", "sealed_cavities"), ()),
     ("sensors.walls.also_on", "{} is on", _DEFORMABLE, ()),
     ("grips.holds", "grip {} holds", _RIGID, ("world",)),
@@ -156,9 +157,9 @@ def _check_observation(scene) -> None:
         else:
             others = framed if force.points else names_in(scene, *_RIGID)
             check_carrier(f"{key}.body", what, force.body, deformable, others)
-    if scene.observer is not None and len(scene.markers) < 3:
+    if scene.observer is not None and len(scene.markers) < 3 and not scene.sensors:
         raise refusal("markers", f"{len(scene.markers)} markers",
-                      "an observer needs three markers or more, which tell it of forces")
+                      "an observer needs three markers or more, or a sensor, which tell it of forces")
     ids = {marker.id for marker in scene.markers}
     for key, effector in scene.keyed("effectors"):
         missing = sorted(set(effector.measured_by) - ids)

@@ -345,7 +345,7 @@ class ObservedForce(OnBody):
 
 
 class Observer(Entry):
-    """Finds unknown forces from the markers, by a Kalman filter."""
+    """Finds unknown forces from markers and sensors, by a Kalman filter."""
 
     told: ClassVar[tuple[str, ...]] = ("changes of {walk:=} N in a second",)
 

@@ -14,15 +14,15 @@ from softrobot_twin.scene.entry import Direction, Name, NamedEntry, Vector, not_
 
 
 class Sensor(NamedEntry):
-    """A length, an angle, a volume or a pressure that is reported, measured, or wanted."""
+    """What is reported, measured, or wanted beside places."""
 
     told: ClassVar[tuple[str, ...]] = (
         "string of {string:#point}", "path of {cable}", "bend of {bend:#point}",
         "hinge of {hinge}", "volume of {volume}", "volume in {walls:#wall}",
-        "pressure of {pressure}", "weight {weight:=}",
+        "pressure of {pressure}", "force of {spring}", "weight {weight:=}", "noise {noise}",
     )  # fmt: skip
     placed: ClassVar[dict[str, str]] = {"string": "point", "bend": "point", "axis": "direction"}
-    one_of: ClassVar[tuple[str, ...]] = ("string", "cable", "bend", "hinge", "volume", "walls", "pressure")
+    one_of: ClassVar[tuple[str, ...]] = ("string", "cable", "bend", "hinge", "volume", "walls", "pressure", "spring")
 
     on: Name | None = None
     """Body of the points of a string or of a bend sensor."""
@@ -44,8 +44,13 @@ class Sensor(NamedEntry):
     """Closed surfaces of another chamber: the volume inside [m³]."""
     pressure: Name | None = None
     """A sealed cavity: its gauge pressure [Pa]."""
+    spring: Name | None = None
+    """A spring: its force [N], positive where it pulls."""
     weight: Annotated[float | None, unit("", gt=0.0)] = None
     """Weight as a target; by default none."""
+
+    noise: Annotated[float | None, unit("m, rad, m³, Pa or N", gt=0.0)] = None
+    """Standard deviation; by default 0.2 % of the robot's size, as targets count."""
 
     def check(self) -> None:
         """Refuse an axis or a point where none is needed, and none where one is."""

@@ -554,8 +554,10 @@ class Robot:
             is_at_rest(self.simulation, outcome, before),
         )  # fmt: skip
 
-    def observe(self, markers: Any, noise: float = 1.0e-4) -> dict[str, ExternalForce]:
-        """Finds forces that nobody modelled from measured markers; the next steps bear them.
+    def observe(
+        self, markers: Any = NOTHING, noise: float = 1.0e-4, sensors: Mapping[str, Any] = NOTHING
+    ) -> dict[str, ExternalForce]:
+        """Finds forces that nobody modelled from measured markers and sensors; the next steps bear them.
 
         The robot must stand where the real one was when they were measured. A scene with an
         ``observer`` says which forces are looked for; see `docs/observer.md`.
@@ -564,22 +566,29 @@ class Robot:
             markers: Measured places in the frame of the cameras [m]: by marker id, or one of each marker in
                 the scene's order, shape (marker_count, 3), NaN for hidden ones.
             noise: Standard deviation of each coordinate [m], where the scene gives none.
+            sensors: Measured values of sensors by their columns, such as ``spine_length_m``.
 
         Returns:
             The forces by name.
 
         Raises:
-            CommandError: The scene has no observer, or a marker is not known.
+            CommandError: The scene has no observer, or a marker or sensor is not known.
         """
         observer, simulation = self._observer, self.simulation
         if observer is None:
             raise CommandError("observe", "the scene has no observer: load it with {\"observer\": {}}")
         seen = simulation.scene.marker_frame.of_robot(self._reader.markers(markers))
+        columns = list(simulation.sensor_columns)
+        told = np.full(len(columns), np.nan)
+        for column_of, value in sensors.items():
+            if column_of not in columns:
+                raise unknown(column_of, "sensors:", columns)
+            told[columns.index(column_of)] = one_number(column_of, finite_numbers(column_of, value))
         simulation.finish_result()
         observer.look()
         model = observer.moment(simulation.marker_positions(), simulation.effector_positions())
         stamp = max(round(NANOSECONDS * self.time), observer.stamp + 1)
-        observer.update(seen, model, _positive("noise", noise, "m"), stamp)
+        observer.update(seen, model, _positive("noise", noise, "m"), stamp, sensors=told)
         return {name: ExternalForce(*row) for name, *row in zip(
             observer.names, observer.found.wrenches[:, :3], observer.found.wrenches[:, 3:],
             observer.found.deviations, observer.places, map(bool, observer.found.is_detected), strict=True)}

@@ -34,6 +34,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
+from softrobot_twin.constraints.effector import Effectors
 from softrobot_twin.constraints.hinge_angle import HingeAngles
 from softrobot_twin.simulation.building.limits import DISPLACEMENT_MARGIN, HOLDING_MARGIN
 from softrobot_twin.simulation.simulation import Simulation
@@ -193,13 +194,15 @@ class HeldTangent:
         H = NodeRows(
             np.concatenate([row_index[kept], count + effectors.row_index]),
             np.concatenate([rows.node_index[kept], effectors.node_index]),
-            np.concatenate([rows.blocks[kept], effectors.blocks]), count + 3 * self._count,
+            np.concatenate([rows.blocks[kept], effectors.blocks]), count + effectors.row_count,
         )  # fmt: skip
         slides, G = self._model.slides, np.empty((H.row_count, 0))
         if slides is not None:
             G = np.zeros((H.row_count, slides.count))
-            for points in effectors.terms:
-                G[count:] = slides.effector_columns(points)
+            for points, own in effectors.constant_terms:
+                # Nothing asks how slides move what sensors show.
+                if isinstance(points, Effectors):
+                    G[count:][own] = slides.effector_columns(points)
             if rows.varies:
                 by_slide = slides.contact_columns(self._model.contacts)
                 G[rows.groups.actuators.stop : count] = by_slide[

@@ -10,7 +10,7 @@ quantity of records, which replays compare. Where it is measured too, the twin t
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import starmap
 from operator import attrgetter
 from typing import NamedTuple
@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.simulation.building.actuator_kinds import Quantity
-from softrobot_twin.simulation.building.sensor_kinds import ANGLE, LENGTH, PRESSURE, VOLUME
+from softrobot_twin.simulation.building.sensor_kinds import ANGLE, FORCE, LENGTH, PRESSURE, VOLUME
 from softrobot_twin.simulation.building.table_columns import (
     AXES,
     base_load_columns,
@@ -112,6 +112,18 @@ class Channel(NamedTuple):
         values = self.read(result)
         return [math.nan] * self.width if values is None else values[index]
 
+    def misfits(self, measured: Mapping[str, np.ndarray], result: StepResult) -> np.ndarray:
+        """Measured numbers less those of a result, NaN where unknown, shape (object_count, width).
+
+        None at all are known in a result that does not tell them.
+
+        Args:
+            measured: Measured numbers of all objects, by the channel's name.
+            result: The result of a step.
+        """
+        values, known = self.read(result), measured.get(self.name)
+        return np.empty((0, self.width)) if values is None or known is None else known - values
+
     def wanted(self, command: Command | None, count: int) -> np.ndarray:
         """Which numbers a command wants of the effectors that have a target position.
 
@@ -197,7 +209,7 @@ REGISTERED_CHANNELS: list[Channel] = [
     Channel("grip_holds", "1", "grip_names", ("holds",), lambda name: (holds_column(name),),
             lambda result: None if (held := result.state.memory.get("grips.holds")) is None
             else held[:, None]),
-    *starmap(_of_sensors, ((LENGTH, 1e3), (ANGLE, 1e3), (VOLUME, 1e3), (PRESSURE, 1e9))),
+    *starmap(_of_sensors, ((LENGTH, 1e3), (ANGLE, 1e3), (VOLUME, 1e3), (PRESSURE, 1e9), (FORCE, 1e6))),
 ]  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""What markers yield to forces at observed places, while the actuators hold what they hold."""
+"""What markers and sensors show of forces at observed places, while actuators hold what they hold."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ FAR = 0.001
 
 
 class MarkerMoves(NamedTuple):
-    """What moves the markers around one state.
+    """What moves the measured quantities around one state; see `ObservedRows`.
 
     Attributes:
         by_loads: Motion by each number of the loads [m/N] and [m/(N m)], shape
-            (3 marker_count, load_count).
+            (3 quantity_count, load_count).
         by_actuators: Motion by each actuator with a row that holds its displacement, or is driven by
-            its effort, each up to a factor, shape (3 marker_count, n).
-        lag: What the last step left to move [m], shape (3 marker_count,).
+            its effort, each up to a factor, shape (3 quantity_count, n).
+        lag: What the last step left to move [m], shape (3 quantity_count,).
     """
 
     by_loads: np.ndarray
@@ -37,10 +37,10 @@ class MarkerMoves(NamedTuple):
 
 
 class MarkerCompliance(HeldTangent):
-    """Computes the compliance of markers at the present state of a simulation with an observer.
+    """Computes the compliance of markers and sensors at the present state of a simulation with an observer.
 
     Attributes:
-        rows: Rows of the markers and of the places.
+        rows: Rows of the quantities and of the places.
     """
 
     def __init__(self, simulation: Simulation):
@@ -56,12 +56,11 @@ class MarkerCompliance(HeldTangent):
 
     def _take_rows(self) -> None:
         self.own_rows = self.rows.stack
-        self._count = self.own_rows.row_count // 3
 
     def at_state(
         self, points: np.ndarray, may_be_slow: bool = True
     ) -> MarkerMoves | None:
-        """What markers yield, and how far they are from balance, by one linearization.
+        """What quantities yield, and how far they are from balance, by one linearization.
 
         By the factorization of the last step where it has that of statics; see
         `EffectorCompliance.after_step`.
@@ -72,7 +71,7 @@ class MarkerCompliance(HeldTangent):
                 what holds it: that takes a hundred times as long.
 
         Returns:
-            What moves the markers; None where that would take too long, or the equations have no
+            What moves the quantities; None where that would take too long, or the equations have no
             finite solution.
         """
         if self.rows.choose(points):
@@ -110,7 +109,7 @@ class MarkerCompliance(HeldTangent):
         self, factorization: Factorization | None, rows, holding, left: np.ndarray,
         apart: np.ndarray,
     ) -> MarkerMoves:  # fmt: skip
-        """Motion of the markers by forces at the rows of places, by actuators, and by what is left.
+        """Motion of the quantities by forces at the rows of places, by actuators, and by what is left.
 
         Args:
             factorization: A⁻¹; None where only the saddle has a solution.
@@ -120,7 +119,7 @@ class MarkerCompliance(HeldTangent):
             apart: Displacements that what holds is apart, shape (held_count,).
         """
         count, h = len(holding.held) + len(holding.contacts), holding.places
-        markers, held = 3 * self.rows.marker_count, np.count_nonzero(holding.held)
+        own, held = self.rows.row_count, np.count_nonzero(holding.held)
         driven = np.flatnonzero(holding.is_by_effort & ~holding.held)
         if factorization is None:
             saddle = self._saddle(rows, holding)
@@ -130,14 +129,15 @@ class MarkerCompliance(HeldTangent):
             unknowns, multipliers = saddle.solve(
                 np.column_stack([E.T, H[driven].T, left.ravel()]), below)
             moves, by_held = E @ unknowns, multipliers[:, : len(E)]
-            by_driven = moves[:markers, len(E) : -1]
+            by_driven = moves[:own, len(E) : -1]
         else:
             W, free = factorization.condense(rows.H, left)
             moves, by_held = _released(W, free, h, holding.own_of_places, apart, count)
             # W is symmetric: what a row is held by tells how it follows what holds it.
-            by_driven = W[count : count + markers, driven] + by_held[:, :markers].T @ W[np.ix_(h, driven)]
-        by_actuators = np.column_stack([by_held[:held, :markers].T, by_driven])
-        return MarkerMoves(moves[:markers, markers : len(moves)], by_actuators, moves[:markers, -1])
+            by_driven = W[count : count + own, driven] + by_held[:, :own].T @ W[np.ix_(h, driven)]
+        by_actuators = np.column_stack([by_held[:held, :own].T, by_driven])
+        parts = moves[:own, own : len(moves)], by_actuators, moves[:own, -1]
+        return MarkerMoves(*map(self.rows.of_quantities, parts))
 
     def _left(self, holding) -> tuple[np.ndarray, np.ndarray]:
         """What the last step left: forces out of balance [N], and displacements of what holds."""
@@ -161,24 +161,24 @@ class MarkerCompliance(HeldTangent):
         return self._beside_step if found is self._of_step else found
 
     def by_candidates(self, place: int) -> np.ndarray:
-        """Motion of the markers by a force at each of the points among which a place is.
+        """Motion of the quantities by a force at each of the points among which a place is.
 
         Args:
             place: Index of the place.
 
         Returns:
-            [m/N], shape (point_count, 3 marker_count, 3).
+            [m/N], shape (point_count, 3 quantity_count, 3).
         """
         positions, nodes = self._simulation.state.positions, self._model.nodes
         holding = self._holding(None)
         rows = self._rows(positions, holding)
-        count, markers = len(holding.held) + len(holding.contacts), 3 * self.rows.marker_count
+        count, own = len(holding.held) + len(holding.contacts), self.rows.row_count
         H, h = rows.H.transposed(nodes.free_node_count), holding.places
         factorization = self._factorization(positions, holding)
         system = (self._saddle(rows, holding) if factorization is None
                   else CondensedHold(factorization, H[:, h].T, holding.own_of_places))
-        seen, _ = system.solve(H[:, count : count + markers], np.zeros((len(h), markers)))
-        by_node = seen.reshape(nodes.free_node_count, 3, markers)
+        seen, _ = system.solve(H[:, count : count + own], np.zeros((len(h), own)))
+        by_node = self.rows.of_quantities(seen.T).T.reshape(nodes.free_node_count, 3, -1)
         points = self.rows.places[place].points
         free = nodes.free_index[points.nodes]
         weights = np.where(free >= 0, points.barycentric_weights, 0.0)

@@ -23,6 +23,7 @@ from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.building.scene_layout import FACETS
 from softrobot_twin.simulation.building.sensor_kinds import (
     ANGLE,
+    FORCE,
     LENGTH,
     PRESSURE,
     SENSOR_KINDS,
@@ -69,7 +70,8 @@ class Readouts:
         marker_ids: Ids of the markers, shape (marker_count,).
         touch_names: Names of the touches, in the order of all their arrays.
         sensor_names: Names of the sensors, in the order of all their arrays; `length_sensors`,
-            `angle_sensors`, `volume_sensors` and `pressure_sensors` are those of one quantity.
+            `angle_sensors`, `volume_sensors`, `pressure_sensors` and `force_sensors` are those of
+            one quantity.
         wanted_sensors: Whether each sensor may have targets, by its name.
         sensor_columns: Name of each sensor by its column in files, such as ``spine_length_m``.
         base_names: ``base`` where the base of the scene moves; empty elsewhere.
@@ -121,9 +123,10 @@ class Readouts:
         self.sensor_names = tuple(one.name for _, one in sensed)
         self.wanted_sensors = {one.name: one.weight is not None for _, one in sensed}
         self.sensor_columns = {column(one.name, quantity): one.name for quantity, one in sensed}
-        self.length_sensors, self.angle_sensors, self.volume_sensors, self.pressure_sensors = (
+        (self.length_sensors, self.angle_sensors, self.volume_sensors, self.pressure_sensors,
+         self.force_sensors) = (
             tuple(one.name for quantity, one in sensed if quantity == own)
-            for own in (LENGTH, ANGLE, VOLUME, PRESSURE)
+            for own in (LENGTH, ANGLE, VOLUME, PRESSURE, FORCE)
         )
         self.base_names = ("base",) if self.scene.moving_base is not None else ()
         self.grip_names = tuple(grip.name for grip in self.scene.grips)

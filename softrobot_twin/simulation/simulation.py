@@ -221,18 +221,23 @@ class Simulation(Readouts):
         part: Any = self._part_of(Gripping, name, "is no grip: this scene has none")
         part.tell(name, holds)
 
-    def move_base(self, position: np.ndarray, quaternion: np.ndarray | None, time: float) -> None:
+    def move_base(
+        self, position: np.ndarray, quaternion: np.ndarray | None, time: float, is_anew: bool = False
+    ) -> None:
         """Tell where a moving base is, from which its acceleration follows in the next steps.
 
         Args:
             position: Its origin in the world [m], shape (3,).
             quaternion: Its rotation (x, y, z, w), shape (4,); None for none.
             time: When it is there [s].
+            is_anew: Whether the poses before are forgotten.
 
         Raises:
             CommandError: The scene has no moving base, or the quaternion is no rotation.
         """
         part: Any = self._part_of(MovingBase, "base", "does not move: the scene has no moving_base")
+        if is_anew:
+            part.track.forget()
         part.tell(position, quaternion, time)
 
     def _part_of(self, kind: type[StepPart], name: str, reason: str) -> StepPart:

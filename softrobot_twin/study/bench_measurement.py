@@ -540,7 +540,7 @@ def _observed(simulation: Simulation, commands) -> dict[str, Spread]:
         start = perf_counter()
         observer.look()
         model = observer.moment(simulation.marker_positions(), simulation.effector_positions())
-        observer.update(model.markers, model, USUAL_NOISE, number * NANOSECONDS)
+        observer.update(simulation.marker_positions(), model, USUAL_NOISE, number * NANOSECONDS)
         times.append(perf_counter() - start)
     return {OBSERVER: spread(times)}
 

@@ -490,13 +490,14 @@ def _contact_effects(simulation: Simulation, names: list[str]) -> Iterator[Effec
 
 
 def _observed_effects(simulation: Simulation, names: list[str]) -> Iterator[Effect]:
-    """The forces that an observer finds, and how surely markers tell them at rest."""
+    """The forces that an observer finds, and how surely measurements tell them at rest."""
     if simulation.scene.observer is None:
         return
     observer, first = ForceObserver(simulation), 0
     observer.look()
     noise = simulation.scene.observer.marker_noise or USUAL_NOISE
     told, named = observer.told(noise), f"by a frame with {number(1e3 * noise)} mm of noise"
+    named = named if simulation.scene.markers else "by the sensors"
     for force in simulation.model.force_term(ObservedLoads).places:
         deviations = told[first : first + force.dimension]
         first += force.dimension

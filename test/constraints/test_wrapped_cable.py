@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from softrobot_twin.constraints.cable import CablePath, Cables, Wrap
-from softrobot_twin.constraints.wrapped_cable import WrappedCables, course, drawn_path, side_at
+from softrobot_twin.constraints.cable_friction import CableMaterials
+from softrobot_twin.constraints.wrapped_cable import RubbingWraps, WrappedCables, course, drawn_path, side_at
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from test.finite_differences import central_slopes
 
@@ -146,3 +147,67 @@ def test_the_length_is_continuous_where_it_leaves_the_cylinder():
                for h in heights]  # fmt: skip
     assert np.abs(np.diff(lengths)).max() < 1e-5
     assert lengths[0] == pytest.approx(0.2, abs=1e-12) and lengths[-1] > 0.2
+
+
+def rubbing(points, wrap, friction=0.3, presliding=1e-7):
+    materials = CableMaterials(np.array([np.inf]), np.array([friction]), np.array([presliding]))
+    return term_of(points, wrap, lambda paths, free, rest: RubbingWraps(paths, free, rest, materials))
+
+
+def slipped(term, x, tension):
+    """Shortening where the winch has wound in so much that the cable slips everywhere."""
+    term.tell_efforts(np.array([tension]))
+    term.begin_beyond[1:] = term.beyond[1:] + 1.0
+    return term.rows_at(x)[1][0]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_cable_that_slips_over_a_cylinder_has_the_tensions_of_the_capstan_equation(seed):
+    one, other, wrap = ends(np.random.default_rng(20 + seed), DRUM)
+    x = np.array([one, other])
+    term = rubbing(x, wrap)
+    slipped(term, x, 2.0)
+    drawn = np.diff(drawn_path(CablePath("c", None, None, {0: wrap}), x), axis=0)
+    drawn /= np.linalg.norm(drawn, axis=1, keepdims=True)
+    turned = np.arccos(np.clip((drawn[:-1] * drawn[1:]).sum(axis=1), -1.0, 1.0)).sum()
+    assert turned > 0.1
+    assert term.tensions == pytest.approx([2.0, 2.0 * np.exp(-0.3 * turned)], rel=1e-4)
+
+
+def test_more_than_half_a_turn_counts_whole_and_none_where_it_runs_clear():
+    flat = Wrap(np.zeros(3), np.array([0.0, 0.0, 1.0]), 0.03)
+    for between, turns in ((5.0, True), (0.6, False)):
+        x = 0.032 * np.array([[1.0, 0.0, 0.0], [np.cos(between), np.sin(between), 0.0]])
+        way = course(*x, flat._replace(side=1.0))
+        term = rubbing(x, flat._replace(side=1.0))
+        slipped(term, x, 2.0)
+        assert (way.angle > np.pi) == turns and (way.angle > 0.0) == turns
+        assert term.tensions[1] == pytest.approx(2.0 * np.exp(-0.3 * way.angle), rel=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_with_friction_rows_are_finite_differences_of_the_shortening(seed):
+    rng = np.random.default_rng(30 + seed)
+    one, other, wrap = ends(rng, DRUM)
+    x = np.array([one, other, other + [0.02, 0.1, 0.0]])
+    term = rubbing(x, wrap, presliding=0.1)
+    x = x + rng.normal(0.0, 0.003, x.shape)
+
+    def shortening(at):
+        term.tell_efforts(np.array([2.0]))
+        return term.rows_at(at)[1][0]
+
+    slopes = central_slopes(shortening, x, range(len(x)), 1e-7)
+    shortening(x)
+    _, nodes, blocks = term.displacement_entries()
+    rows = np.zeros_like(x)
+    np.add.at(rows, nodes, blocks)
+    np.testing.assert_allclose(rows.ravel(), slopes, rtol=1e-6, atol=1e-8)
+    assert 0.0 < np.abs(term.shares[1:]).max() < 1.0
+    forces, pulls = np.zeros((2, len(x), 3)), np.zeros_like(x)
+    for side, tension in enumerate((2.0 + 1e-5, 2.0 - 1e-5)):
+        term.tell_efforts(np.array([tension]))
+        term.held_forces.add_forces(x, forces[side])
+    shortening(x)
+    np.add.at(pulls, term.entry_nodes, term.rows_at(x)[0])
+    np.testing.assert_allclose(pulls, (forces[0] - forces[1]) / 2e-5, atol=1e-6)

@@ -43,6 +43,11 @@ def test_measured_sensors_bring_a_wrong_model_to_the_target(robots, closed_loop,
         assert loop.inputs["measured_sensor_lengths"].accept(0, ["length"], shown, [], arrival(time)) is None
         outcome = loop.tick(time, arrival(time).ros_time)
         robot.step(CommandSetpoints(outcome.command.setpoints, PERIOD))
+    last, silence = outcome.command.setpoints, 80 * PERIOD
+    for tick in range(50):  # An old measurement counts no more.
+        now = silence + tick * PERIOD
+        outcome = loop.tick(now, arrival(now).ros_time)
+    assert np.abs(outcome.command.setpoints - last).max() < 1e-5
     missed = abs(robot.sensor_readings()[0] - target)
     assert missed < most
     if not closed_loop:

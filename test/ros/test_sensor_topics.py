@@ -18,7 +18,7 @@ def with_sensors(small_scene_file, tmp_path):
     return yaml_file(tmp_path / "sensing.yaml", content)
 
 
-def test_what_sensors_show_is_published_and_their_targets_are_followed(world, make_twin, with_sensors):
+def test_what_sensors_show_is_published_and_their_targets_are_followed(world, make_twin, with_sensors, diagnostics):
     twin = make_twin(scene_file=str(with_sensors))
     shown = world.hear(JointState, "/twin/sensor_lengths/rope", 10)
     reaction = world.hear(JointState, "/twin/reaction_forces/base", 10)
@@ -36,6 +36,7 @@ def test_what_sensors_show_is_published_and_their_targets_are_followed(world, ma
     world.until(lambda: abs(shown[-1].position[0] - length + 0.002) < 2e-5)
     say(measured, "length", 0.123)
     world.until(lambda: twin.window.newest.measured["sensor_lengths"][1, 0] == 0.123)
+    diagnostics("markers", lambda one: "other_length_m_misfit" in one.values and "rope_length_m_misfit" not in one.values)
     say(targets, "other", 0.1)
     world.until(lambda: twin.loop.sensors.refusals.by_word() == {"wrong_names": 1})
     assert np.isfinite(reaction[-1].position).all()

@@ -31,6 +31,8 @@ def bellows(simulate, hollow, /, sensors, kind="cavities", **entries):
               for name, x in (("left", 0.002), ("right", 0.018))]  # fmt: skip
     sensors = [one | ({"walls": [{"file": surface}]} if one.get("walls") else {}) for one in sensors]
     chambers = {kind: [chamber]} if chamber else {}
+    springs = [one for one in SPRINGS if one["name"] in {sensor.get("spring") for sensor in sensors}]
+    entries = {"springs": springs, **entries} if springs else entries
     return simulate(body=soft, sensors=sensors, cables=cables, gravity=[0.0, 0.0, 0.0],
                     **chambers, **entries)  # fmt: skip
 
@@ -47,7 +49,11 @@ def bent(robot):
 
 
 SEALED = {"name": "tank", "pressure": "air"}
-EVERY = [SPINE, {"name": "rope", "cable": "left"}, FLEX, BELLY, {"name": "inside", "walls": True}, SEALED]
+EVERY = [SPINE, {"name": "rope", "cable": "left"}, FLEX, BELLY, {"name": "inside", "walls": True}, SEALED,
+         {"name": "load", "spring": "coil"}, {"name": "both", "spring": "brace"}]
+SPRINGS = [{"name": name, "stiffness": 200.0, "rest_length": 0.02, "damping": damping, "ends": [
+    {"on": "hollow", "point": [0.01, 0.003, 0.04]}, {"on": on, "point": [0.01, 0.003, 0.055]}]}
+           for name, on, damping in (("coil", "world", 0.0), ("brace", "hollow", 0.0), ("damper", "world", 1.0))]
 
 
 @pytest.mark.parametrize("sensor", EVERY, ids=lambda one: one["name"])
@@ -99,7 +105,8 @@ def test_gas_keeps_pressure_times_volume(bellows):
 
 WANTED = [({**FLEX, "weight": 1.0}, 0.25, "angle"), ({**SPINE, "weight": 1.0}, 0.0485, "length"),
           ({**BELLY, "weight": 1.0}, 4.6e-6, "volume"),
-          ({"name": "rope", "cable": "right", "weight": 2.0}, 0.062, "length")]  # fmt: skip
+          ({"name": "rope", "cable": "right", "weight": 2.0}, 0.062, "length"),
+          ({"name": "load", "spring": "coil", "weight": 1.0}, -0.3, "force")]  # fmt: skip
 
 
 @pytest.mark.parametrize("sensor, value, word", WANTED)
@@ -192,6 +199,7 @@ def test_sensors_without_a_weight_add_no_rows_and_take_no_targets(bellows, tmp_p
     ({"name": "s", "bend": LINE, "axis": [0, 0, 1]}, "is along an end of the line"),
     ({"name": "s", "volume": "aia"}, "is air meant"),
     ({"name": "s", "pressure": "air"}, "which the scene does not have"),
+    ({"name": "s", "spring": "damper"}, "has damping"),
     ({"name": "s", "cable": "left", "hinge": "leg", "at": "end"}, "exactly one of"),
     ({"name": "left", "cable": "left"}, "more than once"),
     ({"name": "s", "cable": "left", "on": "hollow"}, "body of a string"),

@@ -38,6 +38,25 @@ def test_it_pulls_along_the_tangent_of_the_drum(pulled):
     np.testing.assert_allclose(result.state.positions, expected.state.positions, atol=1e-9)
 
 
+def test_with_friction_the_pull_falls_around_the_drum_and_less_of_it_comes_back(pulled):
+    robot = pulled(cable={"friction": 0.4, "presliding": 1e-6})
+
+    def share(tension):
+        for _ in range(8):
+            result = robot.step(CommandEfforts(np.array([tension]), 1.0))
+        assert result.status is Status.OK
+        ways = np.diff(robot.actuator_paths()["rope"], axis=0)[[0, -1]]
+        first, last = ways / np.linalg.norm(ways, axis=1, keepdims=True)
+        force = result.state.memory["reactions.wrenches"][0, :3]
+        np.testing.assert_allclose(force / np.linalg.norm(force), last, atol=1e-6)
+        return np.linalg.norm(force) / tension, 0.4 * np.arccos(first @ last)
+
+    pulls, turn = share(0.8)
+    assert pulls == pytest.approx(np.exp(-turn), rel=1e-4)
+    released, turn = share(0.4)
+    assert released == pytest.approx(np.exp(turn), rel=1e-4)
+
+
 def test_a_wound_length_is_the_length_around_the_drum(pulled):
     robot = pulled()
     result = solved(robot, CommandSetpoints(robot.rest_setpoints - 0.01, 1.0), 8)
@@ -71,7 +90,6 @@ BALL = {"name": "ball", "sphere": {"radius": 0.01}, "position": [0.06, 0.01, 0.0
 @pytest.mark.parametrize("change, words", [
     ({"wraps": ("dram",)}, "is drum meant"),
     ({"wraps": ("ball",), "obstacles": [BALL]}, "no capsule and no cylinder"),
-    ({"cable": {"friction": 0.2}}, "friction.*is not built for a cable that wraps"),
     ({"cable": {"axial_stiffness": 100.0}}, "axial_stiffness.*is not built for a cable that wraps"),
     ({"pull": (0.06, 0.01, 0.03)}, "holds a point of the cable inside|axis on the cable"),
     ({"wraps": ("drum", "other"), "obstacles": [DRUM, {**DRUM, "name": "other"}]}, "the same part"),

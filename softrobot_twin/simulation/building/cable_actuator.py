@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from softrobot_twin.constraints.cable import CablePath, Cables, Wrap, folds
 from softrobot_twin.constraints.cable_friction import CableMaterials, FrictionCables
 from softrobot_twin.constraints.elastic_cable import ElasticCables
-from softrobot_twin.constraints.wrapped_cable import WrappedCables, drawn_path, side_at
+from softrobot_twin.constraints.wrapped_cable import RubbingWraps, WrappedCables, drawn_path, side_at
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.actuator_entries import Cable, Pulley
 from softrobot_twin.scene.shapes import AxialShape
@@ -120,11 +120,10 @@ def _stretches(cable: Cable) -> bool:
 def _term(layout: Layout, paths: tuple[CablePath, ...], entries: tuple[Cable, ...]) -> Cables:
     """The constraint term; only one that yields where a cable stretches."""
     nodes = layout.nodes
-    others_yield = any(cable.friction or _stretches(cable) for cable in entries)
-    for index, cable in enumerate(entries if others_yield else ()):
+    for index, cable in enumerate(entries if any(map(_stretches, entries)) else ()):
         if cable.wraps:
             raise layout.scene.error(f"cables[{index}].wraps", list(cable.wraps), "is not built beside "
-                                     "cables with friction, or that stretch")  # fmt: skip
+                                     "cables that stretch")  # fmt: skip
     if any(cable.friction for cable in entries):
         return _friction_term(layout, paths, entries)
     # Past limit points a given volume needs the whole of A, and so do beams that buckle.
@@ -163,7 +162,8 @@ def _friction_term(
     given = numbers_of(entries, "presliding")
     materials = CableMaterials(numbers_of(entries, "axial_stiffness"), numbers_of(entries, "friction"),
                                np.where(np.isinf(given), usual, given))  # fmt: skip
-    return FrictionCables(paths, nodes.free_index, nodes.rest_positions, materials, nodes.carried)
+    kind = RubbingWraps if any(path.wraps for path in paths) else FrictionCables
+    return kind(paths, nodes.free_index, nodes.rest_positions, materials, nodes.carried)
 
 
 def _limit_by_pulleys(

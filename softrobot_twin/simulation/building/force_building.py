@@ -638,16 +638,36 @@ def _between(layout: Layout, spring, key: str, notes: list[str]) -> _Part:
     ends = spring.ends if spring.ends[0].on != "world" else spring.ends[::-1]
     if ends[0].on == "world":
         raise layout.scene.error(f"{key}.ends", "world", "both ends stand in the world")
-    first = _end(layout, ends[0], f"{key}.ends", notes)
-    rest = np.linalg.norm(np.subtract(ends[1].point, ends[0].point))
-    length = rest if spring.rest_length is None else spring.rest_length
+    first = spring_end(layout, ends[0], f"{key}.ends", notes)
+    length = length_at_rest(spring)
     if ends[1].on == "world":
         return _Part(first, _nowhere(1), spring.stiffness, length, spring.damping, ends[1].point)
-    second = _end(layout, ends[1], f"{key}.ends", notes)
+    second = spring_end(layout, ends[1], f"{key}.ends", notes)
     return _Part(first, second, spring.stiffness, length, spring.damping)
 
 
-def _end(layout: Layout, end, key: str, notes: list[str]) -> BarycentricMapping:
+def length_at_rest(spring) -> float:
+    """L₀ of a spring [m].
+
+    Args:
+        spring: Its entry.
+    """
+    first, second = (end.point for end in spring.ends)
+    return np.linalg.norm(np.subtract(second, first)) if spring.rest_length is None else spring.rest_length
+
+
+def spring_end(layout: Layout, end, key: str, notes: list[str]) -> BarycentricMapping:
+    """An end of a spring that is not in the world.
+
+    Args:
+        layout: The bodies.
+        end: Its entry.
+        key: Key of both ends, for errors.
+        notes: List to which a warning is appended where the point is snapped to its body.
+
+    Raises:
+        SceneError: The point is too far from its body.
+    """
     if end.on not in layout.mass_nodes:
         return layout.carried(end.on, [end.point], key, notes)
     own = layout.mass_nodes[end.on]

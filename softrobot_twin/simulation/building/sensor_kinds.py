@@ -22,12 +22,13 @@ from softrobot_twin.scene.sensor_entries import Sensor
 from softrobot_twin.simulation.building.actuator_kinds import Quantity
 from softrobot_twin.simulation.building.cable_actuator import cable_path, cables_along
 from softrobot_twin.simulation.building.cavity_walls import cavity_surface
+from softrobot_twin.simulation.building.force_building import length_at_rest, spring_end
 from softrobot_twin.simulation.building.hinge_motor_actuator import hinge_of
 from softrobot_twin.simulation.building.scene_layout import Layout
 
-LENGTH, ANGLE, VOLUME, PRESSURE = (
+LENGTH, ANGLE, VOLUME, PRESSURE, FORCE = (
     Quantity("length", "m"), Quantity("angle", "rad"), Quantity("volume", "m3"),
-    Quantity("pressure", "Pa"),
+    Quantity("pressure", "Pa"), Quantity("force", "N"),
 )  # fmt: skip
 Keyed = list[tuple[str, Sensor]]
 
@@ -134,11 +135,32 @@ def _pressures(layout: Layout, entries: Keyed, notes: list[str]) -> SensedTerm:
     return SensedTerm(term, np.zeros(len(gas)), 1.0, lengths, absolute)
 
 
+def _forces(layout: Layout, entries: Keyed, notes: list[str]) -> SensedTerm:
+    """Forces of springs, positive where they pull, k (L - L₀); the springs have told their notes.
+
+    A force counts in metres as it changes the length of its spring.
+    """
+    known, paths, rests = {one.name: (key, one) for key, one in layout.scene.keyed("springs")}, [], []
+    for own, one in entries:
+        key, spring = known[one.spring]
+        if spring.damping:
+            raise layout.scene.error(f"{own}.spring", spring.name, "has damping: its force is not one of a state")
+        ends = sorted(spring.ends, key=lambda end: end.on != "world")
+        points = [spring_end(layout, end, f"{key}.ends", []) for end in ends if end.on != "world"]
+        start = np.array(ends[0].point, float) if len(points) < 2 else None
+        paths.append(CablePath(one.name, reduce(BarycentricMapping.followed_by, points), start))
+        rests.append(length_at_rest(spring))
+    stiffness = np.array([known[one.spring][1].stiffness for _, one in entries])
+    sensed, rest = _of_paths(layout, paths), np.array(rests)
+    return SensedTerm(sensed.term, stiffness * (sensed.zeros - rest), -stiffness, 1.0 / stiffness,
+                      stiffness * sensed.spans)  # fmt: skip
+
+
 SENSOR_KINDS: dict[str, SensorKind] = {
     "string": SensorKind(LENGTH, _strings), "cable": SensorKind(LENGTH, _cables),
     "bend": SensorKind(ANGLE, _bends), "hinge": SensorKind(ANGLE, _hinges),
     "volume": SensorKind(VOLUME, _volumes), "walls": SensorKind(VOLUME, _chambers),
-    "pressure": SensorKind(PRESSURE, _pressures),
+    "pressure": SensorKind(PRESSURE, _pressures), "spring": SensorKind(FORCE, _forces),
 }  # fmt: skip
 """The kinds, by the key of an entry that has them."""
 

@@ -1,6 +1,6 @@
 """Forces that nobody modelled: an observer finds them, and the model bears them.
 
-A force comes in from an observer of markers before a step; see `control/force_observer.py`. The step
+A force comes in from an observer of markers and sensors before a step; see `control/force_observer.py`. The step
 takes it for given, so that the model stays where the robot is, and targets are reached under it.
 """
 
@@ -53,26 +53,41 @@ class ObservedForces(NamedTuple):
 
 
 class ObservedRows:
-    """Rows along all axes of markers and of observed places.
+    """Rows of quantities that are measured, and of observed places along all axes.
+
+    A quantity has three coordinates in metres: those of a marker; the value of a sensor, as it counts in
+    metres, and two zeros; those of an effector that no marker shows, which nothing measures.
 
     Attributes:
         places: The places.
-        marker_count: Number of markers, whose rows come first.
+        marker_count: Number of markers, which come first of all quantities.
+        sensor_count: Number of sensors, which come next.
+        unseen: Indices of the effectors that no marker shows, which come last.
+        quantity_count: Number of all of them.
+        row_count: Number of their rows, which come first.
         stack: The rows.
     """
 
-    def __init__(self, model: Model, places: tuple[ObservedPlace, ...], with_markers: bool):
+    def __init__(self, model: Model, places: tuple[ObservedPlace, ...], with_quantities: bool):
         """Lay the rows out, of found places at their first point.
 
         Args:
             model: The model of a simulation.
             places: The places.
-            with_markers: Whether there are rows of the markers too.
+            with_quantities: Whether there are rows of the quantities too.
         """
         self.places, self._nodes = places, model.nodes
-        markers = model.markers if with_markers else None
-        self.marker_count = 0 if markers is None else markers.point_count
-        self._own = [] if markers is None else [_point(markers, i) for i in range(self.marker_count)]
+        self._sensors = model.sensors if with_quantities else None
+        self.sensor_count = 0 if self._sensors is None else self._sensors.row_count
+        self.marker_count = model.markers.point_count if with_quantities else 0
+        self.unseen = [e for e, own in enumerate(model.effector_markers) if with_quantities and not len(own)]
+        self._own = [_point(model.markers, i) for i in range(self.marker_count)]
+        self._own += [model.effectors.effectors[e].points for e in self.unseen]
+        self.quantity_count = self.sensor_count + len(self._own)
+        self.row_count = self.sensor_count + 3 * len(self._own)
+        # Where the coordinates are whose rows there are, those of sensors first.
+        first, last = 3 * self.marker_count, 3 * (self.marker_count + self.sensor_count)
+        self._coordinates = np.r_[first:last:3, 0:first, last : 3 * self.quantity_count]
         self._has_wrench = any(place.is_wrench for place in places)
         self._identity = np.eye(3 * len(places))
         self._chosen: tuple[int, ...] | None = None
@@ -98,8 +113,22 @@ class ObservedRows:
                 mappings.append(_point(place.points, point) if place.is_found else place.points)
         effectors = tuple(EffectorPoints("", one, (0, 1, 2), 1.0) for one in mappings)
         self._chosen, self._term = chosen, Effectors(effectors, self._nodes.free_index, self._nodes.size)
-        self.stack = RowStack([self._term], self._nodes.carried)
+        terms = [self._term] if self._sensors is None else [self._sensors, self._term]
+        self.stack = RowStack(terms, self._nodes.carried)
         return True
+
+    def of_quantities(self, rows: np.ndarray) -> np.ndarray:
+        """Values of all coordinates by those of the rows.
+
+        Args:
+            rows: Shape (row_count, ...).
+
+        Returns:
+            Shape (3 quantity_count, ...).
+        """
+        values = np.zeros((3 * self.quantity_count, *rows.shape[1:]))
+        values[self._coordinates] = rows
+        return values
 
     def basis(self, positions: np.ndarray) -> np.ndarray:
         """Forces at the rows of the places by the numbers of their loads.
@@ -114,7 +143,7 @@ class ObservedRows:
         """
         if not self._has_wrench:
             return self._identity
-        points = self._term.positions(positions)[self.marker_count :]
+        points = self._term.positions(positions)[len(self._own) :]
         blocks, first = [], 0
         for place in self.places:
             if place.is_wrench:
@@ -132,7 +161,7 @@ class ObservedRows:
         Args:
             positions: Node positions [m], shape (node_count, 3).
         """
-        points = self._term.positions(positions)[self.marker_count :]
+        points = self._term.positions(positions)[len(self._own) :]
         counts = [4 if place.is_wrench else 1 for place in self.places]
         return points[np.cumsum(counts) - counts]
 
@@ -182,7 +211,7 @@ class Observed(StepPart):
             model: The built scene.
         """
         self._term = model.force_term(ObservedLoads)
-        self._rows = ObservedRows(model, self._term.places, with_markers=False)
+        self._rows = ObservedRows(model, self._term.places, with_quantities=False)
         self._none = ObservedForces.none(len(self._term.places))
         self._found, self._rest = self._none, model.nodes.rest_positions
 
