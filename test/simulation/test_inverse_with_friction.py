@@ -198,14 +198,12 @@ def test_contacts_are_broken_and_made_by_no_more_force_than_it_takes(finger, rng
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("detours", [False, True])
-def test_of_100_places_in_contact_nearly_all_are_reached(finger, rng, detours):
+def test_of_100_places_in_contact_nearly_all_are_reached(finger, rng):
     def ends():
-        ends = rng.uniform(0.006, 0.019, 2 if detours else 1)
-        return np.column_stack([ends, -0.8 * ends + rng.uniform(-0.002, 0.002, len(ends))])
+        end = rng.uniform(0.006, 0.019)
+        return np.array([[end, -0.8 * end + rng.uniform(-0.002, 0.002)]])
 
-    near = missed_places(finger(), ends, 100)
-    assert detours or near.max() < 1e-4
+    assert missed_places(finger(), ends, 100).max() < 1e-4
 
 
 @pytest.mark.exhaustive
@@ -310,8 +308,10 @@ def test_at_a_reached_target_lengths_rest(finger, shortenings, change):
         before = result.setpoints
 
 
-@pytest.mark.parametrize("friction, change", [(MU, None), (10.0, None), (MU, RUBBING), (0.0, RUBBING)])
-@pytest.mark.parametrize("ticks", [150, pytest.param(10_000, marks=pytest.mark.exhaustive)])
+@pytest.mark.parametrize("ticks, friction, change", [
+    (150, MU, None), (150, 10.0, None), (150, MU, RUBBING), (150, 0.0, RUBBING),
+    *(pytest.param(10_000, *one, marks=pytest.mark.exhaustive) for one in ((10.0, None), (MU, RUBBING))),
+])  # fmt: skip
 @pytest.mark.timeout(900)
 def test_no_tick_leaves_rates_lengths_tensions_and_the_cone(finger, rng, ticks, friction, change):
     """Row 30; targets jump anywhere, rest, or are those of another robot's state."""

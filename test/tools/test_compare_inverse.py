@@ -1,8 +1,8 @@
 """The program that compares the inverse problem with an optimiser over direct steps.
 
 Random robots snap and buckle, so that a few of them rest at a worse place than the optimiser finds:
-of 100 drawn ones less than a tenth. The bars on the counts are such that a sound inverse misses one
-in less than one of ten thousand draws.
+of 100 drawn ones less than a tenth (`python tools/compare_inverse.py`). The bars on the counts are such
+that a sound inverse misses one in less than one of ten thousand draws.
 """
 
 import compare_inverse
@@ -49,15 +49,12 @@ def test_a_beam_that_kept_out_of_balance_for_ever_comes_to_rest(seed):
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("count, most_worse, most_restless", [
-    (4, 3, 1), pytest.param(40, 7, 2, marks=[pytest.mark.exhaustive, pytest.mark.timeout(900)]),
-])  # fmt: skip
-def test_random_robots_rest_near_the_best_place_or_tell_it(drawn_rng, count, most_worse, most_restless):
+def test_random_robots_rest_near_the_best_place_or_tell_it(drawn_rng):
     found = []
-    for _ in range(count):
+    for _ in range(4):
         robot = compare_inverse.random_robot(drawn_rng)
         found.append(compare_inverse.compare(robot, drawn_rng))
         print(robot.kind, found[-1])
     assert all(one.is_told for one in found if one.is_worse)
-    assert sum(one.is_worse for one in found) <= most_worse
-    assert sum(one.is_restless for one in found) <= most_restless
+    assert sum(one.is_worse for one in found) <= 3
+    assert sum(one.is_restless for one in found) <= 1
