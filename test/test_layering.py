@@ -209,16 +209,9 @@ def test_no_two_modules_have_the_same_name():
     assert [name for name, count in files.items() if count > 1] == []
 
 
-def test_our_own_modules_are_imported_at_the_top_of_a_file():
-    def broken(path, found):
-        return found.lazy and room_of(found.module) and place(path) not in LATER_IMPORTS
-    assert violations(broken) == []
-
-
-def test_each_import_inside_a_function_that_is_allowed_is_there():
-    late = {place(path) for path in MODULES for found in read_imports(path)
-            if found.lazy and room_of(found.module)}
-    assert set(LATER_IMPORTS) <= late
+def test_our_own_modules_are_imported_at_the_top_of_a_file_but_for_those_that_wait_for_a_reason():
+    assert set(LATER_IMPORTS) == {place(path) for path in MODULES for found in read_imports(path)
+                                  if found.lazy and room_of(found.module)}
 
 
 def place(path: Path) -> str:

@@ -1,8 +1,10 @@
 """Times of the package's robots and of sizes from 500 to 50,000 unknowns, beside what was published.
 
-`python tools/bench_robots.py [--steps N] [--output FOLDER]` prints the tables of `bench`, whether each
-requirement is met, and how near the factorization is to the speed of dense products; it writes
-bench.csv and bench.png into a folder. docs/bench.csv is made by it.
+`python tools/bench_robots.py [--steps N] [--output FOLDER] [--compare FILE.csv]` prints the tables of
+`bench`, what Python and the twin add to a step, whether each requirement is met, and how near the
+factorization is to the speed of dense products; it writes bench.csv and bench.png into a folder.
+docs/bench.csv is made by it. With `--compare` it marks what got slower, or makes more calls, than in an
+earlier bench.csv.
 """
 
 from __future__ import annotations
@@ -26,6 +28,7 @@ from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.harness.figure import figure_file
 from softrobot_twin.harness.machine_facts import NUMERICAL_LIBRARIES, describe_machine
 from softrobot_twin.harness.output_file import make_folder
+from softrobot_twin.harness.study_rows import write_rows
 from softrobot_twin.harness.terminal import by_key, console, table
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.scene.actuator_entries import Cable
@@ -40,7 +43,7 @@ from softrobot_twin.solvers.factorization import Factorization
 from softrobot_twin.solvers.multifrontal import Multifrontal
 from softrobot_twin.solvers.multifrontal.condensation import ConstraintColumns
 from softrobot_twin.solvers.multifrontal.symbolic import NONE
-from softrobot_twin.study.bench import measure_all, print_sizes, write_bench
+from softrobot_twin.study.bench import bench_rows, measure_all, print_sizes
 from softrobot_twin.study.bench_measurement import (
     OUTSIDE,
     SUPERLU,
@@ -52,6 +55,7 @@ from softrobot_twin.study.bench_measurement import (
     held_commands,
     swept_setpoints,
 )
+from step_overhead import compared, overhead_of, overhead_table, read_earlier
 
 
 INTERVAL_TIME_STEP = 0.02
@@ -515,20 +519,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--steps", type=positive_count, default=1000, metavar="N")
     parser.add_argument("--output", type=Path, metavar="FOLDER")
+    parser.add_argument("--compare", type=Path, metavar="FILE.csv")
     given = parser.parse_args(arguments)
     try:
         if given.output is not None:
             make_folder(given.output)
-        sizes = measure_all(standard_cases(), given.steps)
+        earlier = {} if given.compare is None else read_earlier(given.compare)
+        cases = standard_cases()
+        sizes = measure_all(cases, given.steps)
+        added = {case.name: overhead_of(case) for case in cases}
         conditions = describe_machine(NUMERICAL_LIBRARIES)
         console().print(conditions + "\n")
         print_sizes(sizes)
+        console().print(overhead_table(added))
+        if earlier:
+            console().print(compared(sizes, added, earlier))
         if (growth := _growth_table(sizes)) is not None:
             console().print(growth)
         print_requirements(sizes)
         print_operations(sizes)
         if given.output is not None:
-            write_bench(given.output / "bench.csv", sizes)
+            write_rows(given.output / "bench.csv",
+                       [row | added[row["scene"]].columns for row in bench_rows(sizes)])
             draw_bench(given.output / "bench.png", sizes, conditions)
     except SoftRobotTwinError as error:
         print(error, file=sys.stderr)

@@ -23,8 +23,8 @@ from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.runs.input_tables import read_commands, read_targets
 from softrobot_twin.simulation.runs.run_columns import RunColumns
 from softrobot_twin.study import direct_run, offline_run
-from softrobot_twin.study.scene_picture import Solid, layers_of, take_snapshot
-from softrobot_twin.study.triangle_drawing import camera_at, image_of
+from softrobot_twin.study.scene_picture import take_snapshot
+from softrobot_twin.study.triangle_drawing import Solid, camera_at, image_of
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -100,7 +100,6 @@ FRAMES, FRAME_TIME = 36, 110
 """How many frames a moving picture has, and how long each is shown [ms]."""
 WIDTH, HEIGHT = 320, 260
 """Most pixels of a moving picture."""
-LIGHT = np.array([-0.4, -0.5, 0.75])
 
 
 def draw_moving(name: str, folder: Path) -> None:
@@ -150,12 +149,7 @@ def images_of(frames: list[list[Solid]], view: tuple[float, float]) -> list[np.n
     low, high = low - margin, high + margin
     scale = min(np.array([WIDTH, HEIGHT]) / (high - low))
     columns, rows = np.round(scale * (high - low)).astype(int)
-    towards = LIGHT @ np.array([camera.right, camera.up, camera.eye])
-
-    def light(normals: np.ndarray, layer: str) -> np.ndarray:
-        return 0.65 + 0.35 * np.clip(normals @ towards, 0.0, 1.0) + 0.08 * normals[:, 2]
-
-    return [image_of(layers_of(solids, camera, light), (low[0], high[0], low[1], high[1]), (rows, columns))
+    return [image_of(solids, camera, (low[0], high[0], low[1], high[1]), (rows, columns))
             for solids in frames]
 
 

@@ -471,8 +471,7 @@ def workspace(
 
 def bench(
     scenes: Sequence[GivenFile] = (), *, output: Path | None = None, steps: PositiveCount = 1000,
-    commands: GivenFile | None = None, compare: Path | None = None,
-    threads: PositiveCount | None = None,
+    commands: GivenFile | None = None, threads: PositiveCount | None = None,
 ) -> int:  # fmt: skip
     """Time a step, stage by stage.
 
@@ -487,14 +486,13 @@ def bench(
         output (FOLDER): Write bench.csv there.
         steps (N): Steps to time for each size (default $default).
         commands (FILE.csv): Time the longest hold of this commands file instead.
-        compare (FILE.csv): bench.csv of an earlier run; slower steps are marked.
         threads (N): Most threads of large systems, in place of `solver.threads`.
     """
     from softrobot_twin.study.bench import bench as measure
 
     if not scenes:
         refuse("requires a scene to time", commands=commands)
-    return measure(list(scenes), steps, output, commands, compare, threads)
+    return measure(list(scenes), steps, output, commands, threads)
 
 
 def accuracy(

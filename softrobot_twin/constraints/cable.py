@@ -33,8 +33,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.constraints.constraint_term import ConstraintTerm
-from softrobot_twin.constraints.row_stack import add_row_forces
+from softrobot_twin.constraints.segment_term import SegmentTerm
 from softrobot_twin.constraints.spread_stiffness import MOST_COUPLED, SpreadStiffness
 from softrobot_twin.geometry.matrix3 import (
     IDENTITY,
@@ -45,17 +44,15 @@ from softrobot_twin.geometry.matrix3 import (
 )
 from softrobot_twin.geometry.vector3 import divided, dot, negated, norm, row, scaled, set_row
 from softrobot_twin.kernels.compilation import INLINED, KERNEL, njit
-from softrobot_twin.kernels.traced_stage import clear
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.force_term import DenseRows
 from softrobot_twin.mechanics.kinematics import (
     CarriedPoints,
-    FoldedSegments,
     points_among,
     size_of_points,
 )
 from softrobot_twin.mechanics.springs import NO_LENGTH, distinct_points, segment_vector
-from softrobot_twin.mechanics.stencil import add_block, add_weighted_matrices, bind_stencils
+from softrobot_twin.mechanics.stencil import add_block, add_weighted_matrices
 
 # Two segments whose directions have a smaller cosine fold back on each other.
 FOLD_COSINE = -0.5
@@ -259,7 +256,7 @@ def shorten(rest_lengths, lengths):
         lengths[c] = rest_lengths[c] - lengths[c]
 
 
-class Cables(ConstraintTerm):
+class Cables(SegmentTerm):
     """Constraint term of all cables of a scene, and the stiffness of the taut ones.
 
     Attributes:
@@ -269,8 +266,6 @@ class Cables(ConstraintTerm):
     """
 
     name = "cables"
-    group = "actuators"
-    is_traceable = True
 
     def __init__(
         self, paths: tuple[CablePath, ...], free_index: np.ndarray, rest_positions: np.ndarray,
@@ -298,24 +293,14 @@ class Cables(ConstraintTerm):
         self.cable_of_stretch = np.array([cable for cable, _ in segments], dtype=np.int64)
         self.ends_on_cylinder = np.array([s[3] for _, s in segments], bool)
         count = len(segments)
-        self._nodes = np.array([s[0] for _, s in segments], np.int64).reshape(count, -1)
-        self._coefficients = np.array([s[1] for _, s in segments], float).reshape(count, -1)
+        nodes = np.array([s[0] for _, s in segments], np.int64).reshape(count, -1)
+        coefficients = np.array([s[1] for _, s in segments], float).reshape(count, -1)
         self._constants = np.array([s[2] for _, s in segments], float).reshape(-1, 3)
-        self._free_index = free_index
-        self._bound = None
-        self._lay_out_entries()
-        self._points, self._folded, self._spread = None, None, None
+        self._take_segments(self.cable_of_stretch, nodes, coefficients, free_index, points)
         if may_spread and points is None and (self._free >= 0).sum(axis=1).max(initial=0) > MOST_COUPLED:
             self._spread = SpreadStiffness(self._free, self._coefficients)
-            self._matrices = np.empty((count, 3, 3))
-        if points is not None and (self._free >= points.free_count).any():
-            self._points, self._folded = points, FoldedSegments(points, self._free, self._coefficients)
+        if self._points is not None:
             self._carriers = points_among(self._free, points.free_count)
-            self._matrices = np.empty((count, 3, 3))
-            self._pulls = (
-                np.empty((len(self.entry_rows), 3)), np.empty(self.row_count),
-                np.empty((points.free_count + points.count, 3)),
-            )  # fmt: skip
         vectors = np.einsum("sa,sai->si", self._coefficients, rest_positions[self._nodes])
         lengths = np.linalg.norm(vectors + self._constants, axis=1)
         self._least = NO_LENGTH * self._scale(lengths, rest_positions)
@@ -329,24 +314,10 @@ class Cables(ConstraintTerm):
         elements = size_of_points(nearby) if len(nearby) else 0.0
         return longest if longest > NO_LENGTH * elements else elements
 
-    def _lay_out_entries(self) -> None:
-        free = np.where(self._nodes >= 0, self._free_index[self._nodes], -1)
-        movable = free >= 0
-        self._free = free
-        self._entry = np.where(movable, np.cumsum(movable.ravel()).reshape(free.shape) - 1, -1)
-        self.entry_nodes = free[movable]
-        self.entry_rows = np.repeat(self.cable_of_stretch, movable.sum(axis=1))
-        self.stretch_of_entry = np.repeat(np.arange(len(movable)), movable.sum(axis=1))
-
     @property
     def scales(self) -> np.ndarray:
         """Lengths at rest [m], shape (row_count,)."""
         return self.rest_lengths
-
-    def stencils(self) -> np.ndarray:
-        """Unknowns that each segment couples, -1 where none, shape (segment_count, width)."""
-        other = self._folded or self._spread
-        return self._free if other is None else other.stencils()
 
     @property
     def dense_rows(self) -> DenseRows | None:
@@ -360,19 +331,6 @@ class Cables(ConstraintTerm):
         if self._spread is not None:
             self._spread.clear_dense_rows()
 
-    def bind(self, elimination_rank: np.ndarray, slots) -> None:
-        """Find the places of the geometric stiffness in the storage, and sort the segments' nodes.
-        """
-        other = self._folded or self._spread
-        if other is not None:
-            other.bind(elimination_rank, slots)
-            return
-        bound = bind_stencils(self._free, elimination_rank, slots)
-        self._nodes = bound.sorted(self._nodes)
-        self._coefficients = bound.sorted(self._coefficients)
-        self._bound = bound
-        self._lay_out_entries()
-
     def lengths(self, positions: np.ndarray) -> np.ndarray:
         """Lengths of the paths [m], shape (row_count,).
 
@@ -381,15 +339,16 @@ class Cables(ConstraintTerm):
         """
         lengths = np.zeros(self.row_count)
         blocks = np.empty((len(self.entry_rows), 3))
-        self._evaluate(positions, blocks, lengths)
+        self._write_rows(positions, blocks, lengths)
         return lengths
 
     def evaluate(self, positions: np.ndarray, blocks: np.ndarray, values: np.ndarray) -> None:
         """Write H and the shortenings δ [m]; see `ConstraintTerm.evaluate`."""
-        self._evaluate(positions, blocks, values)
+        self._write_rows(positions, blocks, values)
         shorten(self.rest_lengths, values)
 
-    def _evaluate(self, positions, blocks, lengths) -> None:
+    def _write_rows(self, positions: np.ndarray, blocks: np.ndarray, lengths: np.ndarray) -> None:
+        """Write H and the lengths [m]."""
         evaluate_kernel(
             positions, self._nodes, self._coefficients, self._constants, self._least,
             self._rounding, self.cable_of_stretch, self._entry, blocks, lengths,
@@ -427,10 +386,7 @@ class Cables(ConstraintTerm):
         if self._spread is not None:
             self._spread.add(self._matrices, storage)
             return
-        pulls = None
-        if self._folded.turns and not projected:
-            pulls = self._pulls_on_carried_points(positions, tensions)
-        self._folded.add(positions, self._matrices, pulls, storage)
+        self._fold_matrices(positions, self.entry_rows, tensions, projected, storage)
 
     def add_row_stiffness(
         self, positions: np.ndarray, stiffness: np.ndarray, storage: np.ndarray
@@ -455,7 +411,7 @@ class Cables(ConstraintTerm):
         else:
             self._spread.add(matrices, storage, is_more=True)
         blocks, values = np.empty((len(self.entry_rows), 3)), np.empty(self.row_count)
-        self._evaluate(positions, blocks, values)
+        self._write_rows(positions, blocks, values)
         rows = np.concatenate([self.entry_rows, self.row_count + self.stretch_of_entry])
         # The square of a cable of one segment is whole.
         kept = np.concatenate([counts, counts[of]]) > 1
@@ -466,14 +422,6 @@ class Cables(ConstraintTerm):
             (np.cumsum(kept) - 1)[rows[entries]], np.tile(self.entry_nodes, 2)[entries], blocks[entries],
             sign[kept],
         )  # fmt: skip
-
-    def _pulls_on_carried_points(self, positions, tensions) -> np.ndarray:
-        """Force of the cables on each carried point [N], shape (carried_count, 3)."""
-        blocks, lengths, forces = self._pulls
-        self._evaluate(positions, blocks, lengths)
-        clear(forces.reshape(-1))
-        add_row_forces(self.entry_rows, self.entry_nodes, blocks, tensions, forces)
-        return forces[self._points.free_count :]
 
 
 def _segments(path: CablePath, width: int):

@@ -600,7 +600,7 @@ class FrictionCables(ElasticCables):
 
     def _measure_base(self, positions: np.ndarray, lengths: np.ndarray) -> None:
         """Find the lengths of the paths [m], and what each segment pulls at, by unknowns."""
-        self._evaluate(positions, self._base, lengths)
+        self._write_rows(positions, self._base, lengths)
         self._on_unknowns = self.stretch_of_entry, self.entry_nodes, self._base
         if self._carried is not None:
             count = self._carried.reduce(positions, *self._on_unknowns)
@@ -640,14 +640,7 @@ class FrictionCables(ElasticCables):
             add_stiffness_kernel(*of_segments, self._bound.offsets, self._bound.strides, storage)
             return
         write_matrices(*of_segments, self._matrices)
-        pulls = None
-        if self._folded.turns and not projected:
-            base, lengths, pulls = self._pulls
-            self._evaluate(positions, base, lengths)
-            pulls[:] = 0.0
-            add_row_forces(self.stretch_of_entry, self.entry_nodes, base, self.tensions, pulls)
-            pulls = pulls[self._points.free_count :]
-        self._folded.add(positions, self._matrices, pulls, storage)
+        self._fold_matrices(positions, self.stretch_of_entry, self.tensions, projected, storage)
 
     def stick_rows(self) -> DenseRows:
         """Rows of the stiffness of sticking points, at the state evaluated last."""

@@ -64,7 +64,7 @@ class ElasticCables(Cables):
 
     def evaluate(self, positions: np.ndarray, blocks: np.ndarray, values: np.ndarray) -> None:
         """Write H and the shortenings of the paths [m], and the compliance."""
-        self._evaluate(positions, blocks, values)
+        self._write_rows(positions, blocks, values)
         self._set_compliance(values)
         np.subtract(self.rest_lengths, values, out=values)
 

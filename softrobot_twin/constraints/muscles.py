@@ -33,15 +33,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.constraints.constraint_term import ConstraintTerm
-from softrobot_twin.constraints.row_stack import add_row_forces
+from softrobot_twin.constraints.segment_term import SegmentTerm
 from softrobot_twin.geometry.matrix3 import IDENTITY, add_outer, scaled_matrix, set_rows
 from softrobot_twin.geometry.vector3 import norm, scaled, set_row
 from softrobot_twin.kernels.compilation import INNER, KERNEL, njit
-from softrobot_twin.kernels.traced_stage import clear
-from softrobot_twin.mechanics.kinematics import CarriedPoints, FoldedSegments
+from softrobot_twin.mechanics.kinematics import CarriedPoints
 from softrobot_twin.mechanics.springs import segment_vector
-from softrobot_twin.mechanics.stencil import add_weighted_matrices, bind_stencils, stacked
+from softrobot_twin.mechanics.stencil import add_weighted_matrices, stacked
 
 # A fibre that is shorter than this share of its length at rest has no direction.
 NO_STRETCH = 1.0e-6
@@ -130,12 +128,10 @@ def write_muscle_matrices(x, nodes, coefficients, laws, muscle, activations, pro
         set_rows(matrices[s], matrix)
 
 
-class Muscles(ConstraintTerm):
+class Muscles(SegmentTerm):
     """Constraint term of all muscles of a scene."""
 
     name = "muscles"
-    group = "actuators"
-    is_traceable = True
 
     def __init__(
         self, muscles: Sequence[Sequence[Fibres]], free_index: np.ndarray,
@@ -149,8 +145,6 @@ class Muscles(ConstraintTerm):
             points: The carried points of the scene; None without any.
         """
         parts = [own for muscle in muscles for own in muscle]
-        self._nodes = stacked([own.nodes for own in parts])
-        self._coefficients = stacked([own.coefficients for own in parts], 0.0)
         self.row_count = len(muscles)
         counts = [sum(len(own.nodes) for own in muscle) for muscle in muscles]
         self._muscle = np.repeat(np.arange(len(muscles)), counts)
@@ -160,34 +154,8 @@ class Muscles(ConstraintTerm):
         ])  # fmt: skip
         work = self._laws[:, 0] * self._laws[:, 1]
         self.scales = np.bincount(self._muscle, work, len(muscles))
-        self._free_index, self._bound, self._folded = free_index, None, None
-        self._matrices = np.empty((len(self._nodes), 3, 3))
-        self._lay_out_entries()
-        if points is not None and (self._free >= points.free_count).any():
-            self._folded = FoldedSegments(points, self._free, self._coefficients)
-            self._points = points
-            self._buffer = np.empty((len(self.entry_rows), 3)), np.empty(self.row_count)
-            self._pulls = np.empty((points.free_count + points.count, 3))
-
-    def _lay_out_entries(self) -> None:
-        self._free = np.where(self._nodes >= 0, self._free_index[self._nodes], -1)
-        moves = self._free >= 0
-        self._entry = np.where(moves, np.cumsum(moves.ravel()).reshape(moves.shape) - 1, -1)
-        self.entry_nodes = self._free[moves]
-        self.entry_rows = np.repeat(self._muscle, moves.sum(axis=1))
-
-    def stencils(self) -> np.ndarray:
-        """Unknowns that each fibre couples, -1 where none, shape (fibre_count, width)."""
-        return self._free if self._folded is None else self._folded.stencils()
-
-    def bind(self, elimination_rank: np.ndarray, slots) -> None:
-        """Find the places of the stiffness in the storage, and sort the fibres' nodes."""
-        if self._folded is not None:
-            self._folded.bind(elimination_rank, slots)
-            return
-        self._bound = bound = bind_stencils(self._free, elimination_rank, slots)
-        self._nodes, self._coefficients = bound.sorted(self._nodes), bound.sorted(self._coefficients)
-        self._lay_out_entries()
+        self._take_segments(self._muscle, stacked([own.nodes for own in parts]),
+                            stacked([own.coefficients for own in parts], 0.0), free_index, points)
 
     def evaluate(self, positions: np.ndarray, blocks: np.ndarray, values: np.ndarray) -> None:
         """Write H [N] and the works δ [J]; see `ConstraintTerm.evaluate`."""
@@ -209,11 +177,5 @@ class Muscles(ConstraintTerm):
             add_weighted_matrices(
                 self._matrices, self._coefficients, self._bound.offsets, self._bound.strides, storage
             )
-            return
-        pulls = None
-        if self._folded.turns and not projected:
-            self.evaluate(positions, *self._buffer)
-            clear(self._pulls.reshape(-1))
-            add_row_forces(self.entry_rows, self.entry_nodes, self._buffer[0], multipliers, self._pulls)
-            pulls = self._pulls[self._points.free_count :]
-        self._folded.add(positions, self._matrices, pulls, storage)
+        else:
+            self._fold_matrices(positions, self.entry_rows, multipliers, projected, storage)

@@ -135,9 +135,9 @@ class WrappedCables(Cables):
         self._first: np.ndarray | None = None
         super().__init__(paths, *places, **options)
 
-    def _evaluate(self, positions, blocks, lengths) -> None:
+    def _write_rows(self, positions, blocks, lengths) -> None:
         self._place(positions)
-        super()._evaluate(positions, blocks, lengths)
+        super()._write_rows(positions, blocks, lengths)
         lengths += self._arcs
 
     def _place(self, positions: np.ndarray) -> None:

@@ -28,7 +28,7 @@ from softrobot_twin.kernels.compilation import INNER, KERNEL, ONCE, njit
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.kinematics import size_of_points
-from softrobot_twin.mechanics.stencil import bind_stencils
+from softrobot_twin.mechanics.stencil import bind_stencils, stacked
 
 # w of a thread as a share of its length at rest. Newton's method takes some more steps for a
 # smaller one.
@@ -278,9 +278,7 @@ class Springs(ForceTerm):
         self._damped = bool(np.any(self.damping > 0.0))
         self._lengths_before = np.zeros(count)
         self._least = NO_LENGTH * float(self.rest_lengths.max(initial=0.0))
-        springs = [_merged(first, second, s) for s in range(count)]
-        self._nodes = _padded([nodes for nodes, _ in springs], -1, np.int64)
-        self._coefficients = _padded([weights for _, weights in springs], 0.0, float)
+        self._nodes, self._coefficients = vectors_between(first, second)
         self._stencils = np.where(self._nodes >= 0, free_index[self._nodes], -1)
         self._first, self._second = first, second
 
@@ -421,6 +419,22 @@ def distinct_points(path: np.ndarray) -> list[int]:
     return kept
 
 
+def vectors_between(
+    first: BarycentricMapping, second: BarycentricMapping | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """The vectors from points to others as sums over nodes.
+
+    Args:
+        first: Where they begin, at least one point.
+        second: Where they end; None where that is in the world.
+
+    Returns:
+        Nodes of each, each once, -1 where there is none, and their coefficients, shape (count, width).
+    """
+    found = [_merged(first, second, s) for s in range(first.point_count)]
+    return stacked([nodes[None] for nodes, _ in found]), stacked([weights[None] for _, weights in found], 0.0)
+
+
 def _merged(first, second, s: int) -> tuple[np.ndarray, np.ndarray]:
     """Nodes and coefficients of one spring's vector, each node once."""
     nodes, weights = first.nodes[s], -first.barycentric_weights[s]
@@ -430,11 +444,3 @@ def _merged(first, second, s: int) -> tuple[np.ndarray, np.ndarray]:
     nodes, place = np.unique(nodes, return_inverse=True)
     weights = np.bincount(place.ravel(), weights, len(nodes))
     return nodes[weights != 0.0], weights[weights != 0.0]
-
-
-def _padded(rows: list, filling, kind) -> np.ndarray:
-    """Rows of different lengths as one array."""
-    out = np.full((len(rows), max((len(row) for row in rows), default=0)), filling, kind)
-    for line, row in zip(out, rows, strict=True):
-        line[: len(row)] = row
-    return out

@@ -32,8 +32,8 @@ from softrobot_twin.scene.scene_parameters import (
 from softrobot_twin.scripting.named_commands import finite_numbers, unknown
 from softrobot_twin.scripting.robot import Robot, load
 from softrobot_twin.simulation import CommandSetpoints, Simulation, State
-from softrobot_twin.study.scene_picture import layers_of, take_snapshot
-from softrobot_twin.study.triangle_drawing import Triangles, camera_at, image_of
+from softrobot_twin.study.scene_picture import take_snapshot
+from softrobot_twin.study.triangle_drawing import camera_at, image_of
 
 try:
     import gymnasium
@@ -45,9 +45,8 @@ ENVIRONMENT_ID = "softrobot_twin/Reaching-v0"
 _FAR = 4.0
 # Steps in which a robot comes to rest at random setpoints, and how many of these are tried.
 _MOST_STEPS, _MOST_DRAWS = 100, 20
-# Rows and columns of a picture, where its eye is, and the colours of cables and cavities.
+# Rows and columns of a picture, and where its eye is.
 _PICTURE, _CAMERA = (480, 640), camera_at(15.0, -70.0)
-_COLOURS = {"cable": np.array([0.60, 0.15, 0.40]), "cavity": np.array([0.80, 0.30, 0.25])}
 
 Draw: TypeAlias = Callable[[np.random.Generator], float]
 """Draws a value of a parameter, in its unit."""
@@ -296,7 +295,7 @@ class ReachingEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
             raise CommandError("render", "an episode begins with reset()")
         targets = np.full((len(self.robot.effector_names), 3), np.nan)
         targets[self._effector_index] = self.target
-        return image_of(_layers(self._simulation, targets), self._window, _PICTURE)
+        return image_of(take_snapshot(self._simulation, None, "", targets).solids, _CAMERA, self._window, _PICTURE)
 
     def _window_around(self) -> np.ndarray:
         """Left, right, bottom and top of the pictures of this episode [m]."""
@@ -409,17 +408,6 @@ def _drives_of(simulation: Simulation) -> tuple[Axis, ...]:
     if not drives:
         raise CommandError(simulation.scene.name, "has no actuator that could learn")
     return tuple(drives)
-
-
-def _layers(simulation: Simulation, targets: np.ndarray) -> dict[str, Triangles]:
-    """What is drawn of a state: bodies, obstacles, cables, cavities, effectors and targets [m]."""
-    shown = take_snapshot(simulation, None, "", targets)
-    solids = [solid._replace(colour=_COLOURS.get(solid.kind, solid.colour))
-              for solid in shown.solids]
-    direction = _CAMERA.eye - 0.4 * _CAMERA.right + 0.5 * _CAMERA.up
-    direction /= np.linalg.norm(direction)
-    return layers_of(solids, _CAMERA, lambda normals, _: (
-        0.65 + 0.4 * np.clip(normals @ direction, 0.0, None)))
 
 
 def _within(name: str, value: float, least: float, most: float) -> float:

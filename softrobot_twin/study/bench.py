@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,7 +17,6 @@ from softrobot_twin.harness.output_file import make_folder
 from softrobot_twin.harness.study_rows import write_rows
 from softrobot_twin.harness.terminal import console, print_apart, report_activity, table
 from softrobot_twin.harness.timing import Spread
-from softrobot_twin.simulation.runs.input_tables import TableFileError
 from softrobot_twin.study.bench_measurement import (
     OUTSIDE,
     SUPERLU,
@@ -32,17 +30,13 @@ from softrobot_twin.study.bench_measurement import (
 )
 
 
-def write_bench(path: Path, sizes: Sequence[SizeMeasurement]) -> None:
-    """Writes all sizes as CSV; unknown values are left empty.
+def bench_rows(sizes: Sequence[SizeMeasurement]) -> list[dict[str, object]]:
+    """The rows of bench.csv, a row for each stage of each size; what is not known is None or NaN.
 
     Args:
-        path: The CSV file.
         sizes: What was measured.
-
-    Raises:
-        OutputError: The file cannot be written.
     """
-    write_rows(path, [_row(size, stage, full_size(size, sizes)) for size in sizes for stage in size.stages])
+    return [_row(size, stage, full_size(size, sizes)) for size in sizes for stage in size.stages]
 
 
 def _row(size: SizeMeasurement, stage: str, full: SizeMeasurement | None) -> dict[str, object]:
@@ -57,12 +51,10 @@ def _row(size: SizeMeasurement, stage: str, full: SizeMeasurement | None) -> dic
         "threads": size.thread_count,
         "steps": size.step_count, "stage": stage, "median_ms": 1e3 * times.median,
         "p99_ms": 1e3 * times.p99, "max_ms": 1e3 * times.maximum,
-        "ratio_to_superlu": times.median / size.superlu.median, 
+        "ratio_to_superlu": times.median / size.superlu.median,
         "superlu_ms": 1e3 * size.superlu.median, "superlu_samples": size.superlu_count,
         "interrupted_share": size.interrupted_share, "resident_bytes": size.resident,
         "full_ms": whole and 1e3 * whole, "ratio_to_full": whole and times.median / whole,
-        "python_calls": size.calls, "kernel_share": size.kernel_share,
-        "beside_step_ms": 1e3 * size.beside,
     }  # fmt: skip
 
 
@@ -86,9 +78,6 @@ def _size_table(sizes: Sequence[SizeMeasurement]) -> Table:
          lambda size: f"{size.mode_count}, {size.point_count}" if size.is_reduced else "-"),
         ("factorization", lambda size: size.factorization),
         ("threads that factorize", lambda size: str(size.thread_count)),
-        ("calls of Python in a step", lambda size: f"{size.calls:.0f}"),
-        ("share of kernels in a step", lambda size: f"{100.0 * size.kernel_share:.0f} %"),
-        ("tick beside the step, ms", lambda size: _number(1e3 * size.beside, "{:.3f}")),
         ("rows of H, contacts with force",
          lambda size: f"{size.row_count:.0f}, {size.contact_count:.0f}"),
         ("steps timed, SuperLU timed", lambda size: f"{size.step_count}, {size.superlu_count}"),
@@ -143,50 +132,8 @@ def _shares(counted: Counter[str]) -> str:
                      for name, count in counted.most_common())
 
 
-SLOWER, MORE_CALLS = 1.1, 1.02
-"""A step that is slower by more than this than an earlier one, or makes more calls, is marked."""
-
-
-def read_earlier(path: Path) -> dict[str, tuple[float, float]]:
-    """Ratio of a whole step to one SuperLU factorization, and its calls, of an earlier run.
-
-    Args:
-        path: A ``bench.csv``.
-
-    Returns:
-        Both by the scene's name; a ratio is NaN where SuperLU was not timed.
-
-    Raises:
-        TableFileError: The file cannot be used.
-    """
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = [row for row in csv.DictReader(file) if row["stage"] == WHOLE_STEP]
-        return {row["scene"]: (float(row["ratio_to_superlu"] or "nan"), float(row["python_calls"]))
-                for row in rows}  # fmt: skip
-    except OSError as error:
-        raise TableFileError(path, error.strerror or str(error)) from error
-    except (KeyError, ValueError) as error:
-        raise TableFileError(path, f"is no bench.csv of this version: {error!r}") from error
-
-
-def _compare_with_earlier(sizes: Sequence[SizeMeasurement], earlier: dict[str, tuple[float, float]]) -> Table:
-    """Each step beside that of an earlier run, by SuperLU's time in the same run and by calls."""
-    made = table("An earlier run", "scene", "step / SuperLU", "then", "calls", "then", "")
-    for size in sizes:
-        if size.case.name in earlier:
-            ratio, calls = earlier[size.case.name]
-            # Without SuperLU the ratio is NaN, which is above nothing.
-            marks = ["slower"] * (size.ratio > SLOWER * ratio)
-            marks += ["more calls"] * (size.calls > MORE_CALLS * calls)
-            made.add_row(size.case.name, _number(size.ratio, "{:.3f}"), _number(ratio, "{:.3f}"),
-                         f"{size.calls:.0f}", f"{calls:.0f}", ", ".join(marks))
-    return made
-
-
 def bench(scenes: list[Path], steps: int, output: Path | None = None,
-          commands: Path | None = None, compare: Path | None = None,
-          threads: int | None = None) -> int:
+          commands: Path | None = None, threads: int | None = None) -> int:
     """Times the steps of scenes, and prints the results.
 
     Args:
@@ -194,7 +141,6 @@ def bench(scenes: list[Path], steps: int, output: Path | None = None,
         steps: Steps to time for each.
         output: Folder for ``bench.csv``, or None.
         commands: Commands file whose longest constant part is timed, or None for a circle.
-        compare: ``bench.csv`` of an earlier run, or None.
         threads: Most threads of a step, or None for those of the scenes.
 
     Returns:
@@ -205,7 +151,6 @@ def bench(scenes: list[Path], steps: int, output: Path | None = None,
     """
     if output is not None:
         make_folder(output)
-    earlier = read_earlier(compare) if compare is not None else {}
     cases = given_cases(scenes or [default_scene_path()], commands)
     if threads is not None:
         cases = [case._replace(scene=case.scene.changed(solver={"threads": threads}))
@@ -220,10 +165,8 @@ def bench(scenes: list[Path], steps: int, output: Path | None = None,
                 "mesh and element in the same run.")
     shown.print(describe_machine(NUMERICAL_LIBRARIES) + "\n")
     print_sizes(sizes)
-    if earlier:
-        shown.print(_compare_with_earlier(sizes, earlier))
     if output is not None:
-        write_bench(output / "bench.csv", sizes)
+        write_rows(output / "bench.csv", bench_rows(sizes))
         shown.print(f"written: {output / 'bench.csv'}")
     return 0
 

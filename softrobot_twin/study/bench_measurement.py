@@ -6,7 +6,6 @@ constant part of a commands file. Between the steps, SuperLU is timed.
 
 from __future__ import annotations
 
-import cProfile
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -18,13 +17,7 @@ from time import perf_counter, thread_time
 from typing import NamedTuple
 
 import numpy as np
-from numba.core.registry import CPUDispatcher
 
-from softrobot_twin.control.arrival import Arrival
-from softrobot_twin.control.force_observer import USUAL_NOISE, ForceObserver
-from softrobot_twin.control.loop_settings import LoopSettings
-from softrobot_twin.control.loop_timing import NANOSECONDS
-from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.errors import NamedError, SoftRobotTwinError
 from softrobot_twin.harness.machine_facts import resident_bytes
 from softrobot_twin.harness.timing import (
@@ -286,16 +279,12 @@ def _bodies(scene: Scene) -> list[tuple]:
 
 WHOLE_STEP = "whole step"
 SUPERLU = "one SuperLU factorization"
-OBSERVER = "observer, beside the step"
-CONTROL = "control, beside the step"
 OUTSIDE = "outside the stages"
 """Time outside the stages: checks of commands, copies of states, reports."""
 # SuperLU takes much longer than a step, so it runs only between some of the timed steps.
 _SUPERLU_SAMPLES = 20
 _SUPERLU_SECONDS = 20.0
 _FEWEST_SAMPLES = 3
-COUNTED_STEPS = 40
-"""Steps whose calls are counted."""
 INTERRUPTION = 1.0e-4
 """A step that waited longer than this for the processor was interrupted [s]."""
 
@@ -315,8 +304,7 @@ class SizeMeasurement:
         point_count: Sampled quadrature points of these.
         row_count: Rows of H, median.
         contact_count: Contacts with force, median.
-        stages: Time of each stage [s], of what is outside them, of the whole step, and of an observer
-            and of `control` beside it.
+        stages: Time of each stage [s], of what is outside them, and of the whole step.
         step_count: Steps timed.
         superlu: Time of one SuperLU factorization of the same matrices [s]; NaN for a reduced
             model, whose matrix is dense and small.
@@ -325,10 +313,6 @@ class SizeMeasurement:
         resident: Memory of the process before the first call of SuperLU [B].
         statuses: Number of timed steps by status.
         qp_solvers: Number of timed steps by solver of the inverse problem.
-        calls: Calls of Python functions in a step, those that are written in C too, in the mean.
-        kernel_share: Share of a step's time that kernels take, in the median.
-        beside: Time of the twin's tick beside its step, without ROS [s], in the median; NaN where no
-            targets lead.
     """
 
     case: BenchCase
@@ -349,9 +333,6 @@ class SizeMeasurement:
     resident: int | None
     statuses: Counter[str]
     qp_solvers: Counter[str]
-    calls: float
-    kernel_share: float
-    beside: float
 
     @property
     def is_reduced(self) -> bool:
@@ -390,11 +371,6 @@ def measure(case: BenchCase, steps: int) -> SizeMeasurement:
     resident, model = resident_bytes(), simulation.model
     with without_garbage_collection():
         record = _follow(simulation, commands, steps, not is_reduced(case.scene))
-        calls = _calls_in_a_step(simulation, commands)
-        kernel_share = _share_of_kernels(simulation, commands)
-        beside = _time_beside_steps(simulation, commands)
-        stages = _stages(record.steps, simulation.stages) | _observed(simulation, commands)
-        stages |= _controlled(simulation)
     factorization = without_rows(model.factorization)
     reductions = [body.reduction.reduction for body in model.bodies if body.reduction is not None]
     reports = [step.report for step in record.steps]
@@ -404,10 +380,10 @@ def measure(case: BenchCase, steps: int) -> SizeMeasurement:
         sum(len(one.sampled.cells) for one in reductions),
         spread([step.row_count for step in record.steps]).median,
         spread([report.contact_count for report in reports]).median,
-        stages, steps, spread(record.superlu), len(record.superlu),
+        _stages(record.steps, simulation.stages), steps, spread(record.superlu), len(record.superlu),
         sum(step.time - step.worked > INTERRUPTION for step in record.steps) / steps,
         resident, Counter(step.status.value for step in record.steps),
-        Counter(report.qp_solver for report in reports), calls, kernel_share, beside)
+        Counter(report.qp_solver for report in reports))
 
 
 class _TimedStep(NamedTuple):
@@ -457,100 +433,3 @@ def _follow(simulation: Simulation, commands, steps: int, with_superlu: bool) ->
         record.steps.append(_TimedStep(time, thread_time() - worked, result.report, result.status,
                                        simulation.model.rows.row_count))
     return record
-
-
-def _calls_in_a_step(simulation: Simulation, commands) -> float:
-    """Calls of Python functions in a step, which no other program changes."""
-    profile = cProfile.Profile()
-    for _ in range(COUNTED_STEPS):
-        command = next(commands)
-        with profile:
-            simulation.step(command)
-    return sum(entry.callcount for entry in profile.getstats()) / COUNTED_STEPS
-
-
-class _TimeWithin:
-    """Adds up the time that is spent within a function [s]."""
-
-    def __init__(self) -> None:
-        self.total = 0.0
-
-    def of(self, function: Callable) -> Callable:
-        """The function, whose time is added."""
-
-        def timed(*given, **options):
-            start = perf_counter()
-            try:
-                return function(*given, **options)
-            finally:
-                self.total += perf_counter() - start
-
-        return timed
-
-
-def _share_of_kernels(simulation: Simulation, commands) -> float:
-    """Share of a step's time in the kernels that Python calls; the rest is Python's own."""
-    within, shares = _TimeWithin(), []
-    CPUDispatcher.__call__ = within.of(CPUDispatcher.__call__)
-    try:
-        for _ in range(COUNTED_STEPS):
-            command, within.total = next(commands), 0.0
-            start = perf_counter()
-            simulation.step(command)
-            shares.append(within.total / (perf_counter() - start))
-    finally:
-        # What is inherited from numba's compiled base class is used again.
-        del CPUDispatcher.__call__
-    return float(np.median(shares))
-
-
-def _time_beside_steps(simulation: Simulation, commands) -> float:
-    """Time of a tick beside its step, see `SizeMeasurement.beside`."""
-    if not isinstance(next(commands), FollowTargets):
-        return float("nan")
-    loop, within = TwinLoop(simulation, LoopSettings()), _TimeWithin()
-    simulation.step = within.of(simulation.step)
-    try:
-        targets = (command.targets for command in commands)
-        times = [time - within.total for time in _tick_times(loop, targets, within)]
-    finally:
-        del simulation.step
-    return float(np.median(times))
-
-
-def _tick_times(loop: TwinLoop, targets: Iterator[np.ndarray], within: _TimeWithin) -> Iterator[float]:
-    """Times of ticks that follow targets [s]; `within` counts from the begin of each anew."""
-    for number, places in zip(range(COUNTED_STEPS), targets):
-        now = number / loop.settings.rate
-        arrival = Arrival("base_link", 0, round(NANOSECONDS * now), now)
-        for effector, place in enumerate(places):
-            loop.targets.accept_point(effector, place, arrival)
-        within.total, start = 0.0, perf_counter()
-        loop.tick(now, arrival.ros_time)
-        yield perf_counter() - start
-
-
-def _observed(simulation: Simulation, commands) -> dict[str, Spread]:
-    """Time of an observer beside a step, with markers where the model has them; nothing without one."""
-    if simulation.scene.observer is None:
-        return {}
-    observer, times = ForceObserver(simulation), []
-    for number in range(1, COUNTED_STEPS + 1):
-        simulation.step(next(commands), None, observer.found)
-        start = perf_counter()
-        observer.look()
-        model = observer.moment(simulation.marker_positions(), simulation.effector_positions())
-        observer.update(simulation.marker_positions(), model, USUAL_NOISE, number * NANOSECONDS)
-        times.append(perf_counter() - start)
-    return {OBSERVER: spread(times)}
-
-
-def _controlled(simulation: Simulation) -> dict[str, Spread]:
-    """Time in a tick of what predicts and commands motion; nothing in a scene without `control`."""
-    if simulation.scene.control is None:
-        return {}
-    loop, within = TwinLoop(simulation, LoopSettings()), _TimeWithin()
-    for method in ("measure", "command", "end"):
-        setattr(loop.dynamic, method, within.of(getattr(loop.dynamic, method)))
-    ticks = _tick_times(loop, repeat(simulation.effector_positions()), within)
-    return {CONTROL: spread([within.total for _ in ticks])}

@@ -9,7 +9,7 @@ in a picture, the drawing.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -22,7 +22,7 @@ from softrobot_twin.harness.figure import load_pyplot, write_figure
 from softrobot_twin.harness.output_file import OutputError
 from softrobot_twin.harness.terminal import by_key
 from softrobot_twin.simulation.colours import pressure_colours
-from softrobot_twin.study.triangle_drawing import LAYERS, Camera, Triangles, camera_at, draw_triangles
+from softrobot_twin.study.triangle_drawing import Camera, Solid, camera_at, draw_solids, unit_normals
 from softrobot_twin.view.draw_list import DrawList, Shown
 from softrobot_twin.view.frame import Drawn, Entity
 
@@ -128,17 +128,11 @@ def creases(points: np.ndarray, triangles: np.ndarray, angle: float) -> np.ndarr
     Returns:
         Ends of the edges [m], shape (crease_count, 2, 3).
     """
-    normals = _normals(points[triangles])
+    normals = unit_normals(points[triangles])
     _, edges, place, _ = half_edges(triangles)
     sides = normals[np.argsort(place, kind="stable").reshape(-1, 2) // 3]
     cosines = np.einsum("ei,ei->e", sides[:, 0], sides[:, 1])
     return points[edges[cosines < np.cos(angle)]]
-
-
-def _normals(triangles: np.ndarray) -> np.ndarray:
-    """Unit normals of triangles, shape (triangle_count, 3)."""
-    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
 
 
 BODY_COLOUR = np.array([0.60, 0.78, 0.84])
@@ -195,26 +189,6 @@ _LOOKS = {
     )},
 }  # fmt: skip
 """Look of each kind of entity; planes, forces and touches are drawn in ways of their own."""
-
-
-class Solid(NamedTuple):
-    """Triangles of one colour.
-
-    Attributes:
-        triangles: Corners [m], shape (triangle_count, 3, 3).
-        colour: Red, green, blue in 0..1, shape (3,).
-        look: ``mesh`` with edges and strong shading, ``clear`` the same but translucent, ``rigid``
-            without edges, ``thin`` with weak shading, seen through what lies in front of it.
-        kind: What it shows, as named in `LEGEND`; empty where the legend does not name it.
-        value: Tension of a cable [N] or gauge pressure of a cavity [kPa], by which a picture
-            colours it.
-    """
-
-    triangles: np.ndarray
-    colour: np.ndarray
-    look: str
-    kind: str = ""
-    value: float = 0.0
 
 
 class Ring(NamedTuple):
@@ -299,7 +273,7 @@ def take_snapshot(simulation: Simulation, contacts: ContactForces | None, title:
 
 def _plane(entity: Entity) -> tuple[np.ndarray, np.ndarray]:
     """A point of a plane, and its normal."""
-    return entity.points.mean(axis=0), _normals(entity.points[entity.triangles[:1]])[0]
+    return entity.points.mean(axis=0), unit_normals(entity.points[entity.triangles[:1]])[0]
 
 
 def _solids(entity: Entity, drawn: Drawn, size: float) -> Iterator[Solid]:
@@ -492,7 +466,7 @@ def figure_of(snapshots: Sequence[Snapshot], title: str, view: tuple[float, floa
         axes.set_axis_off()
         for point, normal in snapshot.planes:
             _add_plane(axes, point, normal, box, camera)
-        _add_solids(axes, solids, camera)
+        draw_solids(axes, solids, camera, 1e3)
     if alone:
         _number_axes(panels[0], box, camera, scale)
         _add_labels(panels[0], snapshots[0].labels if labelled else [], window, camera, scale)
@@ -586,48 +560,6 @@ def _colour_maps(snapshots: Sequence[Snapshot]) -> dict:
     scale = ListedColormap(pressure_colours(np.linspace(*ends, 256), ends) / 255.0)
     tensions = Normalize(0.0, max(_values(snapshots, "cable")) or 1.0)
     return {"cable": ScalarMappable(tensions, "plasma"), "cavity": ScalarMappable(Normalize(*ends), scale)}
-
-
-def _add_solids(axes, solids: list[Solid], camera: Camera) -> None:
-    """Draws all solids, lit from the viewer's upper left."""
-
-    def light(normals: np.ndarray, layer: str) -> np.ndarray:
-        share = _brightness(normals, camera)
-        return 0.6 + 0.4 * share if layer == "marks" else share
-
-    draw_triangles(axes, layers_of(solids, camera, light, 1e3))
-
-
-def layers_of(
-    solids: Sequence[Solid], camera: Camera, light: Callable[[np.ndarray, str], np.ndarray],
-    scale: float = 1.0,
-) -> dict[str, Triangles]:  # fmt: skip
-    """Solids as `draw_triangles` takes them.
-
-    Args:
-        solids: What is drawn.
-        camera: The view.
-        light: Share of light that triangles reflect, by their unit normals and their layer.
-        scale: Unit of the picture [1/m].
-    """
-    layers = {}
-    for layer in set(LAYERS.values()):
-        own = [solid for solid in solids if LAYERS[solid.look] == layer]
-        triangles = np.concatenate([np.empty((0, 3, 3)), *(solid.triangles for solid in own)])
-        counts = [len(solid.triangles) for solid in own]
-        look = np.repeat([solid.look for solid in own], counts)
-        base = np.repeat(np.array([solid.colour for solid in own]).reshape(-1, 3), counts, axis=0)
-        colours = np.clip(base * light(_normals(triangles), layer)[:, None], 0.0, 1.0)
-        layers[layer] = Triangles(camera.project(scale * triangles), colours,
-                                  np.isin(look, ("mesh", "clear")))
-    return layers
-
-
-def _brightness(normals: np.ndarray, camera: Camera) -> np.ndarray:
-    """Share of light reflected by triangles with these unit normals, shape (triangle_count,)."""
-    light = 0.75 * camera.eye - 0.45 * camera.right + 0.5 * camera.up
-    light /= np.linalg.norm(light)
-    return 0.62 + 0.42 * np.clip(normals @ light, 0.0, None) + 0.08 * normals[:, 2]
 
 
 def _square(point: np.ndarray, normal: np.ndarray, box) -> tuple[np.ndarray, list]:

@@ -7,7 +7,6 @@ import pytest
 
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.loading import read_yaml
-from softrobot_twin.scene.material_presets import MATERIAL_PRESETS, UNFITTED
 from test.places import ROOT
 
 PAGES = ROOT / "docs"
@@ -75,13 +74,6 @@ def test_the_parts_of_the_pages_fit_the_robot(shown, keys):
         scene_from_mapping(shown[1] | inside)
 
 
-def test_all_laws_of_the_package_are_in_the_table_of_the_page():
-    table = text_of("materials").split("## Laws of materials")[1].split("```")[0]
-    files = (ROOT / "softrobot_twin" / "mechanics" / "laws").glob("[a-z]*.py")
-    for name in {file.stem for file in files}:
-        assert f"| `{'linear' if name == 'small_displacement' else name}`" in table
-
-
 def test_the_beams_of_the_pages_are_valid(shown):
     (table,) = [part for part in shown if part.get("name") == "table"]
     scene = scene_from_mapping(table)
@@ -104,23 +96,6 @@ def test_the_motor_of_a_hinge_of_the_pages_fits_the_beams(shown):
     table["hinge_motors"] = read_yaml(motor)
     scene = scene_from_mapping(table)
     assert scene.hinge_motors[0].rate == 1.5 and scene.beams[0].joined[1].by == "hinge"
-
-
-def test_the_table_of_presets_is_that_of_the_package():
-    text = text_of("materials")
-    rows = dict(re.findall(r"^\| `(\w+)` \| (.*\d+) \|$", text, re.M))
-    for name, preset in MATERIAL_PRESETS.items():
-        law, constants, error, data, strain, density = rows[name].split(" | ")
-        low, high = 100.0 * preset.smallest_strain, 100.0 * preset.largest_strain
-        assert data == f"{low:.0f} to {high:.0f} %"
-        low, high = (100.0 * bound for bound in preset.strain_range)
-        assert law == preset.law and float(density) == preset.density
-        assert error == f"{100 * preset.rms_error:.1f} % ({100 * preset.largest_error:.1f} %)"
-        assert strain == f"−{-low:.0f} to {high:.0f} %"
-        pairs = re.findall(r"(c\d+) ([\d.]+)", constants)
-        given = {key: 1e3 * float(value) for key, value in pairs}
-        assert given == pytest.approx(preset.constants)
-    assert all(f"`{name}`" in text for name in UNFITTED)
 
 
 @pytest.mark.parametrize("page, place", [("index", [0.095, -0.02]), ("own_robot", [0.095, 0.03])])

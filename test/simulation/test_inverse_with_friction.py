@@ -167,9 +167,8 @@ def test_a_place_on_the_way_back_is_reached_by_a_detour(finger):
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("count", [5, pytest.param(40, marks=pytest.mark.exhaustive)])
 @pytest.mark.parametrize("breaks", [True, False])
-def test_contacts_are_broken_and_made_by_no_more_force_than_it_takes(finger, rng, breaks, count):
+def test_contacts_are_broken_and_made_by_no_more_force_than_it_takes(finger, rng, breaks):
     """Towards places that lengths lead to: off the rod from a finger that presses on it, and onto it.
 
     Off the rod about one of 130 is never left for: far away, by a cable that has to be wound in first.
@@ -177,7 +176,7 @@ def test_contacts_are_broken_and_made_by_no_more_force_than_it_takes(finger, rng
     simulation, near = finger(), []
     pull(simulation, np.array([0.012, -0.009] if breaks else [-0.006, 0.009]))
     start = simulation.state
-    while len(near) < count:
+    while len(near) < 40:
         simulation.restore(start)
         reached = pull(simulation, rng.uniform([-0.006, -0.014], [0.019, 0.015]))
         pressed, tension = reached.contacts.forces[:, 2].sum(), reached.efforts.sum()
@@ -194,18 +193,16 @@ def test_contacts_are_broken_and_made_by_no_more_force_than_it_takes(finger, rng
     if breaks:
         assert near[-2] < 1e-5
     else:
-        assert near[-1] < 1e-3 and np.mean(np.array(near) < 1e-4) >= (0.8 if count == 40 else 0.4)
+        assert near[-1] < 1e-3 and np.mean(np.array(near) < 1e-4) >= 0.8
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("detours", [False, True])
-def test_of_100_places_in_contact_nearly_all_are_reached(finger, rng, detours):
+def test_of_100_places_in_contact_nearly_all_are_reached(finger, rng):
     def ends():
-        ends = rng.uniform(0.006, 0.019, 2 if detours else 1)
-        return np.column_stack([ends, -0.8 * ends + rng.uniform(-0.002, 0.002, len(ends))])
+        end = rng.uniform(0.006, 0.019)
+        return np.array([[end, -0.8 * end + rng.uniform(-0.002, 0.002)]])
 
-    near = missed_places(finger(), ends, 100)
-    assert detours or near.max() < 1e-4
+    assert missed_places(finger(), ends, 100).max() < 1e-4
 
 
 @pytest.mark.exhaustive

@@ -39,7 +39,6 @@ MASKS = (
 )  # fmt: skip
 MASKS_OF = {"bench": (
     (r"^.*; OPENBLAS_NUM_THREADS=1.*", "# OPENBLAS_NUM_THREADS=1 #"), (r"\d+\.\d+", "#"),
-    (r"^(calls of Python in a step|page faults in one SuperLU) +\d+", r"\1 #"),
 )}  # fmt: skip
 """Patterns of what a print-out is compared without, and what stands there instead."""
 

@@ -8,8 +8,7 @@ import numpy as np
 
 from softrobot_twin.constraints.muscles import Fibres, Muscles
 from softrobot_twin.geometry.cell_mesh import node_counts_of, points_of
-from softrobot_twin.mechanics.barycentric import BarycentricMapping
-from softrobot_twin.mechanics.springs import segments
+from softrobot_twin.mechanics.springs import segments, vectors_between
 from softrobot_twin.scene.actuator_entries import Muscle
 from softrobot_twin.scene.words import count, vector, words
 from softrobot_twin.simulation.building.actuator_kinds import (
@@ -89,21 +88,8 @@ def _thread(layout: Layout, key: str, entry: Muscle, notes: list[str]) -> list[F
     first, second, lengths = segments(path, layout.nodes.rest_positions)
     if not len(lengths):
         raise layout.scene.error(f"{key}.points", entry.name, "all its points are one place")
-    nodes, coefficients = _between(first, second)
+    nodes, coefficients = vectors_between(first, second)
     return [Fibres(nodes, coefficients, lengths, np.full(len(lengths), entry.force), _law(entry))]
-
-
-def _between(first: BarycentricMapping, second: BarycentricMapping) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes and coefficients of the vectors between points, each node once."""
-    nodes = np.hstack([first.nodes, second.nodes])
-    weights = np.hstack([-first.barycentric_weights, second.barycentric_weights])
-    order = np.argsort(nodes, axis=1, kind="stable")
-    nodes, weights = (np.take_along_axis(one, order, axis=1) for one in (nodes, weights))
-    for column in range(nodes.shape[1] - 1, 0, -1):
-        same = nodes[:, column] == nodes[:, column - 1]
-        weights[same, column - 1] += weights[same, column]
-        weights[same, column] = 0.0
-    return np.where(weights == 0.0, -1, nodes), weights
 
 
 def _region(layout: Layout, key: str, entry: Muscle, notes: list[str]) -> list[Fibres]:

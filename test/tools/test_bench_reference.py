@@ -1,9 +1,9 @@
 """Steps of shipped robots against docs/bench.csv: a step does not grow unnoticed."""
 
 import pytest
+from step_overhead import MORE_CALLS, overhead_of, read_earlier
 
-from softrobot_twin.study.bench import MORE_CALLS, read_earlier
-from softrobot_twin.study.bench_measurement import given_cases, measure
+from softrobot_twin.study.bench_measurement import given_cases
 from test.places import ROOT
 
 REFERENCE = read_earlier(ROOT / "docs" / "bench.csv")
@@ -17,4 +17,4 @@ def test_a_step_makes_no_more_calls_than_in_the_reference(robot):
     held = ROOT / "config" / "commands" / "grasper_lift.csv" if robot == "grasper" else None
     case, = given_cases([ROOT / "config" / "scenes" / f"{robot}.yaml"], held)
     _, calls = REFERENCE[robot]
-    assert measure(case, 4).calls <= MARGIN * MORE_CALLS * calls
+    assert overhead_of(case).calls <= MARGIN * MORE_CALLS * calls
