@@ -1041,10 +1041,10 @@ def calibrate(
     handles = [one.parameter for one in unknowns]
     model = RestModel(scene, handles, poses)
     (used, aside), (judges, more) = _usable(model), _usable(model.of(check))
-    aside, total = aside + more, len(used) + len(judges)
+    aside, total = _Aside(aside + more, []), len(used) + len(judges)
     if total < LEAST_POSES or (check and not judges) or not used:
         raise CalibrationError("data", f"{total} poses at rest can be used, {LEAST_POSES} are "
-                               f"needed: {'; '.join(aside) or 'no more were recorded'}")
+                               f"needed: {'; '.join(aside.words) or 'no more were recorded'}")
     held = judges or used[EACH_HELD_BACK - 1 :: EACH_HELD_BACK] or used[-1:]
     own = [pose for pose in used if not any(pose is one for one in held)]
     if not keys:
@@ -1058,8 +1058,20 @@ def calibrate(
     held, off = _judged(model, fit, fitted, held, aside)
     return Calibration(
         fitted, kept, validated(model.of(held), fit.wide, fitted, reach), fit.not_told, len(fit.poses),
-        tuple(aside), scene, tuple(fit.poses), fit.found, fit.steps, reach,
+        tuple(aside.words + _rows_in_words(aside.rows)), scene, tuple(fit.poses), fit.found, fit.steps, reach,
         hysteresis(*_in_order(used, off)))  # fmt: skip
+
+
+class _Aside(NamedTuple):
+    """What was left out.
+
+    Attributes:
+        words: Sentences on poses and points.
+        rows: Poses of which all points are faulty, and how far these are off [m], shape (3,) each.
+    """
+
+    words: list[str]
+    rows: list[tuple[RestPose, np.ndarray]]
 
 
 class _Fit(NamedTuple):
@@ -1085,7 +1097,7 @@ class _Fit(NamedTuple):
 
 
 def _fitted(
-    model: RestModel, own: list[RestPose], unknowns: tuple[Unknown, ...], has_keys: bool, aside: list[str]
+    model: RestModel, own: list[RestPose], unknowns: tuple[Unknown, ...], has_keys: bool, aside: _Aside
 ) -> _Fit:
     """Fits all numbers, or those of them that lower the error of poses that are held back."""
     found, own, at = _without_faults(model, own, unknowns, aside)
@@ -1109,62 +1121,60 @@ def _fitted(
 
 
 def _without_faults(
-    model: RestModel, poses: list[RestPose], unknowns: tuple[Unknown, ...], aside: list[str]
+    model: RestModel, poses: list[RestPose], unknowns: tuple[Unknown, ...], aside: _Aside
 ) -> tuple[Estimate, list[RestPose], RestModel]:
     """The estimate by the poses without faulty points, these poses, and their model."""
     for cleaned_times in range(_FAULT_ROUNDS + 1):
         found = estimate(at := model.of(poses), at.measured, unknowns)
-        left, words = _cleaned(at, poses, found.residuals * found.scale_of(at.measured.kinds))
-        if not words or cleaned_times == _FAULT_ROUNDS:
+        left, out = _cleaned(at, poses, found.residuals * found.scale_of(at.measured.kinds))
+        if not any(out) or cleaned_times == _FAULT_ROUNDS:
             break
-        aside += words
+        aside.words.extend(out.words)
+        aside.rows.extend(out.rows)
         poses = left
     return found, poses, at
 
 
 def _cleaned(
     model: RestModel, poses: list[RestPose], off: np.ndarray, least: float = 0.0
-) -> tuple[list[RestPose], list[str]]:
+) -> tuple[list[RestPose], _Aside]:
     """Poses without their faulty points, and what was left out."""
     errors = model.point_errors(off)
     found, count = faulty(errors, least), model.marker_count
-    if not found.any():
-        return poses, []
-    kept, whole, words = [], dict[int, np.ndarray](), []
-    for index, (pose, bad, error) in enumerate(zip(poses, found, errors, strict=True)):
+    kept, out = list[RestPose](), _Aside([], [])
+    for pose, bad, error in zip(poses, found, errors, strict=True):
         if not bad.any():
             kept.append(pose)
             continue
         mean = -np.mean(error[bad], axis=0)
         if bad[np.isfinite(error[:, 0])].all():
-            whole[index] = mean
+            out.rows.append((pose, mean))
             continue
         names = ", ".join(model.simulation.effector_names[i].strip("_").replace("_", " ") for i in np.flatnonzero(bad))
-        words.append(f"{pose.origin}: {names} {_off_in_words(mean)}")
+        out.words.append(f"{pose.origin}: {names} {_off_in_words(mean)}")
         markers, effectors = pose.markers.copy(), pose.effectors.copy()
         markers[bad[:count]], effectors[bad[count:]] = np.nan, np.nan
         kept.append(pose._replace(markers=markers, effectors=effectors))
-    return kept, words + _rows_in_words(poses, whole)
+    return kept, out
 
 
-def _rows_in_words(poses: list[RestPose], off: Mapping[int, np.ndarray]) -> list[str]:
-    """Faulty rows; those that follow one another in one file are one."""
-    blocks: list[list[int]] = []
-    for index in off:
-        name, line = _line(poses[index])
-        if blocks:
-            before = _line(poses[blocks[-1][-1]])
-            is_next = line and before == (name, line - 1)
-            alike = np.linalg.norm(off[index] - off[blocks[-1][-1]]) < 0.5 * np.linalg.norm(off[index])
-            if is_next and alike:
-                blocks[-1].append(index)
+def _rows_in_words(rows: Sequence[tuple[RestPose, np.ndarray]]) -> list[str]:
+    """Faulty rows; those that follow one another in one file are one, of the fit or held back."""
+    files = list(dict.fromkeys(_line(pose)[0] for pose, _ in rows))
+    blocks: list[list[tuple[RestPose, np.ndarray]]] = []
+    for pose, off in sorted(rows, key=lambda row: (files.index(_line(row[0])[0]), _line(row[0])[1])):
+        name, line = _line(pose)
+        if blocks and line:
+            before, its_off = blocks[-1][-1]
+            if _line(before) == (name, line - 1) and np.linalg.norm(off - its_off) < 0.5 * np.linalg.norm(off):
+                blocks[-1].append((pose, off))
                 continue
-        blocks.append([index])
+        blocks.append([(pose, off)])
     words = []
     for block in blocks:
-        name, first = poses[block[0]].origin, _line(poses[block[-1]])[1]
-        lines = name if len(block) == 1 else f"{name.replace('line', 'lines')} to {first}"
-        words.append(f"{lines}: {_off_in_words(np.mean([off[index] for index in block], axis=0))}")
+        name, last = block[0][0].origin, _line(block[-1][0])[1]
+        lines = name if len(block) == 1 else f"{name.replace('line', 'lines')} to {last}"
+        words.append(f"{lines}: {_off_in_words(np.mean([off for _, off in block], axis=0))}")
     return words
 
 
@@ -1181,7 +1191,7 @@ def _off_in_words(off: np.ndarray) -> str:
 
 
 def _judged(
-    model: RestModel, fit: _Fit, fitted: Scene, held: list[RestPose], aside: list[str]
+    model: RestModel, fit: _Fit, fitted: Scene, held: list[RestPose], aside: _Aside
 ) -> tuple[list[RestPose], dict[int, tuple[np.ndarray, np.ndarray]]]:
     """The poses that judge without faulty points; and mean error and mean place of the points of all poses."""
     judge = model.of(held)
@@ -1193,8 +1203,9 @@ def _judged(
     both = [*zip(fit.poses, errors, strict=True), *zip(held, judge.point_errors(off), strict=True)]
     means = {id(pose.setpoints): (_mean(error), _mean(np.concatenate([pose.markers, pose.effectors])))
              for pose, error in both}  # fmt: skip
-    left, words = _cleaned(judge, held, off, least)
-    aside += words
+    left, out = _cleaned(judge, held, off, least)
+    aside.words.extend(out.words)
+    aside.rows.extend(out.rows)
     return left or held, means
 
 

@@ -229,7 +229,8 @@ class Hysteresis(NamedTuple):
     Attributes:
         amplitudes: Along each axis by the direction along each axis [m], zero where the data do not tell
             it, shape (3, 3).
-        before: Root mean square of the error of a pose along each axis [m], shape (3,).
+        before: Root mean square along each axis of the error of a pose that does not grow with its place [m],
+            shape (3,).
         after: The same without the hysteresis.
     """
 
@@ -241,6 +242,8 @@ class Hysteresis(NamedTuple):
 def hysteresis(off: np.ndarray, places: np.ndarray) -> Hysteresis | None:
     """Separates from noise what the direction of motion explains; None where it explains nothing.
 
+    Robots mostly came from below to what is high: errors that grow with the place are told apart.
+
     Args:
         off: Predicted less measured, mean of the points of each pose [m], in the order in which the poses
             were driven, shape (pose_count, 3).
@@ -248,15 +251,15 @@ def hysteresis(off: np.ndarray, places: np.ndarray) -> Hysteresis | None:
     """
     ways, errors = np.sign(np.diff(places, axis=0)), -off[1:]
     known = np.isfinite(ways).all(axis=1) & np.isfinite(errors).all(axis=1)
-    ways, errors = ways[known], errors[known]
+    ways, errors, at = ways[known], errors[known], places[1:][known]
     if len(ways) < _DIRECTIONS:
         return None
-    A = np.column_stack([ways, np.ones(len(ways))])
+    A = np.column_stack([ways, np.ones(len(ways)), at - at.mean(axis=0)])
     solution = np.linalg.lstsq(A, errors, rcond=None)[0]
     left = errors - A @ solution
-    scale = np.sqrt(np.diag(np.linalg.pinv(A.T @ A))[:3, None] * np.sum(left**2, axis=0) / (len(A) - 4))
+    scale = np.sqrt(np.diag(np.linalg.pinv(A.T @ A))[:3, None] * np.sum(left**2, axis=0) / (len(A) - A.shape[1]))
     told = np.where(np.abs(solution[:3]) > _TOLD * scale, solution[:3], 0.0)
     if not told.any():
         return None
-    errors = errors - errors.mean(axis=0)
-    return Hysteresis(told.T, np.sqrt(np.mean(errors**2, axis=0)), np.sqrt(np.mean(left**2, axis=0)))
+    apart = errors - A[:, 4:] @ solution[4:]
+    return Hysteresis(told.T, apart.std(axis=0), (apart - ways @ told).std(axis=0))

@@ -35,8 +35,8 @@ from softrobot_twin.reduction.training_options import (
 from softrobot_twin.shared_files import given_file
 
 EXIT_CODES = fill("exit codes: 0 done, 1 done but a row, a process or a check failed, 2 the input or "
-                  "an argument cannot be used, 3 simulate: the last row is not_converged, inverted or "
-                  "beyond a limit; convert: something has no counterpart, 130 stopped by Ctrl-C",
+                  "an argument cannot be used, 3 simulate: the last row is not_converged or "
+                  "inverted, or a row beyond a limit; convert: something has no counterpart, 130 stopped by Ctrl-C",
                   TEXT_WIDTH)
 
 

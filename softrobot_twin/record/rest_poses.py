@@ -163,10 +163,14 @@ def poses_of_table(
                 forces[:, index, axis] = np.nan_to_num(columns.pop(own, may_be_open=True))
     seen = [axes.of(RestPose(*parts, f"{name}, line {line}"), actuators.names) for line, *parts in zip(
         columns.lines, setpoints, markers, effectors, efforts, forces, strict=True)]  # fmt: skip
-    if TIME not in columns:
+    is_timed = TIME in columns
+    times = columns.times() if is_timed else np.empty(0)
+    if columns.left and not columns.is_output:
+        words += f"; not read: {', '.join(columns.left)}"
+    if not is_timed:
         return seen, f"{name}: {len(seen)} poses at rest, one of each row{words}"
     watch = RestWatch(simulation, name)
-    for time, one in zip(columns.times(), seen, strict=True):
+    for time, one in zip(times, seen, strict=True):
         watch.add(Sample(float(time), one.setpoints, one))
     watch.end()
     return list(watch.found), watch.in_words() + words

@@ -208,7 +208,10 @@ class DemoPlan:
             node: ``twin``, ``device`` or ``target``.
         """
         view = {} if self.view_port is None else {"view_port": self.view_port}
-        scene = {"scene_changes": self.scene_file.changes} if self.scene_file.changes else {}
+        # The file too: a calibrated twin has another one than its parameters name.
+        scene: dict[str, object] = {"scene_file": str(self.scene_file)}
+        if self.scene_file.changes:
+            scene["scene_changes"] = self.scene_file.changes
         # The target's other parameters belong to paths.
         of_paths = {"target_sequence": list(self.paths), "target_sequence_time": self.turn_time,
                     "target_ramp_time": self.ramp_time}  # fmt: skip

@@ -32,6 +32,8 @@ MOST_SETTLING, SETTLED = 5, 1.0e-13
 # A step that takes more linearizations is halved, down to a share of the scene's; one that takes few
 # lets the next one be twice as long.
 MOST_TAKEN, FEW_TAKEN, SHORTEST, WHOLE = 7, 5, 1.0 / 256.0, 1.0 - 1.0e-9
+# Longer steps that are tried where a branch ends, as shares of the scene's.
+SNAPPED = 2.0 ** np.arange(-7, 0)
 # A cable bears its tension if it is short of it by no more than this share.
 SHORT_OF = 1.0e-6
 # Limits of what moves on the way: none that could be met.
@@ -164,9 +166,24 @@ def _make(own, here: _Supports, stage: MountingStage, key: str, scene: Scene) ->
             length = min(longest, 2.0 * length) if count <= FEW_TAKEN else length
             continue
         own.restore(before)
-        if length <= SHORTEST * longest:
+        if length > SHORTEST * longest:
+            length *= 0.5
+        elif (past := _past_an_end(own, here, stage, share, longest)) is not None:
+            share, before = past, own.state
+        else:
             raise MountingError(scene, key, stage, share, own)
-        length *= 0.5
+
+
+def _past_an_end(own, here: _Supports, stage: MountingStage, share: float, longest: float) -> float | None:
+    """Steps past the end of a branch, where a robot snaps into another shape; None where none is found."""
+    before = own.state
+    for length in SNAPPED * longest:
+        ahead = min(share + length, 1.0)
+        own.step(here.moved(stage, ahead).command(own))
+        if own.is_balanced:
+            return ahead
+        own.restore(before)
+    return None
 
 
 def _check_tensions(own, stage: MountingStage, key: str, scene: Scene) -> None:

@@ -213,7 +213,10 @@ def run_and_report(
     if summary.failed:
         warn(f"{summary.failed} of {count} {summary.unit} found no solution and contain the last "
              f"safe state, see column status of {output}")
-    if summary.exit_code == BAD_END:
+    if summary.not_followed:
+        warn(f"{summary.not_followed} of {count} {summary.unit} are saturated: at a limit, not where they were "
+             f"commanded, see column active_limits of {output} (exit code {BAD_END})")
+    elif summary.exit_code == BAD_END:
         warn(f"the last row is {summary.last_status}: see its residual, and docs/statuses.md "
              f"(exit code {BAD_END})")  # fmt: skip
     return summary.exit_code

@@ -40,7 +40,7 @@ class RunSummary:
         sampled_range: Largest share of the range of reduced bodies.
         failed: Number of rows without a solution.
         last_status: Status of the last row.
-        is_followed: Whether the actuators are in the last row where they were commanded.
+        not_followed: Number of rows in which actuators are at a limit, and not where they were commanded.
     """
 
     def __init__(self, simulation: Simulation, hold: tuple[float, float] = (math.nan, math.nan),
@@ -65,8 +65,8 @@ class RunSummary:
         self._values: dict[str, list] = {name: [] for name in (*_OF_ROW, *_OF_RESULT, *_OF_REPORT)}
         self._limits: Counter[str] = Counter()
         self.statuses: Counter[str] = Counter()
-        self.last_status, self.is_followed = "", True
-        self.sampled_range, self.failed = 0.0, 0
+        self.last_status, self.sampled_range = "", 0.0
+        self.failed = self.not_followed = 0
 
     def add(self, row: RunRow) -> None:
         """Adds one row.
@@ -82,17 +82,17 @@ class RunSummary:
         self.sampled_range = max(self.sampled_range, report.sampled_range)
         self.last_status = row.result.status.value
         is_given = isinstance(row.command, CommandSetpoints | CommandEfforts)
-        self.is_followed = not (is_given and row.result.status is Status.SATURATED)
+        self.not_followed += is_given and row.result.status is Status.SATURATED
         self.statuses[self.last_status] += 1
         self.failed += row.result.status.is_failure
 
     @property
     def exit_code(self) -> int:
         """Exit code of the run: 1 where a row has no solution, `BAD_END` where the last row's state
-        is not in balance or inside out, or its actuators are not where they were commanded, else 0."""
+        is not in balance or inside out, or in any row actuators are not where they were commanded, else 0."""
         if self.failed:
             return 1
-        return BAD_END if self.last_status in _BAD_ENDS or not self.is_followed else 0
+        return BAD_END if self.last_status in _BAD_ENDS or self.not_followed else 0
 
     def _series(self, field: str) -> np.ndarray:
         """A field of all rows; empty where it is None."""

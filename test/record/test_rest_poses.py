@@ -96,9 +96,9 @@ def test_a_table_without_times_has_a_pose_in_each_row(simulation):
     table = {f"{name}_length_m": rest[i] - np.array([0.0, 0.01])
              for i, name in enumerate(simulation.actuator_names)}  # fmt: skip
     table |= {f"marker_4_{axis}_m": [0.1, np.nan] for axis in "xyz"}
-    table["south_tension_N"] = [1.5, 2.5]
+    table |= {"south_tension_N": [1.5, 2.5], "marker_4_x_mm": [100.0, 0.0]}
     poses, words = poses_of_table(table, simulation)
-    assert words == "table: 2 poses at rest, one of each row"
+    assert words == "table: 2 poses at rest, one of each row; not read: marker_4_x_mm"
     place = list(simulation.marker_ids).index(4)
     assert poses[0].markers[place].tolist() == [0.1] * 3 and np.isnan(poses[1].markers).all()
     assert np.isfinite(poses[0].efforts).tolist() == [name == "south" for name in simulation.actuator_names]

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -26,6 +27,7 @@ from softrobot_twin.ros.demo import (
     stop_all,
 )
 from softrobot_twin.scene import load_scene
+from softrobot_twin.shared_files import ScenePath
 from softrobot_twin.simulation.building.table_columns import position_columns, target_name
 from softrobot_twin.study.run_plot import read_series
 from test.places import ROOT
@@ -66,6 +68,12 @@ def test_changes_reach_the_twins_scene_and_who_reads_it_and_not_the_device(tmp_p
     assert 'scene_changes:=["gravity=[0,0,-1]"]' in played.command("target")
     with pytest.raises(SceneError, match="rat = 1: is not a key"):
         plan_demo("diamond", tmp_path, 5.0, view=False, changes=("cables.north.rat=1",))
+
+
+def test_a_twin_that_was_calibrated_runs_with_its_new_scene(tmp_path):
+    plan = replace(plan_demo("diamond", tmp_path, 5.0, view=False), scene_file=ScenePath(tmp_path / "new.yaml", ()))
+    told = f'scene_file:="{tmp_path / "new.yaml"}"'
+    assert [told in plan.command(node) for node in NODES] == [True, False, False]
 
 
 def test_a_scene_whose_control_predicts_is_led_by_prediction_and_then_as_if_it_stood(tmp_path):

@@ -127,6 +127,16 @@ def test_another_number_mounts_from_the_last_mounted_shape(mounted_emio):
     assert np.abs(near.state.positions - mounted_emio.mounted.positions).max() > 1e-4
 
 
+def test_a_robot_snaps_where_the_branch_of_its_mounting_ends():
+    """Three quarters of the way two servos that are turned back let the hub over."""
+    asked = {"hinge_motors[1].offset": -0.14321, "hinge_motors[2].offset": -0.07197}
+    for leg, sign in enumerate((1, 1, -1, -1)):
+        asked |= {f"beams[{leg}].points[0][{leg % 2}]": 0.01405 * sign, f"beams[{leg}].points[0][2]": -0.01608}
+    other = changed_scene(emio(), asked)
+    found, near = (Simulation(other, with_warnings=False, mounted=one) for one in (None, Simulation(emio()).mounted))
+    np.testing.assert_allclose(found.state.positions, near.state.positions, atol=1e-9)
+
+
 def test_stages_are_made_one_after_the_other():
     first, second = move((0.0, 0.0, 0.02)), move((-0.01, 0.0, 0.0), (0.0, -0.5, 0.0))
     both = Simulation(strip(first, second), with_warnings=False)

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from softrobot_twin.simulation.command import CommandSetpoints
 from softrobot_twin.simulation.result import Status
 from softrobot_twin.simulation.runs.run_columns import RunRow
 from softrobot_twin.study.run_summary import RunSummary
@@ -36,3 +37,10 @@ def test_the_exit_code_tells_rows_without_solution_and_a_last_row_that_is_not_go
     for step, status in enumerate(statuses):
         summary.add(row(step, Status(status)))
     assert summary.exit_code == code
+
+
+def test_a_row_between_that_is_not_followed_is_told_by_the_exit_code():
+    summary, command = RunSummary(SIMULATION), CommandSetpoints(np.zeros(1), 1.0)
+    for step, status in enumerate(["ok", "saturated", "ok"]):
+        summary.add(row(step, Status(status))._replace(command=command))
+    assert (summary.exit_code, summary.not_followed) == (3, 1)
