@@ -302,8 +302,7 @@ class TickingNode(Node):
         def receive(content: bytes, about: dict) -> None:
             nonlocal said
             now = time.monotonic()
-            sent = 1.0e-9 * about["source_timestamp"]
-            if not watch.hear(about["publication_sequence_number"], sent, now):
+            if not watch.hear(about["publication_sequence_number"], 1.0e-9 * about["source_timestamp"], now):
                 warn(shown, refusals.add(Refusal.TWO_PUBLISHERS))
                 if watch.is_contested(now):
                     said = said or (f"two publishers on {shown} ({publisher_names(self, shown)}): "

@@ -56,8 +56,7 @@ def build_model(
         if with_warnings:
             model.notes.extend(unit_slips(model))
             model.notes.extend(model.actuators.doubts(model))
-            model.notes.extend(scene_warnings(scene, model.nodes.size))
-            model.notes.extend(single_layers(scene, model))
+            model.notes.extend([*scene_warnings(scene, model.nodes.size), *single_layers(scene, model)])
     except SceneError as error:
         raise scene.source.error(error) from None
     model.notes[:] = scene.source.notes(model.notes)

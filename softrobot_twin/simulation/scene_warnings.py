@@ -148,9 +148,8 @@ def single_layers(scene: Scene, model: Model) -> Iterator[str]:
     Yields:
         A sentence for each body.
     """
-    contact = scene.contact
-    pairs = () if contact is None else contact.between
-    sticky = {name for one in pairs if contact.friction_of(one) for name in one.pair}
+    pairs = () if scene.contact is None else scene.contact.between
+    sticky = {name for one in pairs if scene.contact.friction_of(one) for name in one.pair}
     for body in model.bodies:
         layer = _between_held_faces(body, body.name in sticky)
         nu = max(part.poisson_ratio for part in body.materials)

@@ -387,12 +387,12 @@ _VIEW = (24.0, -58.0)
 _LONGEST_ARROW = 0.16
 _PLANE_CELLS = 8
 _PLANE_COLOUR, _PLANE_LINES = (0.955, 0.95, 0.935), (0.87, 0.86, 0.84)
-# Pixels per inch of one state alone, and of one of several.
-_SHARP_ALONE, _SHARP_BESIDE = 160, 140
+# Pixels per inch.
+_SHARPNESS = 150
 # Space for the drawing of one state alone, and of one of several [inch].
 _ALONE, _BESIDE = (6.2, 5.2), (4.2, 4.4)
-# Space around it for numbers of the axes; between states; for a colour bar [inch].
-_NUMBERS, _GAP, _COLOUR_BAR = 0.62, 0.3, 0.95
+# Space between states; for a colour bar [inch].
+_GAP, _COLOUR_BAR = 0.3, 0.95
 # A legend may be as wide as this where the picture is narrower [inch].
 _LEGEND_WIDTH = 5.0
 # Around all that is drawn; between that and title, legend and colour bars [inch].
@@ -433,8 +433,7 @@ def draw_snapshots(snapshots: Sequence[Snapshot], path: Path | str, title: str,
         MissingExtraError: matplotlib is not installed.
         OutputError: The picture cannot be written.
     """
-    sharpness = _SHARP_ALONE if len(snapshots) == 1 else _SHARP_BESIDE
-    write_figure(figure_of(snapshots, title, view, labelled), path, sharpness)
+    write_figure(figure_of(snapshots, title, view, labelled), path, _SHARPNESS)
 
 
 def figure_of(snapshots: Sequence[Snapshot], title: str, view: tuple[float, float] | None = None,
@@ -452,7 +451,7 @@ def figure_of(snapshots: Sequence[Snapshot], title: str, view: tuple[float, floa
                 for snapshot in snapshots), default=0.0)
     box = _box_around(snapshots)
     scene = [_all_solids(snapshot, maps, camera, most) for snapshot in snapshots]
-    window = _window(scene, snapshots, box, camera, alone)
+    window = _window(scene, snapshots, box, camera)
     extent = window[[1, 3]] - window[[0, 2]]
     scale = float((np.array(_ALONE if alone else _BESIDE) / extent).min())  # inches per mm
     width, height = size = scale * extent
@@ -467,12 +466,9 @@ def figure_of(snapshots: Sequence[Snapshot], title: str, view: tuple[float, floa
         for point, normal in snapshot.planes:
             _add_plane(axes, point, normal, box, camera)
         draw_solids(axes, solids, camera, 1e3)
-    if alone:
-        _number_axes(panels[0], box, camera, scale)
-        _add_labels(panels[0], snapshots[0].labels if labelled else [], window, camera, scale)
-    else:
-        _add_scale_bar(panels[0], window, camera, scale)
-    _hide_overlapping_numbers(figure)
+    _add_scale_bar(panels[0], window, camera, scale)
+    if alone and labelled:
+        _add_labels(panels[0], snapshots[0].labels, window, camera, scale)
     drawn = figure.get_tightbbox()
     for axes, snapshot in zip(panels, snapshots, strict=True):
         axes.set_title(title if alone else snapshot.title, fontsize=12, y=(drawn.y1 + _APART) / height)
@@ -523,14 +519,11 @@ def _box_around(snapshots: Sequence[Snapshot]) -> tuple[np.ndarray, np.ndarray]:
     return 1e3 * (low - 0.5 * thin), 1e3 * (high + 0.5 * thin)
 
 
-def _window(scene: list[list[Solid]], snapshots: Sequence[Snapshot], box, camera: Camera,
-            alone: bool) -> np.ndarray:
-    """Left, right, bottom and top of what is drawn [mm]: everything, and the axes' lines."""
+def _window(scene: list[list[Solid]], snapshots: Sequence[Snapshot], box, camera: Camera) -> np.ndarray:
+    """Left, right, bottom and top of what is drawn [mm]."""
     seen = [1e3 * solid.triangles.reshape(-1, 3) for solids in scene for solid in solids]
     seen += [_square(point, normal, box)[0] for snapshot in snapshots
              for point, normal in snapshot.planes]
-    if alone:
-        seen += [line for line, _ in _axis_lines(box, camera)]
     places = camera.project(np.concatenate(seen))
     low, high = places[:, :2].min(axis=0), places[:, :2].max(axis=0)
     # A margin keeps outlines whole; a flat picture has some height.
@@ -588,76 +581,7 @@ def _add_plane(axes, point: np.ndarray, normal: np.ndarray, box, camera: Camera)
                                        linewidths=0.6, zorder=1))
 
 
-def _axis_lines(box, camera: Camera) -> list[tuple[np.ndarray, int]]:
-    """Edges of the box [mm] that carry the numbers of x, y and z, each with its axis.
-
-    Those of x and y are the lower ones towards the viewer, that of z is at the right.
-    """
-    low, high = box
-    near = np.where(camera.eye >= 0.0, high, low)
-    lines = []
-    for axis in (0, 1):
-        ends = np.array([near, near])
-        ends[:, 2] = low[2] if camera.eye[2] >= 0.0 else high[2]
-        ends[:, axis] = low[axis], high[axis]
-        lines.append((ends, axis))
-    corners = np.array([[x, y, low[2]] for x in (low[0], high[0]) for y in (low[1], high[1])])
-    right = corners[np.argmax(corners @ camera.right)]
-    lines.append((np.array([right, [*right[:2], high[2]]]), 2))
-    return lines
-
-
-_LINE, _NUMBER = "#999999", "#555555"
-
-
-def _number_axes(axes, box, camera: Camera, scale: float) -> None:
-    """Axes in millimetres along three edges of the box; one that is seen end-on is left out."""
-    from matplotlib.ticker import MaxNLocator
-    inch = 1.0 / scale
-    middle = camera.project(0.5 * (box[0] + box[1]))[:2]
-    for ends, axis in _axis_lines(box, camera):
-        start, end = camera.project(ends)[:, :2]
-        length = np.linalg.norm(end - start)
-        if length < 0.35 * inch:
-            continue
-        along = (end - start) / length
-        outward = np.array([along[1], -along[0]])
-        if outward @ (0.5 * (start + end) - middle) < 0.0:
-            outward = -outward
-        axes.plot(*np.array([start, end]).T, color=_LINE, linewidth=0.9, clip_on=False, zorder=1)
-        low, high = ends[0, axis], ends[1, axis]
-        for value in MaxNLocator(int(np.clip(length / (0.55 * inch), 1, 6))).tick_values(low, high):
-            if not low <= value <= high:
-                continue
-            place = start + (value - low) / (high - low) * (end - start)
-            axes.plot(*np.array([place, place + 0.05 * inch * outward]).T, color=_LINE,
-                      linewidth=0.9, clip_on=False, zorder=1)
-            level = abs(outward[0]) > 0.9
-            axes.text(*(place + (0.09 if level else 0.17) * inch * outward),
-                      f"{value:g}".replace("-", "−"), va="center", fontsize=8, color=_NUMBER,
-                      ha=("left" if outward[0] > 0.0 else "right") if level else "center",
-                      gid="number")
-        # Above its axis z is not crossed by the lines of labels.
-        named = 0.5 * (start + end) + 0.46 * inch * outward
-        if axis == 2:
-            named = end + [0.0, 0.12 * inch]
-        axes.text(*named, f"{'xyz'[axis]} [mm]", ha="center", va="center", fontsize=9, color=_NUMBER)
-
-
-def _hide_overlapping_numbers(figure) -> None:
-    """Hides numbers of axes that overlap another text."""
-    texts = [text for axes in figure.axes for text in axes.texts]
-    kept = [text.get_window_extent() for text in texts if text.get_gid() != "number"]
-    for text in texts:
-        if text.get_gid() == "number":
-            extent = text.get_window_extent()
-            if any(extent.overlaps(other) for other in kept):
-                text.set_visible(False)
-            else:
-                kept.append(extent)
-
-
-# Between two labels, and between the numbers of an axis and the labels [inch].
+# Between two labels, and between the drawing and the labels [inch].
 _LABEL_STEP, _LABEL_GAP = 0.19, 0.08
 
 
@@ -671,7 +595,7 @@ def _add_labels(axes, names: Sequence[Label], window: np.ndarray, camera: Camera
     half = len(placed) // 2
     for side, sign, own in ((left, -1.0, placed[:half]), (right, 1.0, placed[half:])):
         own.sort(key=lambda one: one[1][1])
-        x = side + sign * (_NUMBERS + _LABEL_GAP) * inch
+        x = side + sign * _LABEL_GAP * inch
         heights = spread([place[1] for _, place in own], _LABEL_STEP * inch)
         for (text, place), y in zip(own, heights, strict=True):
             axes.text(x, y, text, fontsize=9, color="#222222", va="center",
@@ -708,19 +632,19 @@ def _add_scale_bar(axes, window: np.ndarray, camera: Camera, scale: float) -> No
     longest = 0.45 * (right - left)
     length = 10.0 ** np.floor(np.log10(longest))
     length *= next(factor for factor in (5.0, 2.0, 1.0) if factor * length <= longest)
-    middle, y = 0.5 * (left + right), bottom - 0.16 * inch
+    middle, y = 0.5 * (left + right), bottom - 0.36 * inch
     axes.plot(middle + np.array([-0.5, 0.5]) * length, [y, y], color="#444444", linewidth=2.0,
               solid_capstyle="butt", clip_on=False)
     axes.text(middle, y - 0.06 * inch, f"{length:g} mm", ha="center", va="top", fontsize=9, color="#444444")
     # Left of the bar and its text.
-    origin = np.array([middle - max(0.5 * length, 0.3 * inch) - 0.5 * inch, bottom - 0.22 * inch])
+    origin = np.array([middle - max(0.5 * length, 0.3 * inch) - 0.5 * inch, bottom - 0.42 * inch])
     for name, arm, colour in zip("xyz", np.eye(3), AXIS_COLOURS, strict=True):
         to = camera.project(arm)[:2]
         if np.linalg.norm(to) >= 0.15:
             tip = origin + 0.2 * inch * to
             axes.plot(*np.array([origin, tip]).T, color=colour, linewidth=1.3, clip_on=False)
             axes.text(*(tip + 0.09 * inch * to / np.linalg.norm(to)), name, ha="center",
-                      va="center", fontsize=7, color=colour, gid="number")
+                      va="center", fontsize=7, color=colour)
 
 
 def _add_legend(axes, kinds: set[str], most: float, wide: float, place: np.ndarray) -> None:

@@ -164,7 +164,6 @@ def test_derivatives_by_the_zero_of_a_hinge_are_those_of_differences():
     assert_derivatives(scene, [pose], ("hinge_motors.*.offset",))
 
 
-@pytest.mark.exhaustive
 def test_derivatives_by_an_arc_and_by_what_servos_yield_are_those_of_differences():
     scene = load_scene(SCENES / "emio.yaml")
     arcs = [{"at": "end", "radius": 0.0225, "angle": 0.35, "towards": [0, 0, 1]}]
@@ -256,7 +255,6 @@ def test_intervals_of_95_percent_hold_the_truth_in_95_of_100_noisy_sets(bar, ran
     assert np.mean(inside, axis=0).min() > 0.85
 
 
-@pytest.mark.exhaustive
 def test_without_keys_the_usual_numbers_are_fitted_as_far_as_the_data_tell(bar, random):
     truth = true_scene(changed_scene(bar, {"cables[2].points": [[0.043, -0.009, -0.006]]}))
     start = changed_scene(bar, {"cables[2].points": [[0.043, -0.009, -0.006]], "marker_frame": truth.marker_frame})
@@ -343,7 +341,6 @@ def test_what_a_suggestion_promises_comes_true(bar, random):
     assert best.deviations[own] / 3.0 < got < 3.0 * best.deviations[own]
 
 
-@pytest.mark.exhaustive
 def test_a_number_that_was_measured_otherwise_tells_those_beside_it(bar, random):
     stiff = changed_scene(bar, {f"cables[{i}].axial_stiffness": None for i in range(3)})
     truth = changed_scene(stiff, {E: 2.6e5, DENSITY: 1100.0})

@@ -30,7 +30,6 @@ def finger():
     return st.load(FINGER, {"solver.residual_tolerance": 1.0e-11, "solver.newton_iterations": 20})
 
 
-@pytest.mark.exhaustive
 def test_derivatives_of_poses_are_differences_of_poses_that_are_settled_again(finger, drawn_rng):
     model = finger.design_model(VARIABLES, [*commands(), st.setpoints(flexor_length_m=0.085),
                                             st.efforts(flexor_tension_N=2.0), st.hold()])

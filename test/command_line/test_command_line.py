@@ -100,21 +100,25 @@ def test_an_invalid_scene_gives_one_line_and_exit_code_two(tmp_path, capsys, com
     assert [path.name for path in tmp_path.iterdir()] == ["scene.yaml"] * (content is not None)
 
 
-def test_one_blas_thread_is_chosen_before_numpy_is_imported():
+def printed_by(code: str) -> set[str]:
+    """Words that code prints where the environment chooses no number of threads."""
     environment = {key: value for key, value in os.environ.items() if key != "OPENBLAS_NUM_THREADS"}
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=environment,
+                          capture_output=True, text=True, check=True)
+    return set(done.stdout.split())
+
+
+def test_one_blas_thread_is_chosen_before_numpy_is_imported():
     code = ("import sys, os\n"
             "class Watch:\n"
             "    def find_spec(self, name, path=None, target=None):\n"
             "        if name == 'numpy': print(os.environ.get('OPENBLAS_NUM_THREADS'))\n"
             "sys.meta_path.insert(0, Watch())\n"
             "import softrobot_twin.mechanics.gravity")
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=environment,
-                          capture_output=True, text=True, check=True)
-    assert set(done.stdout.split()) == {"1"}  # Whether it is there is asked before, too.
+    assert printed_by(code) == {"1"}  # Whether it is there is asked before, too.
 
 
 def test_products_take_one_thread_also_where_numpy_was_imported_before_the_package():
-    environment = {key: value for key, value in os.environ.items() if key != "OPENBLAS_NUM_THREADS"}
     code = ("import ctypes, numpy, scipy.linalg, softrobot_twin\n"
             "lines = open('/proc/self/maps').read().splitlines()\n"
             "for path in {line.split()[-1] for line in lines if 'openblas' in line}:\n"
@@ -123,6 +127,4 @@ def test_products_take_one_thread_also_where_numpy_was_imported_before_the_packa
             "        for end in ('64_', ''):\n"
             "            name = kind + 'openblas_get_num_threads' + end\n"
             "            if hasattr(library, name): print(getattr(library, name)())\n")
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=environment,
-                          capture_output=True, text=True, check=True)
-    assert set(done.stdout.split()) == {"1"}
+    assert printed_by(code) == {"1"}

@@ -262,7 +262,6 @@ def test_the_misfit_of_the_executed_command_keeps_a_wrong_model_on_its_circle(ot
     assert misfit.max() < integrated < opened
 
 
-@pytest.mark.exhaustive
 @pytest.mark.sampled
 @pytest.mark.parametrize("delay", [1, 5, 11])
 def test_a_late_robot_does_not_overshoot_and_its_cables_rest(other_meshes, delay):

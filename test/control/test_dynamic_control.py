@@ -431,7 +431,6 @@ def led_along(twin, robot, path, ticks):
     return np.array(apart), np.array(sent), whys
 
 
-@pytest.mark.exhaustive
 def test_lengths_lead_a_finger_whose_cables_stay_taut():
     statics = built(moves=False)
     stand(statics, np.array([5.0, 4.0]))

@@ -43,7 +43,6 @@ def test_without_a_command_time_advances_and_the_cube_stays_on_the_floor(drive_g
     assert outcome.result.contacts.forces[:, 2].sum() == pytest.approx(0.2943, rel=1e-3)
 
 
-@pytest.mark.exhaustive
 def test_a_motor_closes_the_fingers_and_a_pose_lifts_the_cube(drive_grasper):
     driver = drive_grasper()
     window = DiagnosticsWindow()

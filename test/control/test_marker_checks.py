@@ -270,7 +270,6 @@ def test_one_bad_frame_moves_the_tip_only_slightly(drive, seed):
         assert closed.tick(30) < 2e-5
 
 
-@pytest.mark.exhaustive
 def test_a_permanently_wrong_marker_does_not_move_the_tip_and_is_named(drive, simulation):
     closed = ClosedLoop(drive(**CLOSED))
     closed.tick(250)

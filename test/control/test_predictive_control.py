@@ -222,7 +222,6 @@ def test_the_margin_is_where_the_loop_begins_to_swing():
     assert f"{margin.softest:.2f} to {margin.stiffest:.2f} times the stiffness" in margin.in_words()
 
 
-@pytest.mark.exhaustive
 def test_a_model_whose_second_mode_allows_less_is_controlled_more_calmly():
     model = swing(modes=2)
     assert not stability_margin(PredictiveControl(model, PERIOD, AT, free(1))).is_enough

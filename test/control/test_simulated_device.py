@@ -231,7 +231,6 @@ def test_a_syringe_moves_as_fast_as_its_limit_of_flow(quick_air):
     assert setpoints[-1, SYRINGE] == pytest.approx(2.3e-6, rel=1e-9)
 
 
-@pytest.mark.exhaustive
 def test_sensors_of_pressure_are_noisy_and_repeat_for_a_seed(quick_air):
     def readings(noise, seed):
         quick_air.reset()

@@ -10,8 +10,6 @@ from test.places import ROOT
 
 ROWS = [line for line in (ROOT / "docs" / "hard_cases.md").read_text().splitlines()
         if re.match(r"\d+\. ", line)]  # fmt: skip
-# Cases that later versions are to master; the page says so.
-NOT_BUILT: set[int] = set()
 
 
 def number(row: str) -> int:
@@ -33,6 +31,4 @@ def test_the_page_has_each_case_once():
 def test_each_named_test_exists(row):
     named = re.findall(r"`(\w+/[\w/]+\.py)::(test_\w+)`", row)
     assert row.count("::") == len(named)
-    assert [test for file, test in named if test not in functions_of(file)] == []
-    assert bool(named) is (number(row) not in NOT_BUILT)
-    assert row.endswith("none: not built yet") is (number(row) in NOT_BUILT)
+    assert named and [test for file, test in named if test not in functions_of(file)] == []

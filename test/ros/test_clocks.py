@@ -90,7 +90,6 @@ def test_ticks_are_counted_on_simulated_time(world, make_twin, simulated_time):
     assert 10 < twin.tick_clock.ticks - before <= 52
 
 
-@pytest.mark.exhaustive
 def test_simulated_time_that_jumps_back_continues_within_a_second(world, make_twin, simulated_time):
     twin = make_twin(use_sim_time=True, rate=50.0)
     targets = world.speaker(PointStamped, "/twin/target/tip")

@@ -178,7 +178,6 @@ def test_a_new_rate_is_kept_from_the_next_tick_on(world, make_twin, set_paramete
     world.until(lambda: twin.tick_clock.ticks > before + 30, timeout=20.0)
 
 
-@pytest.mark.exhaustive
 def test_a_rate_that_is_changed_again_and_again_does_not_stop_the_ticks(world, make_twin, set_parameter):
     """A timer that restarts at every change never fires when changes are more frequent than
     ticks.

@@ -83,7 +83,6 @@ def test_pressure_control_stops_at_the_limit_point_and_says_so(balloon):
     assert result.status is Status.OK and result.displacements[0] < whole
 
 
-@pytest.mark.exhaustive
 def test_a_pressure_near_the_limit_is_told_while_steps_still_converge(balloon):
     """C = dV/dp is five times that at rest at 0.73 of the greatest pressure."""
     simulation, told, volumes = balloon(pressure=[0.0, 0.7 * SHEAR]), {}, []

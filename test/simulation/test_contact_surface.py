@@ -133,7 +133,6 @@ def test_a_contact_surface_slides_with_friction_as_the_mesh_boundary(tmp_path, c
     assert ways[0] > 0.01
 
 
-@pytest.mark.exhaustive
 def test_two_bodies_touch_with_their_contact_surfaces(tmp_path, cube, write_block):
     """A cap below the body touches a block, which its own flat sole would not reach."""
     points, triangles, bulge = cap(0.1, 24)

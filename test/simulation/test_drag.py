@@ -54,7 +54,6 @@ def led(simulation, x, friction, steps=30):
     return np.array(on_the_way), (result.state.positions - rest)[inner], unsolved
 
 
-@pytest.mark.exhaustive
 @pytest.mark.sampled
 @pytest.mark.parametrize("friction", [0.0, 0.5, 10.0])
 def test_the_cone_holds_in_both_directions(pad, friction):

@@ -333,11 +333,9 @@ def test_the_force_is_right_or_hexahedra_are_told_to_be_too_coarse(size, cells):
         assert error > 0.03 or not is_told
 
 
-@pytest.mark.parametrize("cells, poisson_ratio, is_told", [
-    ([4, 4, 1], 0.475, True), ([2, 2, 1], 0.475, True), ([4, 4, 2], 0.475, False), ([4, 4, 1], 0.1, False),
-])  # fmt: skip
-def test_one_layer_whose_sides_cannot_bulge_is_warned_of(cells, poisson_ratio, is_told):
-    robot = bonded_block(FLAT, cells, poisson_ratio=poisson_ratio)
+@pytest.mark.parametrize("layers, nu, is_told", [(1, 0.475, True), (2, 0.475, False), (1, 0.1, False)])
+def test_one_layer_whose_sides_cannot_bulge_is_warned_of(layers, nu, is_told):
+    robot = bonded_block(FLAT, [4, 4, layers], poisson_ratio=nu)
     assert any("sides cannot bulge" in note for note in robot.simulation.notes) == is_told
 
 

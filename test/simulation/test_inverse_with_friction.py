@@ -312,7 +312,6 @@ FRICTIONS = [(MU, None), (10.0, None), (0.0, RUBBING), (MU, RUBBING)]
 
 @pytest.mark.parametrize("ticks, friction, change", [
     *((150, *case) for case in FRICTIONS),
-    *(pytest.param(2000, *case, marks=pytest.mark.exhaustive) for case in FRICTIONS[:3]),
     pytest.param(10_000, *FRICTIONS[3], marks=[pytest.mark.exhaustive, pytest.mark.timeout(900)]),
 ])  # fmt: skip
 def test_no_tick_leaves_rates_lengths_tensions_and_the_cone(finger, rng, ticks, friction, change):
@@ -428,7 +427,6 @@ def lag(robot, leader, lengths):
     return np.array(errors)
 
 
-@pytest.mark.exhaustive
 @pytest.mark.sampled
 @pytest.mark.parametrize("iterations", [1, 3])
 def test_moving_targets_are_followed_also_where_all_contacts_stick(finger, iterations):

@@ -209,7 +209,6 @@ def test_what_does_not_fit_is_refused_by_name(bellows, sensor, words):
         bellows([sensor])
 
 
-@pytest.mark.exhaustive
 def test_the_error_of_the_mesh_is_told_beside_them(bellows):
     tip = {"name": "tip", "points": [[0.01, 0.003, 0.055]]}
     wrapped = {"name": "drum", "cylinder": {"ends": [[0.05, -0.1, 0.02], [0.05, 0.1, 0.02]], "radius": 0.004}}

@@ -25,7 +25,6 @@ def told(simulation) -> list[float]:
     return [float(one[1]) for one in found if one]
 
 
-@pytest.mark.exhaustive
 def test_elements_that_do_not_lock_tell_that_the_diamond_buckles_and_linear_ones_hide_it(
     monkeypatch,
 ):

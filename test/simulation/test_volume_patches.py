@@ -44,7 +44,6 @@ def test_a_body_without_much_bulk_modulus_needs_no_patches(bar):
     assert not any(isinstance(term, PatchVolumes) for term in terms)
 
 
-@pytest.mark.exhaustive
 def test_incompressible_rubber_sags_as_a_nearly_incompressible_one(bar):
     patches = {"volume": "patches"}
     reference = sag(bar(0.49, "quadratic", body=patches))

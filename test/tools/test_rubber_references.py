@@ -259,7 +259,6 @@ def test_a_cylinder_is_twisted_at_fixed_length(kind, count, layers, share):
 ELASTICA = {1: (0.30172, 0.05643), 2: (0.49346, 0.16064), 5: (0.71379, 0.38763), 10: (0.81061, 0.55500)}
 
 
-@pytest.mark.exhaustive
 @pytest.mark.parametrize("kind, count, share", [("smoothed", 4, 0.01), ("quadratic", 2, 0.02)])
 def test_a_cantilever_under_a_tip_load_is_the_elastica(kind, count, share):
     """PL²/EI against deflection and approach of the tip, both by the length; ν = 0."""

@@ -42,7 +42,6 @@ def missed(robot, result):
     return np.linalg.norm(compare_inverse.missed_targets(robot, result))
 
 
-@pytest.mark.exhaustive
 def test_a_robot_goes_to_a_nearer_pose_and_rests_there(limited):
     twin, asked = limited()
     before = until(twin, asked, lambda report: report.is_exploring)

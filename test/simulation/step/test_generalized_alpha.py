@@ -261,7 +261,6 @@ def test_a_bar_released_under_its_weight_swings_as_far_with_long_steps_as_with_s
     assert found["euler", 0.01] > exact + 5.0
 
 
-@pytest.mark.exhaustive
 @pytest.mark.sampled
 @pytest.mark.parametrize("damping", [{}, {"stiffness": 0.002}, {"mass": 4.0}])
 def test_a_beam_converges_at_the_second_order(simulate, damping):

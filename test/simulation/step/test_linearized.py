@@ -149,7 +149,6 @@ def test_forces_are_solved_to_a_millionth_of_the_largest(rubbing):
         assert result.report.contact_force_residual <= 1.01e-6 * max(largest, 1e-12)
 
 
-@pytest.mark.exhaustive
 def test_the_same_steps_give_the_same_bits(rubbing):
     first, again = Simulation(rubbing), Simulation(rubbing)
     rub(first, 0, STEPS)
