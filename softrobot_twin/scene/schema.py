@@ -412,7 +412,7 @@ class Solver(Entry):
     newton_iterations: Annotated[int, Field(ge=1, le=100)] = 1
     """Most linearizations in a step."""
     residual_tolerance: Annotated[float, unit("N", gt=0.0)] = 1.0e-4
-    """Residual force of a node in balance; in statics at most 1 % of all loads, too."""
+    """Residual force of a node at which Newton's method stops."""
     reach_tolerance: Annotated[float, unit("m", gt=0.0)] = 1.0e-4
     """Distance within which a target counts as reached."""
     exploration: bool = False
