@@ -47,7 +47,7 @@ from softrobot_twin.simulation.step.step_part import (
     parts_by_method,
     those_with,
 )
-from softrobot_twin.simulation.step.step_report import BALANCED, NEAR_BALANCE, ROUND_OFF, Balance, Outcome, StepResults
+from softrobot_twin.simulation.step.step_report import NEAR_BALANCE, Balance, Outcome, StepResults
 from softrobot_twin.simulation.step.situation import NO_LOADS
 from softrobot_twin.simulation.step.time_budget import StageClock, TimeBudget
 from softrobot_twin.simulation.step.time_integration import Dynamics, GeneralizedAlpha, Statics
@@ -670,7 +670,7 @@ class Simulation(Readouts):
             asks_again: Whether a prescribed move asks for one more linearization.
         """
         solver = self.model.scene.solver
-        if done.share == 1.0 and self._is_balanced(done) and not asks_again:
+        if done.share == 1.0 and done.residual <= solver.residual_tolerance and not asks_again:
             return True
         most = max(solver.newton_iterations, MOST_SHARES if asks_again else 1)
         if self.model.is_dynamic and self.newton.asks_for_more_moves(done.share):
@@ -683,26 +683,18 @@ class Simulation(Readouts):
         Near is where the scene or the deadline stopped the linearizations before they could converge,
         and the residual is small beside the forces at rest, and of actuators, contacts and parts.
         """
-        if done.share != 1.0 or not done.actuation.is_exact:
+        solver, weight = self.model.scene.solver, self.newton.balance.constant_load
+        actuation = done.actuation
+        if done.share != 1.0 or not actuation.is_exact:
             return Balance.MISSED
-        if self._is_balanced(done):
+        if done.residual <= solver.residual_tolerance:
             return Balance.REACHED
-        if budget is None and self.model.scene.solver.newton_iterations != 1:
+        if budget is None and solver.newton_iterations != 1:
             return Balance.MISSED
-        return Balance.NEAR if self._is_small(done, NEAR_BALANCE) else Balance.MISSED
-
-    def _is_balanced(self, done: Correction) -> bool:
-        """Whether the residual is within its tolerance, and small beside the loads of a small or soft robot."""
-        tolerance = self.model.scene.solver.residual_tolerance
-        return done.residual <= tolerance and (
-            done.residual <= ROUND_OFF * tolerance or self.model.is_dynamic or self._is_small(done, BALANCED))
-
-    def _is_small(self, done: Correction, share: float) -> bool:
-        """Whether the residual is at most a share of the weight, or of all loads."""
-        load, actuation = self.newton.balance.constant_load, done.actuation
-        if done.residual > share * load:
-            load += self.actuators.load(actuation.efforts) + actuation.contact.load + self._load_of_parts()
-        return done.residual <= share * load
+        if done.residual > NEAR_BALANCE * weight:
+            load = self.actuators.load(actuation.efforts) + actuation.contact.load
+            weight += load + self._load_of_parts()
+        return Balance.NEAR if done.residual <= NEAR_BALANCE * weight else Balance.MISSED
 
     def _move(
         self, positions: np.ndarray, actuation: Actuation, clock: StageClock,

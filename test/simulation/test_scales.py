@@ -13,7 +13,6 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
-import softrobot_twin as st
 from test.places import SCENES
 from test.shapes import Cylinder
 from softrobot_twin.scene import scene_from_mapping
@@ -232,22 +231,3 @@ def test_a_similar_robot_gives_a_similar_result(
         touched += contacts
     if robot != "diamond":
         assert touched > 0
-
-
-@pytest.mark.parametrize("size, modulus", [(0.01, 1.0), (1.0, 1e-4), (0.01, 0.01)])
-def test_a_small_or_soft_robot_is_in_balance_no_sooner_than_another(size, modulus):
-    """With the usual tolerance of 0.1 mN, which is more than what loads it."""
-
-    def statuses(s, e):
-        robot = st.build(
-            name="block", gravity=[0, 0, 0],
-            body={"name": "block", "mesh": {"box": {"size": [0.02 * s, 0.02 * s, 0.06 * s], "cells": [2, 2, 4]}},
-                  "material": {"young_modulus": 2e5 * e, "poisson_ratio": 0.45, "density": 1000.0},
-                  "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, 1e-6 * s]}}]},
-            cables=[{"name": "rope", "pull_point": [0.1 * s, 0.01 * s, 0.0], "points": [[0.02 * s, 0.01 * s, 0.05 * s]],
-                     "shortening": [0.0, 0.05 * s], "tension": [0.0, 20.0 * e * s * s]}],
-            effectors=[{"name": "tip", "points": [[0.01 * s, 0.01 * s, 0.06 * s]]}],
-        )  # fmt: skip
-        return [robot.step(st.setpoints(rope_shortening_m=0.025 * s)).status for _ in range(6)]
-
-    assert statuses(size, modulus) == statuses(1.0, 1.0)

@@ -31,9 +31,6 @@ from softrobot_twin.simulation.step.time_budget import StageClock
 # What one linearization may leave out of balance on a node, as a share of all loads together: at
 # full speed it leaves a seventh.
 NEAR_BALANCE = 0.25
-# In balance it leaves at most this share of all loads, as `residual_tolerance` is large beside those of a
-# small or soft robot. Below the other share of that tolerance it is round-off, also where nothing loads.
-BALANCED, ROUND_OFF = 0.01, 1.0e-3
 # Named where a step is not in balance after all linearizations that the scene allows.
 ITERATIONS = "solver.newton_iterations"
 # What a pair with friction does, told where targets are missed.
