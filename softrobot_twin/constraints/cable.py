@@ -266,6 +266,7 @@ class Cables(SegmentTerm):
     """
 
     name = "cables"
+    is_traceable = True
 
     def __init__(
         self, paths: tuple[CablePath, ...], free_index: np.ndarray, rest_positions: np.ndarray,

@@ -132,6 +132,7 @@ class Muscles(SegmentTerm):
     """Constraint term of all muscles of a scene."""
 
     name = "muscles"
+    is_traceable = True
 
     def __init__(
         self, muscles: Sequence[Sequence[Fibres]], free_index: np.ndarray,

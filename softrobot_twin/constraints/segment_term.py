@@ -24,7 +24,6 @@ class SegmentTerm(ConstraintTerm):
     """
 
     group = "actuators"
-    is_traceable = True
     # Part of the stiffness as dense rows, where segments couple many nodes.
     _spread: SpreadStiffness | None = None
 
