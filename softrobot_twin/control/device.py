@@ -26,7 +26,6 @@ OUTSIDE_SHARE_OF_REST = 0.01
 OUTSIDE_SCALES = 1.0e6
 """An actuator without a limit is measured this many of its scales from where it is at rest at most."""
 
-
 _OF_ALL = ""
 """Key of the message that measures all actuators, beside the names of cavities."""
 

@@ -16,8 +16,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from softrobot_twin.geometry.hexahedral_mesh import HEXAHEDRON_FACES, OPPOSITE_FACES
-from softrobot_twin.geometry.surface import single_rows
+from softrobot_twin.geometry.hexahedral_mesh import HEXAHEDRON_FACES, OPPOSITE_FACES, HexahedralMesh
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.entry import values_below
 from softrobot_twin.simulation.building.actuators import Actuators
@@ -150,7 +149,7 @@ def single_layers(scene: Scene, model: Model) -> Iterator[str]:
     """
     pairs = () if scene.contact is None else scene.contact.between
     sticky = {name for one in pairs if scene.contact.friction_of(one) for name in one.pair}
-    for body in model.bodies:
+    for body in (one for one in model.bodies if isinstance(one.mesh.corner_mesh, HexahedralMesh)):
         layer = _between_held_faces(body, body.name in sticky)
         nu = max(part.poisson_ratio for part in body.materials)
         if len(layer) and 1.0 - nu > CONFINED * (1.0 + nu) * (1.0 - 2.0 * nu):
@@ -162,17 +161,20 @@ def _between_held_faces(body, sticks: bool) -> np.ndarray:
     """Which hexahedra have a free side between two faces that different things hold.
 
     Args:
-        body: The body.
+        body: A body with hexahedra.
         sticks: Whether its surface may stick to another body.
     """
-    faces = getattr(body.mesh.corner_mesh, "hexahedra", np.zeros((0, 8), int))[:, HEXAHEDRON_FACES]
+    mesh = body.mesh.corner_mesh
+    faces, cells = mesh.hexahedra[:, HEXAHEDRON_FACES], mesh.cells_of_surface - len(mesh.tets)
     holders = body.fixed.astype(int)
     for index, nodes in enumerate(body.riding.values()):
         holders[nodes] = 2 + index
     holder = holders[faces]
     holder = np.where((holder == holder[..., :1]).all(axis=2), holder[..., 0], 0)
     is_outer = np.zeros(holder.shape, bool)
-    is_outer.ravel()[single_rows(faces.reshape(-1, 4))] = True
+    cells, corners = cells[cells >= 0], mesh.surface_triangles[cells >= 0]
+    triangle, face = np.nonzero((faces[cells][..., None] == corners[:, None, None]).any(axis=2).all(axis=2))
+    is_outer[cells[triangle], face] = True
     held = np.where((holder == 0) & is_outer & sticks, -1, holder)
     is_layer = np.zeros(len(faces), bool)
     for one, other in OPPOSITE_FACES:

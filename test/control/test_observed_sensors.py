@@ -83,23 +83,19 @@ def test_what_sensors_show_of_a_force_is_the_slope_of_their_values(small_scene_m
     compliance = MarkerCompliance(twin)
     by_loads, _, lag = compliance.at_state(np.zeros(1, int))
     assert np.abs(lag).max() < 1e-8
-    rows, lengths = 3 * np.arange(3, 6), twin.model.sensors.lengths
-    before, state, size = twin.sensor_readings(), twin.state, 1e-3
-    for axis in range(3):
-        twin.restore(state)
-        hold(twin, setpoints, 40, force_of(size * np.eye(3)[axis]))
-        slopes = (twin.sensor_readings() - before) / size
-        assert slopes == pytest.approx(by_loads[rows, axis] / lengths, abs=4e-3 * np.abs(slopes).max())
-    effector = twin.effector_positions()
+    rows, lengths, state, size = 3 * np.arange(3, 6), twin.model.sensors.lengths, twin.state, 1e-3
     assert by_loads.shape == (3 * (3 + 3 + 1), 3)
-    # Held at its end, a cable lengthens by no force, and the effector that no marker shows comes last.
-    moved = (effector - _at(twin, state)).ravel() / size
-    assert moved == pytest.approx(by_loads[-3:, 2], abs=4e-3 * np.abs(by_loads[-3:]).max())
-
-
-def _at(twin, state):
-    twin.restore(state)
-    return twin.effector_positions()
+    for axis in range(3):
+        seen = []
+        for force in (size, -size):
+            twin.restore(state)
+            hold(twin, setpoints, 40, force_of(force * np.eye(3)[axis]))
+            seen.append((twin.sensor_readings(), twin.effector_positions().ravel()))
+        (more, ahead), (less, behind) = seen
+        slopes, moved = (more - less) / (2.0 * size), (ahead - behind) / (2.0 * size)
+        # Held at its end, a cable lengthens by no force, and the effector that no marker shows comes last.
+        assert slopes == pytest.approx(by_loads[rows, axis] / lengths, abs=4e-3 * np.abs(slopes).max())
+        assert moved == pytest.approx(by_loads[-3:, axis], abs=4e-3 * np.abs(by_loads[-3:, axis]).max())
 
 
 @pytest.mark.parametrize("sensors, markers, share", [(1, 0, 0.8), (2, 0, 0.8), (2, 1, 0.3)])

@@ -604,7 +604,7 @@ class Follower(InverseActuation):
         )
 
     def _leap(self, asked: Asked, here: Actuation) -> tuple[Actuation, bool]:
-        """The optimum of the most promising branch in which one cable bears, or is slack, that did not.
+        """The optimum of the most promising branch: one cable bears, or is slack, that did not, or none.
 
         Args:
             asked: What is asked for.
@@ -617,7 +617,8 @@ class Follower(InverseActuation):
         self._looked, radius, self.move_limit = self._now, self.move_limit, GREATEST
         remembered = self._solver.active, self._touching, self._wait, self._next_wait
         # In unstable places the radius vanishes, which says nothing of the stable one that it has come to.
-        here_too = [self._branch] if self._situation.is_balanced and self._situation.is_stable else []
+        is_settled = self._situation.is_balanced and self._situation.is_stable
+        here_too = [self._branch] if is_settled and radius < GREATEST else []
         for branch in (*here_too, *self._branches(asked)):
             rows = self._in_branch(asked.stiffness, branch)
             if rows is not None and not (rows.gradient.compliance > 0.0).all():
