@@ -326,13 +326,12 @@ class Follower(InverseActuation):
 
     def _see_drift(self, linear: Linearized, situation: Situation) -> None:
         """How much T changes while the body settles at held actuators [m²], and whether it may."""
-        now = linear.effectors_now
-        rows = slice(len(now))
-        weights, targets = situation.weights[rows], situation.targets[rows]
-        missed = half_squares(weights, now, targets)
-        self._drift = abs(missed - half_squares(weights, situation.places[rows], targets))
+        places = situation.places.copy()
+        places[: len(linear.effectors_now)] = linear.effectors_now
+        missed = situation.tracking(places)
+        self._drift = abs(missed - self._now)
         # What is not stable does not settle where the linearization sees it. Where effectors are at
-        # their targets, only balance is missing, and moves go on for a while.
+        # their targets, and as stiff as wanted, only balance is missing, and moves go on for a while.
         self._arriving = 0 if situation.is_balanced else self._arriving + 1
         is_arriving = missed <= self._reached and self._arriving <= MOST_SWINGS
         self._may_settle = situation.is_stable and not is_arriving
