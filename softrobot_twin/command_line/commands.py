@@ -498,7 +498,6 @@ def bench(
 def accuracy(
     scene: GivenFile, *, output: Path = Path("out/accuracy"), timed_dof: PositiveCount = 60_000,
     reference_dof: PositiveCount = 200_000, reduced: Sequence[Path] = (),
-    train: Annotated[Sequence[str], Read(nargs="*")] | None = None,
 ) -> int:  # fmt: skip
     """Measure accuracy against computing time.
 
@@ -514,22 +513,17 @@ def accuracy(
         timed_dof (N): Most dof of a setting that is timed (default $default).
         reference_dof (N): Most dof of a mesh of the reference (default $default).
         reduced (FILE.npz): Reduced models of these meshes, written by 'reduce'.
-        train (MESH:ELEMENT): First train reduced models of these meshes, such as robot_4500:quadratic;
-            without a name, of the most accurate one.
     """
     from softrobot_twin.study.accuracy import accuracy as measure
     from softrobot_twin.study.accuracy_study import Limits
 
-    if train is not None:
-        enable_interrupts()
-    return measure(scene, output, Limits(timed_dof, reference_dof), reduced, train)
+    return measure(scene, output, Limits(timed_dof, reference_dof), reduced)
 
 
 def choose(
     scene: GivenFile, *, rate: Rate, accuracy: Path | None = None, write: Path | None = None,
     reduced: Sequence[Path] = (),
-    given: Annotated[str, Read(choices=("lengths", "forces"))] = "lengths", train: bool = False,
-    range_: Sequence[str] = (), targets: TargetBoxes = (), loads: Positive = 0.0, tilts: Tilt = 0.0,
+    given: Annotated[str, Read(choices=("lengths", "forces"))] = "lengths",
 ) -> int:  # fmt: skip
     """Find the most accurate setting that keeps a rate.
 
@@ -546,26 +540,11 @@ def choose(
         write (FILE.yaml): Scene file to write (default <name>_<rate>hz.yaml here).
         reduced (FILE.npz): Further reduced models of these meshes, written by 'reduce'.
         given: Choose by the error at given lengths, or at given forces (default lengths).
-        train: First train the reduced model that is expected to be best.
-
-    What a training samples, see 'reduce':
-        range_ (COLUMN=LOW:HIGH): Bounds of the actuators (default: cables up to 0.4 of their limits).
-        targets (BOX): As of reduce: NAME=XLOW:XHIGH,YLOW:YHIGH,ZLOW:ZHIGH [m].
-        loads (N): Forces up to this [N] at the effectors.
-        tilts (DEGREES): Directions of gravity up to this angle from the scene's.
     """
     from softrobot_twin.study.choice import choose as choose_setting
-    from softrobot_twin.study.reduced_models import STUDY
 
-    if train:
-        enable_interrupts()
-    if targets:
-        refuse("has no effect with --targets", range_=range_)
-    if given == "forces":
-        refuse("trains for given lengths; leave out --given forces", train=train)
-    options = replace(STUDY, ranges=tuple(range_), targets=tuple(targets), load=loads, tilt=tilts)
-    return choose_setting(scene, rate, accuracy, write, reduced=reduced, train=train,
-                          options=options, forces_given=given == "forces")
+    return choose_setting(scene, rate, accuracy, write, reduced=reduced,
+                          forces_given=given == "forces")
 
 
 def reduce(
