@@ -16,8 +16,6 @@ from pathlib import Path
 from textwrap import fill
 from typing import Annotated, TypeAlias
 
-import shtab
-
 from softrobot_twin.command_line.arguments import TEXT_WIDTH, Parser, Read, add_command
 from softrobot_twin.errors import NamedError, SoftRobotTwinError
 from softrobot_twin.harness.length_units import UNITS
@@ -719,24 +717,9 @@ def demo(
     return demo_command.demo(robot, output, seconds, view, set_ or ())
 
 
-def completion(shell: Annotated[str, Read(choices=("bash", "zsh", "tcsh"))]) -> int:
-    """Print what lets a shell complete these commands.
-
-    Print a script that lets the Tab key complete commands, options and file names.
-
-    Examples:
-        softrobot_twin completion bash > ~/.local/share/bash-completion/completions/softrobot_twin
-
-    Args:
-        shell: Shell to write for.
-    """
-    print(shtab.complete(program("softrobot_twin"), shell))
-    return 0
-
-
 COMMANDS = (
     mesh, init, convert, simulate, plot, explain, calibrate, workspace, bench, accuracy, choose, reduce,
-    reduce_vertebrae, replay, demo, completion,
+    reduce_vertebrae, replay, demo,
 )  # fmt: skip
 """The commands in the order of their list."""
 EXCLUSIVE = {
@@ -767,17 +750,7 @@ def program(name: str) -> argparse.ArgumentParser:
     for command in COMMANDS:
         add_command(commands, command, *EXCLUSIVE.get(command, ((), False)),
                     vars(training_options), EXIT_CODES)
-    for parser in commands.choices.values():
-        _complete_paths(parser)
     return made
-
-
-def _complete_paths(command: argparse.ArgumentParser) -> None:
-    """Tells shells which arguments are files and folders."""
-    for action in command._actions:  # argparse has no public list of them
-        if action.type in (Path, given_file):
-            is_folder = action.metavar == "FOLDER"
-            action.complete = shtab.DIRECTORY if is_folder else shtab.FILE  # type: ignore[attr-defined]
 
 
 def _version() -> str:

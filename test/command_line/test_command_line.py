@@ -29,16 +29,6 @@ class Finished(NamedTuple):
     stderr: str
 
 
-@builder
-def typed(capsys, /, *arguments) -> Finished:
-    """Runs a command within this process."""
-    try:
-        code = main(list(arguments))
-    except SystemExit as end:  # how argparse ends
-        code = int(end.code or 0)
-    return Finished(code, *capsys.readouterr())
-
-
 def test_every_command_has_an_example_of_its_help():
     named = {command.__name__.replace("_", "-") for command in COMMANDS}
     assert {example.split()[1] for example in examples()} == named
@@ -50,26 +40,6 @@ def test_every_example_of_the_help_is_understood_and_its_inputs_exist(example):
     shipped = [text for text in arguments if text.startswith(("config/", "meshes/"))]
     assert all((ROOT / text).is_file() for text in shipped)
     assert program("softrobot_twin").parse_args(arguments).command == arguments[0]
-
-
-@pytest.mark.libraries
-@pytest.mark.parametrize("typed_so_far, expected", [
-    ("softrobot_twin sim", "simulate"),
-    ("softrobot_twin simulate --tar", "--targets"),
-    ("softrobot_twin explain REA", "README.md"),
-])  # fmt: skip
-def test_bash_completes_commands_options_and_files(typed, tmp_path, typed_so_far, expected):
-    script = tmp_path / "completion.bash"
-    script.write_text(typed("completion", "bash").stdout)
-    asked = """
-    source "$0"
-    COMP_WORDS=($1); COMP_CWORD=$((${#COMP_WORDS[@]} - 1)); COMP_LINE=$1; COMP_POINT=${#1}
-    $(complete -p softrobot_twin | sed 's/.*-F \\([^ ]*\\) .*/\\1/') softrobot_twin
-    printf '%s\\n' "${COMPREPLY[@]}"
-    """
-    done = subprocess.run(["bash", "-c", asked, script, typed_so_far], cwd=ROOT,
-                          capture_output=True, text=True, timeout=60)
-    assert expected in done.stdout.split(), done.stderr
 
 
 @pytest.mark.parametrize("arguments", [["plot", "--help"], ["simulate", "none.yaml"]])
