@@ -56,7 +56,6 @@ setup(
         "rerun-sdk>=0.23.1,<0.42",
         "rich>=13.7.1",
         "scipy>=1.11.4",
-        "shtab>=1.7.1",
         "trimesh>=4.6",
     ],
     extras_require={

@@ -16,8 +16,6 @@ from pathlib import Path
 from textwrap import fill
 from typing import Annotated, TypeAlias
 
-import shtab
-
 from softrobot_twin.command_line.arguments import TEXT_WIDTH, Parser, Read, add_command
 from softrobot_twin.errors import NamedError, SoftRobotTwinError
 from softrobot_twin.harness.length_units import UNITS
@@ -361,8 +359,7 @@ def plot(file: Path, *, columns: Sequence[str] = (), output: Path | None = None)
 
 def explain(
     scene: GivenFile, *, mesh_error: bool = True, picture: Path | None = None,
-    picture_view: View | None = None, stiffness: bool = False, effects: bool = False,
-    at: Sequence[str] | None = None,
+    picture_view: View | None = None, stiffness: bool = False, at: Sequence[str] | None = None,
 ) -> int:  # fmt: skip
     """Show the effects of a scene and the terms they become.
 
@@ -371,7 +368,6 @@ def explain(
 
     Examples:
         softrobot_twin explain config/scenes/diamond.yaml --stiffness --at north_shortening_m=0.01
-        softrobot_twin explain config/scenes/grasper.yaml --effects
 
     Args:
         scene (SCENE): Scene file (YAML).
@@ -379,22 +375,15 @@ def explain(
         picture (FILE.png): Draw the robot at rest with names (needs matplotlib).
         picture_view (ELEVATION AZIMUTH): Direction of view [degrees] (default 24 -58).
         stiffness: Print instead how effectors yield to forces, and how each actuator moves them.
-        effects: Print instead what each effect costs in time, and what changes without it.
-        at (COLUMN=VALUE): With these two: the actuation, such as north_shortening_m=0.01 (default: at rest).
+        at (COLUMN=VALUE): With --stiffness: the actuation, such as north_shortening_m=0.01 (default: at rest).
     """
-    from softrobot_twin.study.effect_costs import print_effects
     from softrobot_twin.study.explain import explain as print_scene
     from softrobot_twin.study.stiffness import print_stiffness
 
     if stiffness:
-        refuse("cannot be combined with --stiffness", effects=effects)
-    for option, is_wanted, prints in (
-        ("stiffness", stiffness, print_stiffness), ("effects", effects, print_effects)
-    ):  # fmt: skip
-        if is_wanted:
-            refuse(f"cannot be combined with --{option}", picture=picture)
-            return prints(scene, at or ())
-    refuse("requires --stiffness or --effects", at=at)
+        refuse("cannot be combined with --stiffness", picture=picture)
+        return print_stiffness(scene, at or ())
+    refuse("requires --stiffness", at=at)
     if picture is None:
         refuse("requires --picture", picture_view=picture_view)
     return print_scene(scene, mesh_error, picture, picture_view)
@@ -498,7 +487,6 @@ def bench(
 def accuracy(
     scene: GivenFile, *, output: Path = Path("out/accuracy"), timed_dof: PositiveCount = 60_000,
     reference_dof: PositiveCount = 200_000, reduced: Sequence[Path] = (),
-    train: Annotated[Sequence[str], Read(nargs="*")] | None = None,
 ) -> int:  # fmt: skip
     """Measure accuracy against computing time.
 
@@ -514,22 +502,17 @@ def accuracy(
         timed_dof (N): Most dof of a setting that is timed (default $default).
         reference_dof (N): Most dof of a mesh of the reference (default $default).
         reduced (FILE.npz): Reduced models of these meshes, written by 'reduce'.
-        train (MESH:ELEMENT): First train reduced models of these meshes, such as robot_4500:quadratic;
-            without a name, of the most accurate one.
     """
     from softrobot_twin.study.accuracy import accuracy as measure
     from softrobot_twin.study.accuracy_study import Limits
 
-    if train is not None:
-        enable_interrupts()
-    return measure(scene, output, Limits(timed_dof, reference_dof), reduced, train)
+    return measure(scene, output, Limits(timed_dof, reference_dof), reduced)
 
 
 def choose(
     scene: GivenFile, *, rate: Rate, accuracy: Path | None = None, write: Path | None = None,
     reduced: Sequence[Path] = (),
-    given: Annotated[str, Read(choices=("lengths", "forces"))] = "lengths", train: bool = False,
-    range_: Sequence[str] = (), targets: TargetBoxes = (), loads: Positive = 0.0, tilts: Tilt = 0.0,
+    given: Annotated[str, Read(choices=("lengths", "forces"))] = "lengths",
 ) -> int:  # fmt: skip
     """Find the most accurate setting that keeps a rate.
 
@@ -546,26 +529,11 @@ def choose(
         write (FILE.yaml): Scene file to write (default <name>_<rate>hz.yaml here).
         reduced (FILE.npz): Further reduced models of these meshes, written by 'reduce'.
         given: Choose by the error at given lengths, or at given forces (default lengths).
-        train: First train the reduced model that is expected to be best.
-
-    What a training samples, see 'reduce':
-        range_ (COLUMN=LOW:HIGH): Bounds of the actuators (default: cables up to 0.4 of their limits).
-        targets (BOX): As of reduce: NAME=XLOW:XHIGH,YLOW:YHIGH,ZLOW:ZHIGH [m].
-        loads (N): Forces up to this [N] at the effectors.
-        tilts (DEGREES): Directions of gravity up to this angle from the scene's.
     """
     from softrobot_twin.study.choice import choose as choose_setting
-    from softrobot_twin.study.reduced_models import STUDY
 
-    if train:
-        enable_interrupts()
-    if targets:
-        refuse("has no effect with --targets", range_=range_)
-    if given == "forces":
-        refuse("trains for given lengths; leave out --given forces", train=train)
-    options = replace(STUDY, ranges=tuple(range_), targets=tuple(targets), load=loads, tilt=tilts)
-    return choose_setting(scene, rate, accuracy, write, reduced=reduced, train=train,
-                          options=options, forces_given=given == "forces")
+    return choose_setting(scene, rate, accuracy, write, reduced=reduced,
+                          forces_given=given == "forces")
 
 
 def reduce(
@@ -740,24 +708,9 @@ def demo(
     return demo_command.demo(robot, output, seconds, view, set_ or ())
 
 
-def completion(shell: Annotated[str, Read(choices=("bash", "zsh", "tcsh"))]) -> int:
-    """Print what lets a shell complete these commands.
-
-    Print a script that lets the Tab key complete commands, options and file names.
-
-    Examples:
-        softrobot_twin completion bash > ~/.local/share/bash-completion/completions/softrobot_twin
-
-    Args:
-        shell: Shell to write for.
-    """
-    print(shtab.complete(program("softrobot_twin"), shell))
-    return 0
-
-
 COMMANDS = (
     mesh, init, convert, simulate, plot, explain, calibrate, workspace, bench, accuracy, choose, reduce,
-    reduce_vertebrae, replay, demo, completion,
+    reduce_vertebrae, replay, demo,
 )  # fmt: skip
 """The commands in the order of their list."""
 EXCLUSIVE = {
@@ -788,17 +741,7 @@ def program(name: str) -> argparse.ArgumentParser:
     for command in COMMANDS:
         add_command(commands, command, *EXCLUSIVE.get(command, ((), False)),
                     vars(training_options), EXIT_CODES)
-    for parser in commands.choices.values():
-        _complete_paths(parser)
     return made
-
-
-def _complete_paths(command: argparse.ArgumentParser) -> None:
-    """Tells shells which arguments are files and folders."""
-    for action in command._actions:  # argparse has no public list of them
-        if action.type in (Path, given_file):
-            is_folder = action.metavar == "FOLDER"
-            action.complete = shtab.DIRECTORY if is_folder else shtab.FILE  # type: ignore[attr-defined]
 
 
 def _version() -> str:

@@ -23,12 +23,9 @@ from softrobot_twin.study.accuracy_study import (
     CASES,
     MESH,
     REDUCED,
-    AccuracyError,
     AccuracyRow,
     Limits,
-    MeshLevel,
     Reference,
-    Study,
     check_one_body,
     hexahedral_family,
     mesh_family,
@@ -40,7 +37,6 @@ from softrobot_twin.study.reduced_models import (
     every_level,
     own_file,
     reduced_models,
-    train_level,
 )
 
 _CASE_LABELS = {"lengths": "displacements prescribed", "tensions": "forces prescribed",
@@ -176,9 +172,8 @@ def _places(rows: Sequence[AccuracyRow], error: str) -> tuple[list[float], list[
 
 
 def accuracy(
-    scene_path: Path, output: Path, limits: Limits = Limits(), reduced: Sequence[Path] = (),
-    train: Sequence[str] | None = None,
-) -> int:  # fmt: skip
+    scene_path: Path, output: Path, limits: Limits = Limits(), reduced: Sequence[Path] = ()
+) -> int:
     """Measures error and time of every setting; prints tables and writes a CSV and a picture.
 
     Args:
@@ -186,8 +181,6 @@ def accuracy(
         output: Folder for ``accuracy.csv`` and ``accuracy.png``.
         limits: Largest sizes to compute.
         reduced: Files of further reduced models of its meshes.
-        train: Meshes whose reduced models are trained first, as MESH or MESH:ELEMENT; where none
-            is named, the most accurate one; None for no training.
 
     Returns:
         Exit code, always 0.
@@ -204,13 +197,8 @@ def accuracy(
     held = with_hold_radius(scene)
     levels = mesh_family(held, output / "meshes")
     hexahedra = hexahedral_family(held)
-    every = every_level(levels, hexahedra)
-    models = reduced_models([*([named] if named else []), *reduced], (), every)
-    trained = [level_named(name, every) for name in train or ()]
+    models = reduced_models([*([named] if named else []), *reduced], (), every_level(levels, hexahedra))
     study = study_meshes(levels, limits, hexahedra)
-    if train is not None:
-        trained = trained or [_most_accurate(study, every)]
-        models += [train_level(scene_path, level, output / "reduced") for level in trained]
     rows = [*study.rows, *(study_reduced(model, study, limits.timed_steps)
                            for model in tracked(models, "reduced models", len(models)))]
     conditions = describe_machine(NUMERICAL_LIBRARIES)
@@ -225,30 +213,3 @@ def accuracy(
     draw_accuracy(output / "accuracy.png", scene.name, rows, conditions)
     shown.print(f"written: {output / 'accuracy.csv'}, {output / 'accuracy.png'}")
     return 0
-
-
-def level_named(name: str, levels: Sequence[MeshLevel]) -> MeshLevel:
-    """The mesh of a name such as ``diamond_2700:quadratic``; linear where no element is named.
-
-    Args:
-        name: Name of a mesh, perhaps with an element.
-        levels: Meshes with their elements; see `every_level`.
-
-    Raises:
-        AccuracyError: There is none.
-    """
-    mesh, _, element = name.partition(":")
-    own = [level for level in levels if level.name == mesh]
-    wanted = [level for level in own if level.scene.body.element == element or not element]
-    if not wanted:
-        known = ", ".join(f"{level.name}:{level.scene.body.element}" for level in own or levels)
-        raise AccuracyError(name, f"is not one of {known}")
-    return wanted[0]
-
-
-def _most_accurate(study: Study, levels: Sequence[MeshLevel]) -> MeshLevel:
-    """The mesh and element with the least error, with the law of the scene."""
-    law = levels[0].scene.body.material.law
-    known = [row for row in study.rows if row.law == law and np.isfinite(row.error)]
-    best = min(known, key=lambda row: row.error)
-    return level_named(f"{best.mesh}:{best.element}", levels)

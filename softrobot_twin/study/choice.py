@@ -3,15 +3,11 @@
 A setting keeps a rate when the 99th percentile of its step fits into `MARGIN` of the period. Its
 expected error is the sum of the mesh's, the reduction's and the linearizations' errors.
 
-Reduced models whose files exist are candidates like full ones. What others would be is told by a
-trial (`reduced_models.py`), together with the time of their training.
+Reduced models whose files exist are candidates like full ones; `reduce` trains them.
 """
 
 from __future__ import annotations
 
-import math
-import shlex
-import tempfile
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +19,6 @@ from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.harness.machine_facts import NUMERICAL_LIBRARIES, describe_machine
 from softrobot_twin.harness.study_rows import write_rows
 from softrobot_twin.harness.terminal import (
-    approximate_duration,
     console,
     print_to_stderr,
     report_activity,
@@ -32,7 +27,6 @@ from softrobot_twin.harness.terminal import (
 )
 from softrobot_twin.harness.timing import RobustTiming
 from softrobot_twin.mechanics.element_kinds import HEXAHEDRAL
-from softrobot_twin.reduction.training_options import TargetBox, TrainingOptions
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.scene.scene_changes import without_reductions
 from softrobot_twin.simulation import Simulation
@@ -63,17 +57,11 @@ from softrobot_twin.study.accuracy_study import (
     write_scene_copy,
 )
 from softrobot_twin.study.reduced_models import (
-    STUDY,
-    SUFFIX,
-    Trial,
     beside,
     every_level,
-    make_trial,
     own_file,
     reduced_models,
     reduced_row,
-    trained_model,
-    with_ranges,
 )
 
 STEPS = 120
@@ -341,64 +329,6 @@ def pick(candidates: Iterable[Candidate], rate: float, reference_uncertainty: fl
                key=lambda one: one.measured.median)
 
 
-class Foreseen(NamedTuple):
-    """A reduced model that is not there, as far as a trial tells.
-
-    Attributes:
-        row: The full model.
-        error: Expected error relative to the effector's displacement.
-        measured: Time of a step of the trial.
-        seconds: Expected time of its training on this machine [s].
-    """
-
-    row: AccuracyRow
-    error: float
-    measured: Measured
-    seconds: float
-
-
-def foresee(
-    rows: Iterable[AccuracyRow], law: str, trial: Trial, measured: Measured,
-    seconds: Callable[[AccuracyRow], float],
-) -> list[Foreseen]:  # fmt: skip
-    """Reduced models of full ones, the most accurate first.
-
-    Args:
-        rows: Full models; those with another law are left out.
-        law: Law of the scene.
-        trial: Reduced model of the coarsest mesh.
-        measured: Its time and linearization error.
-        seconds: Time of a training [s].
-    """
-    added = trial.error + np.nan_to_num(measured.linearization_error)
-    found = [Foreseen(row, row.error + added, measured, seconds(row))
-             for row in rows if row.knob == MESH and row.law == law and np.isfinite(row.error)]
-    return sorted(found, key=lambda one: one.error)
-
-
-def worth_training(
-    foreseen: Sequence[Foreseen], rate: float, error: float, uncertainty: float
-) -> Foreseen | None:
-    """The reduced model to train: of those as accurate as the best, that of the shortest training.
-
-    Args:
-        foreseen: What could be trained.
-        rate: Rate to keep [Hz].
-        error: Error of the best setting without a training.
-        uncertainty: Smaller differences of errors are ignored.
-
-    Returns:
-        None where no training is expected to give a smaller error at this rate.
-    """
-    better = [one for one in foreseen if one.measured.p99 <= MARGIN / rate
-              and one.error < error - uncertainty]
-    if not better:
-        return None
-    least = min(one.error for one in better)
-    return min((one for one in better if one.error <= least + max(uncertainty, _ALIKE * least)),
-               key=lambda one: one.seconds)
-
-
 QUICK = Limits(timed_dof=20_000, reference_dof=50_000)
 """Size limits of the study that is made when no file of errors is given."""
 # Settings slower than this many periods in the study are not measured again.
@@ -441,14 +371,6 @@ class Models:
         scene = self._by_name[setting.mesh].scene
         return with_law(with_element(scene, setting.element), setting.law)
 
-    def level(self, row: AccuracyRow) -> MeshLevel:
-        """The full model of a row, with its element.
-
-        Args:
-            row: A row of a study.
-        """
-        return self._by_name[row.mesh].with_element(row.element)
-
     def rows(self, known: Sequence[AccuracyRow]) -> list[AccuracyRow]:
         """Rows of the reduced models: measured by ``accuracy``, or measured beside full ones now.
 
@@ -481,7 +403,7 @@ class Models:
 def choose(
     scene_path: Path, rate: float, accuracy_file: Path | None = None, write: Path | None = None,
     measure: Callable[[Scene, float, int], Measured] | None = None, reduced: Sequence[Path] = (),
-    train: bool = False, options: TrainingOptions = STUDY, forces_given: bool = False,
+    forces_given: bool = False,
 ) -> int:  # fmt: skip
     """Times the candidates, prints the best one and writes its scene.
 
@@ -493,11 +415,7 @@ def choose(
         measure: Measures a scene at a rate with a number of linearizations; a clock when None.
         reduced: Files of reduced models, beside that of the scene and those beside its mesh and
             beside the scene that is written.
-        train: Train the reduced model that is expected to be the best, where one is expected to be
-            better than what there is.
-        options: Of such a training.
-        forces_given: Choose by the error at given forces, in place of that at given displacements;
-            then nothing is trained.
+        forces_given: Choose by the error at given forces, in place of that at given displacements.
 
     Returns:
         Exit code, always 0.
@@ -514,7 +432,6 @@ def choose(
         warn(f"{scene_path}: its reduced model {named} is not there, so it is no candidate")
         named = None
     scene = without_reductions(scene)
-    options = with_ranges(options, scene)
     held = with_hold_radius(scene)
     levels = mesh_family(held, write.resolve().parent / f"{write.stem}_meshes")
     hexahedra = hexahedral_family(held)
@@ -540,31 +457,11 @@ def choose(
     rows = [row for row in full if row.step_ms < _MUCH_TOO_SLOW * 1e3 / rate] + models.rows(known)
     unsure = reference_uncertainty(full)
     candidates = measure_candidates(rows, rate, measure_setting)
-    foreseen: list[Foreseen] = []
-    if not forces_given:
-        with tempfile.TemporaryDirectory() as folder:
-            foreseen = _foreseen(full, candidates, models, unsure, scene_path, options, Path(folder),
-                                 measure_setting, _machine_share(full, held, clock))  # fmt: skip
-    wanted = worth_training(foreseen, rate, _least_error(candidates), unsure)
-    if train and wanted is None:
-        print_to_stderr("nothing is trained: no reduced model is expected to be better")
-    elif train:
-        model = _train(wanted, models, scene_path, write, options)
-        own = [row for row in models.rows(known) if row.file == model.name]
-        rows, foreseen, wanted = [*rows, *own], [], None
-        candidates += measure_candidates(own, rate, measure_setting)
     if clock is not None:
         report_activity("the best candidates again, in turns")
         candidates = clock.confirm(candidates)
     shown = console()
-    command = _training_command(scene_path, rate, accuracy_file, write, reduced, options)
-    try:
-        best = pick(candidates, rate, unsure)
-    except NoSettingError:
-        if wanted is not None:
-            warn(_offer(wanted, None))
-            print_to_stderr(f"  {command}")
-        raise
+    best = pick(candidates, rate, unsure)
     chosen = models.scene(best.setting)
     words = given_words(scene)
     if forces_given:
@@ -578,15 +475,12 @@ def choose(
                        f"{clock.timing.slowdown:.2f} times slower in the median round of the timing.")
     write_scene_copy(write, scene_path, chosen, best.setting, remarks)
     load_scene(write)  # checks the written file
-    shown.print(_table(candidates, best, rate, foreseen))
+    shown.print(_table(candidates, best, rate))
     for line in remarks[1:]:
         if line not in warned:
             shown.print(line)
     for line in warned:
         warn(line)
-    if wanted is not None:
-        shown.print(_offer(wanted, best))
-        shown.print(f"  {command}", soft_wrap=True)  # to be copied
     shown.print(f"written: {write}")
     return 0
 
@@ -602,100 +496,6 @@ def judged_by_forces(row: AccuracyRow) -> AccuracyRow:
         uncertainty_lengths=row.uncertainty_tensions, uncertainty_weightless=row.uncertainty_tensions,
         error_tensions=row.error, uncertainty_tensions=row.uncertainty,
     )  # fmt: skip
-
-
-def _least_error(candidates: Iterable[Candidate]) -> float:
-    return min((one.error for one in candidates if one.keeps_rate), default=np.inf)
-
-
-def _machine_share(full: Sequence[AccuracyRow], held: Scene, clock: SettingClock | None) -> float:
-    """Time of a step on this machine beside its other programs, by that in the file of errors."""
-    own = [row.step_ms for row in full if row.mesh == held.mesh_name
-           and (row.element, row.law) == ("linear", held.body.material.law)]
-    if clock is None or not own:
-        return 1.0
-    return 1e3 * clock.timing.reference * clock.timing.slowdown / own[0]
-
-
-def _foreseen(
-    full: Sequence[AccuracyRow], candidates: Sequence[Candidate], models: Models, unsure: float,
-    original: Path, options: TrainingOptions, folder: Path,
-    measure: Measure, machine_share: float,
-) -> list[Foreseen]:  # fmt: skip
-    """Reduced models that are not there and could be better; empty where there are none."""
-    law = models.every[0].scene.body.material.law
-    there = {(model.level.name, model.level.scene.body.element)
-             for model in models.reduced.values()}
-    error = _least_error(candidates)
-    wanted = [row for row in full if row.law == law and row.error < error - unsure
-              and (row.mesh, row.element) not in there]
-    if not wanted:
-        return []
-    print_to_stderr("reduced models could be better: a trial on the coarsest mesh tells how much")
-    try:
-        trial = make_trial(original, models.every, options, folder)
-    except SoftRobotTwinError as error:
-        warn(f"reduced models are not foreseen: {error}")
-        return []
-    models.reduced[trial.model.name] = trial.model
-    level = trial.model.level
-    setting = Setting(level.name, level.scene.body.element, law, 1, trial.model.name)
-    try:
-        measured = measure(setting)
-    finally:
-        del models.reduced[trial.model.name]
-
-    def seconds(row: AccuracyRow) -> float:
-        return trial.training_seconds(models.level(row), 1e-3 * row.step_ms * machine_share)
-
-    return foresee(wanted, law, trial, measured, seconds)
-
-
-def _train(
-    wanted: Foreseen, models: Models, original: Path, write: Path, options: TrainingOptions
-) -> ReducedModel:
-    """Train the reduced model that is wanted, beside the scene that will be written."""
-    level = models.level(wanted.row)
-    element = level.scene.body.element
-    file = write.resolve().parent / f"{write.stem}_{level.name}_{element}{SUFFIX}"
-    print_to_stderr(f"{file.name} is trained: {approximate_duration(wanted.seconds)}")
-    model = trained_model(write, original, level, replace(options, output=file))
-    models.add(model)
-    return model
-
-
-def _training_command(
-    scene: Path, rate: float, accuracy_file: Path | None, write: Path, reduced: Sequence[Path],
-    options: TrainingOptions,
-) -> str:  # fmt: skip
-    """The command that trains first."""
-    words = ["choose", str(scene), "--rate", f"{rate:g}"]
-    for option, values in (
-        ("--accuracy", [accuracy_file] * (accuracy_file is not None)), ("--reduced", reduced),
-        ("--range", options.ranges), ("--targets", map(_box_text, options.targets)),
-        ("--loads", [f"{options.load:g}"] * bool(options.load)),
-        ("--tilts", [f"{math.degrees(options.tilt):g}"] * bool(options.tilt)),
-    ):  # fmt: skip
-        if given := list(map(str, values)):
-            words += [option, *given]
-    return "softrobot_twin " + shlex.join([*words, "--write", str(write), "--train"])
-
-
-def _box_text(box: TargetBox) -> str:
-    """A box of targets as the command line has it."""
-    sides = zip(box.low, box.high, strict=True)
-    return f"{box.effector}=" + ",".join(f"{low:g}:{high:g}" for low, high in sides)
-
-
-def _offer(wanted: Foreseen, best: Candidate | None) -> str:
-    """What a training would buy, and what it costs."""
-    row, measured = wanted.row, wanted.measured
-    instead = "" if best is None else f", in place of {100.0 * best.error:.2f} % above"
-    return (f"A reduced model of {describe_mesh(row.mesh, row.element)}, is expected to have an "
-            f"error of {100.0 * wanted.error:.2f} %{instead}, in {1e3 * measured.median:.2f} ms a "
-            f"step (p99 {1e3 * measured.p99:.2f} ms; its full model takes {row.step_ms:.2f} ms in "
-            f"the file of errors). Its training takes {approximate_duration(wanted.seconds)} on "
-            "this machine, for the ranges or targets that this command names, and no others:")
 
 
 def _rows(levels: list[MeshLevel], hexahedra: list[MeshLevel], file: Path | None) -> list[AccuracyRow]:
@@ -751,21 +551,11 @@ def _remarks(
     ]
 
 
-# Reduced models that are not trained have so many lines in the table.
-_LINES = 4
-
-
-def _table(candidates: list[Candidate], best: Candidate, rate: float, foreseen: Sequence[Foreseen]):
+def _table(candidates: list[Candidate], best: Candidate, rate: float):
     lines = []
     for one in candidates:
         mark = "yes: chosen" if one is best else "yes" if one.keeps_rate else "no"
         lines.append((one.error, _describe_setting(one.setting), one.measured, mark))
-    for one in foreseen[:_LINES]:
-        row = one.row
-        name = f"{describe_mesh(row.mesh, row.element)}, {row.law} law, reduced, not trained"
-        keeps = "yes" if one.measured.p99 <= MARGIN / rate else "no"
-        mark = f"{keeps}, after {approximate_duration(one.seconds)} of training"
-        lines.append((one.error, name, one.measured, mark))
     return table(
         f"Candidates for {rate:g} Hz, the most accurate first", "setting", "median [ms]",
         "p99 [ms]", "error [%]", f"within {MARGIN:g} of the period",

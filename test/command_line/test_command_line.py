@@ -4,13 +4,11 @@ import os
 import shlex
 import subprocess
 import sys
-from typing import NamedTuple
 
 import pytest
 
 from softrobot_twin.__main__ import main
 from softrobot_twin.command_line.commands import COMMANDS, program
-from test.builder import builder
 from test.places import ROOT
 
 
@@ -19,24 +17,6 @@ def examples() -> list[str]:
     helps = [file.read_text() for file in sorted((ROOT / "test/study/print_outs").glob("*.txt"))]
     told = "".join(text.partition("examples:\n")[2].partition("exit codes:")[0] for text in helps)
     return told.replace("\\\n", "").splitlines()
-
-
-class Finished(NamedTuple):
-    """A command that has ended."""
-
-    returncode: int
-    stdout: str
-    stderr: str
-
-
-@builder
-def typed(capsys, /, *arguments) -> Finished:
-    """Runs a command within this process."""
-    try:
-        code = main(list(arguments))
-    except SystemExit as end:  # how argparse ends
-        code = int(end.code or 0)
-    return Finished(code, *capsys.readouterr())
 
 
 def test_every_command_has_an_example_of_its_help():
@@ -50,26 +30,6 @@ def test_every_example_of_the_help_is_understood_and_its_inputs_exist(example):
     shipped = [text for text in arguments if text.startswith(("config/", "meshes/"))]
     assert all((ROOT / text).is_file() for text in shipped)
     assert program("softrobot_twin").parse_args(arguments).command == arguments[0]
-
-
-@pytest.mark.libraries
-@pytest.mark.parametrize("typed_so_far, expected", [
-    ("softrobot_twin sim", "simulate"),
-    ("softrobot_twin simulate --tar", "--targets"),
-    ("softrobot_twin explain REA", "README.md"),
-])  # fmt: skip
-def test_bash_completes_commands_options_and_files(typed, tmp_path, typed_so_far, expected):
-    script = tmp_path / "completion.bash"
-    script.write_text(typed("completion", "bash").stdout)
-    asked = """
-    source "$0"
-    COMP_WORDS=($1); COMP_CWORD=$((${#COMP_WORDS[@]} - 1)); COMP_LINE=$1; COMP_POINT=${#1}
-    $(complete -p softrobot_twin | sed 's/.*-F \\([^ ]*\\) .*/\\1/') softrobot_twin
-    printf '%s\\n' "${COMPREPLY[@]}"
-    """
-    done = subprocess.run(["bash", "-c", asked, script, typed_so_far], cwd=ROOT,
-                          capture_output=True, text=True, timeout=60)
-    assert expected in done.stdout.split(), done.stderr
 
 
 @pytest.mark.parametrize("arguments", [["plot", "--help"], ["simulate", "none.yaml"]])

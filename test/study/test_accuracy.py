@@ -11,9 +11,10 @@ from specimens import column_mesh
 from softrobot_twin.harness.output_file import OutputError
 from softrobot_twin.harness.study_rows import write_rows
 from softrobot_twin.reduction.body_training import reduce
+from softrobot_twin.reduction.training_options import TrainingOptions
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import CommandSetpoints, Simulation
-from softrobot_twin.study import accuracy_study, choice, reduced_models as reduced_models_study
+from softrobot_twin.study import accuracy_study, choice
 from softrobot_twin.study.accuracy import full_row
 from softrobot_twin.study.accuracy_study import (
     MESH,
@@ -32,16 +33,7 @@ from softrobot_twin.study.accuracy_study import (
 )
 from softrobot_twin.study.bench_measurement import default_scene_path
 from softrobot_twin.study.choice import Measured, choose
-from softrobot_twin.study.reduced_models import (
-    STUDY,
-    beside,
-    every_level,
-    make_trial,
-    reduced_models,
-    study_options,
-    with_ranges,
-    write_training_scene,
-)
+from softrobot_twin.study.reduced_models import beside, every_level, reduced_models
 from test.scene_changes import yaml_file
 
 CELLS = {10: (1, 1, 5), 20: (2, 2, 10), 30: (3, 3, 15)}
@@ -82,17 +74,6 @@ def lonely(tmp_path_factory):
     return column_scene(folder, "column.vtk")
 
 
-@pytest.fixture(autouse=True)
-def no_trial(monkeypatch):
-    """No trial of reduced models, which takes seconds; returns the real one."""
-
-    def refuse(*_):
-        raise AccuracyError("column", "has no trial here")
-
-    monkeypatch.setattr(choice, "make_trial", refuse)
-    return make_trial
-
-
 @pytest.fixture(scope="module")
 def levels(family, tmp_path_factory):
     scene = load_scene(family)
@@ -105,17 +86,15 @@ def study(levels):
     return study_meshes(levels, Limits(3_000, 8_000, 8))
 
 
-FEW = replace(STUDY, snapshots=60, states=0, workers=1)
-
-
 @pytest.fixture(scope="module")
 def trained(family, levels, tmp_path_factory):
-    """File of the reduced model of the middle mesh, trained for a study."""
+    """File of the reduced model of the middle mesh, trained for the poses of a study."""
     folder = tmp_path_factory.mktemp("trained")
     scene, file = folder / "column_20.yaml", folder / "column_20_reduced.npz"
-    write_training_scene(scene, family, levels[1])
-    options = study_options(levels[1].scene, file)
-    reduce(scene, replace(FEW, output=file, ranges=options.ranges, tilt=options.tilt))
+    write_scene_copy(scene, family, levels[1].scene, Setting("column_20", "linear", "corotational", 1), [])
+    reduce(scene, TrainingOptions(
+        energy=1.0e-5, tolerance=5.0e-3, snapshots=60, states=0, workers=1, output=file, tilt=np.pi,
+        ranges=tuple(f"{name}_shortening_m=0:0.008" for name in "abc")))
     return file
 
 
@@ -155,17 +134,15 @@ def test_every_reference_states_its_uncertainty(study):
 
 @pytest.mark.exhaustive
 def test_the_command_writes_a_table_and_a_picture(family, trained, tmp_path, call, monkeypatch):
-    # Times do not matter here, and another test trains in processes.
+    # Times do not matter here.
     monkeypatch.setattr(accuracy_study, "Limits", partial(Limits, timed_steps=8))
-    monkeypatch.setattr(reduced_models_study, "STUDY", FEW)
     done = call("accuracy", family, "--output", tmp_path / "out", "--timed-dof", 3000,
-                "--reference-dof", 8000, "--reduced", trained, "--train", "column_10")
+                "--reference-dof", 8000, "--reduced", trained)
     assert "extrapolated by" in done.output and "Reduced models: " in done.output
-    assert (tmp_path / "out" / "reduced" / "column_10_linear_reduced.npz").is_file()
     assert (tmp_path / "out" / "accuracy.png").read_bytes().startswith(b"\x89PNG")
     rows = read_study(tmp_path / "out" / "accuracy.csv")
     assert {row.knob for row in rows} == {MESH, REDUCED}
-    assert [row.mesh for row in rows if row.knob == REDUCED] == ["column_20", "column_10"]
+    assert [row.mesh for row in rows if row.knob == REDUCED] == ["column_20"]
 
 
 def fake_clock(scene, rate, iterations):
@@ -348,41 +325,3 @@ def test_choose_takes_the_error_of_a_reduced_model_from_the_file_of_errors(
     choose(family, 500.0, tmp_path / "rows.csv", tmp_path / "chosen.yaml", clock_of_reduced,
            reduced=[trained])
     assert "Expected error of the effector for given cable lengths: 1.23 %" in capsys.readouterr().out
-
-
-@pytest.mark.exhaustive
-def test_choose_tells_what_a_training_costs_and_buys_and_trains_where_it_is_asked_to(
-        family, study, tmp_path, capsys, monkeypatch, no_trial):
-    monkeypatch.setattr(choice, "make_trial", no_trial)
-    few = replace(FEW, ranges=("a_shortening_m=0:0.006", "b_shortening_m=0:0.006", "c_shortening_m=0:0.006"))
-    rows, written = tmp_path / "rows.csv", tmp_path / "chosen.yaml"
-    write_rows(rows, study.rows)
-    choose(family, 500.0, rows, written, clock_of_reduced, options=few)
-    told = capsys.readouterr()
-    assert load_scene(written).body.reduced is None
-    assert "reduced, not trained" in told.out and "of training" in told.out
-    assert "Its training takes about " in told.out
-    assert f"choose {family} --rate 500 --accuracy {rows} --range " in told.out
-    assert f" c_shortening_m=0:0.006 --write {written} --train\n" in told.out
-
-    choose(family, 500.0, rows, written, clock_of_reduced, train=True, options=few)
-    told = capsys.readouterr()
-    scene = load_scene(written)
-    file = scene.file_path(scene.body.reduced.file)
-    assert file.parent == tmp_path and file.name.startswith("chosen_column_")
-    assert f"{file.name} is trained: about " in told.err
-    assert Simulation(scene).dof_count < 100
-    assert not list(tmp_path.glob("*.part"))
-
-    # It is found beside the scene: nothing is trained again.
-    choose(family, 500.0, rows, written, clock_of_reduced, train=True, options=few)
-    assert "nothing is trained" in capsys.readouterr().err
-    assert load_scene(written).body.reduced is not None
-
-
-def test_a_training_of_choose_has_the_range_of_the_study_or_the_one_that_is_asked_for(family):
-    scene = load_scene(family)
-    assert with_ranges(STUDY, scene).ranges == tuple(
-        f"{name}_shortening_m=0:0.008" for name in "abc")
-    asked = replace(STUDY, ranges=("a_shortening_m=0:0.02",))
-    assert with_ranges(asked, scene) is asked

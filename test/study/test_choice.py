@@ -5,17 +5,13 @@ import pytest
 from softrobot_twin.study.accuracy_study import MESH, REDUCED, AccuracyRow
 from softrobot_twin.study.choice import (
     MARGIN,
-    Foreseen,
     Measured,
     NoSettingError,
-    foresee,
     judged_by_forces,
     measure_candidates,
     pick,
     reference_uncertainty,
-    worth_training,
 )
-from softrobot_twin.study.reduced_models import Trial
 
 # Error and time [ms] of one linearization.
 FINE = {"coarse": (0.10, 0.5), "middle": (0.05, 1.5), "fine": (0.02, 6.0)}
@@ -110,30 +106,6 @@ def test_a_model_whose_error_under_forces_is_not_known_is_not_preferred_for_it()
     alike = replace(reduced_row(), error_tensions=float("nan"))
     found = measure_candidates([*rows(), alike], 100.0, clock_of_reduced)
     assert pick(found, 100.0, reference_uncertainty=0.01).setting.reduced == ""
-
-
-def foreseen(error, seconds, time=4e-4):
-    return Foreseen(rows()[2], error, Measured(time, time, 0.0), seconds)
-
-
-def test_of_reduced_models_as_accurate_as_the_best_the_shortest_training_is_offered():
-    long, short, worse = foreseen(0.020, 600.0), foreseen(0.024, 60.0), foreseen(0.04, 6.0)
-    assert worth_training([long, short, worse], 500.0, 0.1, 0.005) is short
-    assert worth_training([long, short, worse], 500.0, 0.1, 0.0) is long
-
-
-def test_no_training_is_offered_that_is_late_or_not_better():
-    assert worth_training([foreseen(0.02, 1.0, time=4e-3)], 500.0, 0.1, 0.0) is None
-    assert worth_training([foreseen(0.095, 1.0)], 500.0, 0.1, 0.01) is None
-
-
-def test_a_foreseen_error_is_that_of_the_mesh_and_of_the_trial():
-    others = [*rows(), replace(rows()[2], law="linear", error_lengths=0.001), reduced_row()]
-    trial = Trial(None, 0.004, 100.0, 1.0, 10)
-    found = foresee(others, "corotational", trial, Measured(3e-4, 4e-4, 0.001),
-                    lambda row: 50.0 * row.step_ms)
-    assert [one.error for one in found] == pytest.approx([0.025, 0.055, 0.105])
-    assert [one.seconds for one in found] == pytest.approx([300.0, 75.0, 25.0])
 
 
 def test_a_choice_at_given_forces_goes_by_their_error():

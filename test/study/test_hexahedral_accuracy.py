@@ -7,10 +7,8 @@ import pytest
 from softrobot_twin.geometry.box_mesh import read_box
 from softrobot_twin.harness.study_rows import write_rows
 from softrobot_twin.scene import load_scene
-from softrobot_twin.study import choice
 from softrobot_twin.study.accuracy import draw_accuracy
 from softrobot_twin.study.accuracy_study import (
-    AccuracyError,
     Limits,
     hexahedral_family,
     mesh_family,
@@ -81,13 +79,7 @@ def test_hexahedra_are_far_more_accurate_than_linear_tetrahedra_of_the_same_corn
     assert np.all(errors("hexahedral") < 0.3 * errors("linear"))
 
 
-def no_trial(*_):
-    """Stands for the trial of reduced models, which takes seconds."""
-    raise AccuracyError("bar", "has no trial here")
-
-
-def test_the_picture_and_the_choice_know_hexahedra(bar, study, tmp_path, monkeypatch):
-    monkeypatch.setattr(choice, "make_trial", no_trial)
+def test_the_picture_and_the_choice_know_hexahedra(bar, study, tmp_path):
     draw_accuracy(tmp_path / "accuracy.png", "bar", study.rows, "a machine")
     assert (tmp_path / "accuracy.png").stat().st_size > 10_000
     write_rows(tmp_path / "accuracy.csv", study.rows)
