@@ -25,7 +25,7 @@ from softrobot_twin.control.rest_watch import RestPose
 from softrobot_twin.harness.figure import figure_file
 from softrobot_twin.harness.output_file import output_file
 from softrobot_twin.harness.terminal import console, print_apart, table, terminal_status, warn
-from softrobot_twin.record.rest_poses import Axes, read_poses
+from softrobot_twin.record.rest_poses import read_poses
 from softrobot_twin.record.run_description import files_named
 from softrobot_twin.scene import load_scene
 from softrobot_twin.scene.loading import changes_of
@@ -33,6 +33,7 @@ from softrobot_twin.scene.scene_editing import EditedValue, edited_text
 from softrobot_twin.scene.scene_parameters import full_keys
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.mounting import MountingError
+from softrobot_twin.simulation.runs.input_tables import Axes
 
 NOT_BETTER = 1
 FARTHER, LEAST_INSIDE = 1.5, 0.85
@@ -62,7 +63,7 @@ def measured_poses(data: Any, simulation: Simulation) -> tuple[list[RestPose], l
 def calibrate_scene(
     path: Path, data: Sequence[Path], fit: Sequence[str], known: Sequence[str] = (),
     output: Path | None = None, picture: Path | None = None, suggest: bool = False,
-    check: Sequence[Path] = (), axes: str = "x,y,z", backwards: Sequence[str] = (),
+    check: Sequence[Path] = (), axes: Axes = Axes(),
 ) -> int:  # fmt: skip
     """Calibrates a scene, prints what was found, and writes another scene where it is better.
 
@@ -75,8 +76,7 @@ def calibrate_scene(
         picture: Picture to write; None for none.
         suggest: Whether to tell what should be measured next.
         check: Files that judge in place of every fourth pose.
-        axes: See `Axes.read`; of tables.
-        backwards: See there.
+        axes: How the tables name them.
 
     Returns:
         Exit code: 1 where no scene was written.
@@ -84,11 +84,11 @@ def calibrate_scene(
     Raises:
         SoftRobotTwinError: The scene or the data cannot be used.
     """
-    scene, read_as = load_scene(path), Axes.read(axes, backwards)
+    scene = load_scene(path)
     with terminal_status("reading what was measured"):
         simulation = Simulation(scene, with_warnings=False)
-        poses, words = read_poses(data, simulation, read_as)
-        judges, more = read_poses(check, simulation, read_as)
+        poses, words = read_poses(data, simulation, axes)
+        judges, more = read_poses(check, simulation, axes)
     for sentence in words + more:
         print(sentence)
     with terminal_status("fitting"):

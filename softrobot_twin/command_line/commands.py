@@ -273,7 +273,7 @@ def simulate(
     seconds: Annotated[float, Read(duration)] | None = None, steps: PositiveCount | None = None,
     output: Path, settle: Count | None = None, rate: Rate | None = None,
     picture: Path | None = None, picture_at: Sequence[float] | None = None,
-    picture_view: View | None = None,
+    picture_view: View | None = None, axes: str | None = None, backwards: Sequence[str] = (),
 ) -> int:  # fmt: skip
     """Run a scene offline, without ROS.
 
@@ -298,14 +298,18 @@ def simulate(
         picture (FILE.png): Draw the last state (needs matplotlib).
         picture_at (S): Draw these times [s] side by side instead.
         picture_view (ELEVATION AZIMUTH): Direction of view [degrees] (default 24 -58).
+        axes (AXES): Axes of the file that is read that are x, y and z of the scene (default: x,y,z).
+        backwards (ACTUATOR): Actuators with the other sign in this file.
     """
+    from softrobot_twin.simulation.runs.input_tables import Axes
     from softrobot_twin.study import offline_run
     from softrobot_twin.study.direct_run import DEFAULT_RATE, simulate_alone, simulate_commands
 
     _check_outputs((scene, targets, commands), output=output, picture=picture)
+    read_as = Axes.read(axes or "x,y,z", backwards)
     if targets is not None:
         refuse("requires --commands", rate=rate, picture_at=picture_at, picture_view=picture_view)
-        return offline_run.simulate(scene, targets, output, settle or 0, picture)
+        return offline_run.simulate(scene, targets, output, settle or 0, picture, read_as)
     if settle is not None:
         raise OptionError("--settle", "requires --targets")
     if picture is None:
@@ -315,7 +319,8 @@ def simulate(
         drawn = offline_run.Picture(picture, tuple(picture_at or ()), picture_view)
     steps_a_second = rate or DEFAULT_RATE
     if commands is not None:
-        return simulate_commands(scene, commands, output, steps_a_second, drawn)
+        return simulate_commands(scene, commands, output, steps_a_second, drawn, read_as)
+    refuse("requires --targets or --commands", axes=axes, backwards=backwards)
     time = seconds or (steps or 0) / steps_a_second
     if time * steps_a_second > MOST_STEPS:
         raise OptionError("--seconds" if seconds else "--steps",
@@ -419,9 +424,11 @@ def calibrate(
         backwards (ACTUATOR): Actuators with the other sign in the tables.
     """
     from softrobot_twin.calibration.calibration_report import calibrate_scene
+    from softrobot_twin.simulation.runs.input_tables import Axes
 
     _check_outputs((scene, *data, *check), output=output, picture=picture)
-    return calibrate_scene(scene, data, fit, known, output, picture, suggest, check, axes or "x,y,z", backwards)
+    return calibrate_scene(scene, data, fit, known, output, picture, suggest, check,
+                           Axes.read(axes or "x,y,z", backwards))  # fmt: skip
 
 
 def workspace(

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.errors import NamedError
 from softrobot_twin.control.rest_watch import RestPose, RestWatch, Sample, sample_of
 from softrobot_twin.record.loop_calls import repeat
 from softrobot_twin.record.replay import Replay
@@ -23,6 +21,7 @@ from softrobot_twin.simulation.building.table_columns import (
     position_columns,
 )
 from softrobot_twin.simulation.runs.input_tables import (
+    Axes,
     Columns,
     TableFileError,
     drives_of,
@@ -31,62 +30,6 @@ from softrobot_twin.simulation.runs.input_tables import (
 
 _MEASURED = ("markers.", "device.", "measured_angles.", "measured_pressures.", "touches.")
 EXAMPLE = "north_length_m,marker_4_x_m,marker_4_y_m,marker_4_z_m"
-
-
-class Axes(NamedTuple):
-    """How tables of somebody else name axes and turn motors.
-
-    Attributes:
-        order: Which of their axes is x, y and z of the scene.
-        signs: Its direction.
-        backwards: Names of actuators whose setpoints and efforts have the other sign.
-    """
-
-    order: tuple[int, ...] = (0, 1, 2)
-    signs: tuple[float, ...] = (1.0, 1.0, 1.0)
-    backwards: tuple[str, ...] = ()
-
-    @classmethod
-    def read(cls, words: str, backwards: Iterable[str] = ()) -> Axes:
-        """Reads what a user wrote.
-
-        Args:
-            words: Axes of the table that are x, y and z of the scene, such as ``z,x,y`` or ``-y,x,z``.
-            backwards: See `backwards`.
-
-        Raises:
-            AxesError: They are no three axes of one right-handed frame.
-        """
-        parts = [one.strip() for one in words.split(",")]
-        if sorted(one.lstrip("-+") for one in parts) != ["x", "y", "z"]:
-            raise AxesError(words, "must name x, y and z once each, such as z,x,y or -y,x,z")
-        order = tuple("xyz".index(one.lstrip("-+")) for one in parts)
-        signs = tuple(-1.0 if one.startswith("-") else 1.0 for one in parts)
-        if np.linalg.det(np.eye(3)[list(order)] * np.array(signs)[:, None]) < 0.0:
-            raise AxesError(words, "is left-handed: such a table mirrors the robot; turn one axis round with -")
-        return cls(order, signs, tuple(backwards))
-
-    def of(self, pose: RestPose, names: Sequence[str]) -> RestPose:
-        """A pose of a table in the frame of the scene.
-
-        Args:
-            pose: The pose as the table has it.
-            names: Names of the actuators.
-
-        Raises:
-            AxesError: The scene has no actuator of a name.
-        """
-        for one in self.backwards:
-            if one not in names:
-                raise AxesError(one, f"is no actuator of the scene, which has {', '.join(names)}")
-        turns = np.where(np.isin(names, self.backwards), -1.0, 1.0)
-        vectors = {name: getattr(pose, name)[:, list(self.order)] * self.signs
-                   for name in ("markers", "effectors", "forces")}  # fmt: skip
-        return pose._replace(setpoints=turns * pose.setpoints, efforts=turns * pose.efforts, **vectors)
-
-
-class AxesError(NamedError):
-    """Axes or actuators of a table that do not fit; its name is what was written."""
 
 
 def poses_of_run(path: Path, simulation: Simulation) -> tuple[list[RestPose], str]:
@@ -142,6 +85,7 @@ def poses_of_table(
         TableFileError: The table cannot be used.
     """
     columns = open_columns(source, EXAMPLE)
+    axes.turn(columns, simulation.actuators)
     name = columns.source.name
     actuators = simulation.actuators
     setpoints = _setpoints(columns, simulation)
@@ -161,12 +105,12 @@ def poses_of_table(
         for axis, own in enumerate(force_columns(touch)):
             if own in columns:
                 forces[:, index, axis] = np.nan_to_num(columns.pop(own, may_be_open=True))
-    seen = [axes.of(RestPose(*parts, f"{name}, line {line}"), actuators.names) for line, *parts in zip(
+    seen = [RestPose(*parts, f"{name}, line {line}") for line, *parts in zip(
         columns.lines, setpoints, markers, effectors, efforts, forces, strict=True)]  # fmt: skip
     is_timed = TIME in columns
     times = columns.times() if is_timed else np.empty(0)
     if columns.left and not columns.is_output:
-        words += f"; not read: {', '.join(columns.left)}"
+        words += f"; not read: {', '.join(map(columns.given, columns.left))}"
     if not is_timed:
         return seen, f"{name}: {len(seen)} poses at rest, one of each row{words}"
     watch = RestWatch(simulation, name)

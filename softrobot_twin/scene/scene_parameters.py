@@ -284,7 +284,7 @@ def with_values(values: Any, scene: Scene, changes: Mapping[str, Any]) -> Any:
         SceneError: There is no such key.
     """
     for key, value in changes.items():
-        for place in _all_places(scene, key):
+        for place in _all_places(scene, key, value):
             values = _with(values, place, value, scene)
     return values
 
@@ -294,20 +294,20 @@ def _steps(key: str) -> tuple:
     return tuple(parts(key)) if _KEY.fullmatch(key) else ()
 
 
-def _place(scene: Scene, key: str) -> tuple:
+def _place(scene: Scene, key: str, value: Any = "") -> tuple:
     """Where a key is in a scene; its last part may be new."""
     steps = _steps(key)
     found = list(_places(scene, steps)) if steps and "*" not in key else []
     if not found:
-        raise _no_key(scene, key, "", "is no key of a scene, such as body.material.young_modulus "
+        raise _no_key(scene, key, value, "is no key of a scene, such as body.material.young_modulus "
                       "or cables[0].tension")
     return found[0]
 
 
-def _all_places(scene: Scene, key: str) -> list[tuple]:
+def _all_places(scene: Scene, key: str, value: Any = "") -> list[tuple]:
     """Where a key is in a scene, or where its ``*`` means several entries."""
     steps = _steps(key) if "*" in key else ()
-    return (list(_places(scene, steps)) if steps else []) or [_place(scene, key)]
+    return (list(_places(scene, steps)) if steps else []) or [_place(scene, key, value)]
 
 
 def _places(scene: Scene, steps: tuple) -> Iterator[tuple]:

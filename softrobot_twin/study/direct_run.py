@@ -11,7 +11,7 @@ import numpy as np
 from softrobot_twin.harness.terminal import warn
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.command import DEFAULT_TIME_STEP, Command
-from softrobot_twin.simulation.runs.input_tables import CommandTable, read_commands
+from softrobot_twin.simulation.runs.input_tables import Axes, CommandTable, read_commands
 from softrobot_twin.simulation.runs.run_columns import RunColumns, RunRow
 from softrobot_twin.study.offline_run import (
     MoreIterations,
@@ -91,7 +91,7 @@ def commands_of(table: CommandTable) -> Iterator[Command]:
 
 
 def simulate_commands(scene: Path, commands: Path, output: Path, rate: float = DEFAULT_RATE,
-                      picture: Picture | None = None) -> int:
+                      picture: Picture | None = None, axes: Axes = Axes()) -> int:
     """Runs a scene with a commands file and writes the results.
 
     Args:
@@ -100,6 +100,7 @@ def simulate_commands(scene: Path, commands: Path, output: Path, rate: float = D
         output: Run file to write, see `run_file`.
         rate: Steps per second [Hz].
         picture: Picture to draw, or None.
+        axes: How the commands file names them.
 
     Returns:
         Exit code: see `RunSummary.exit_code`.
@@ -108,7 +109,7 @@ def simulate_commands(scene: Path, commands: Path, output: Path, rate: float = D
         SoftRobotTwinError: The scene, its mesh, the commands or an output cannot be used.
     """
     simulation = load_with_notes(scene)
-    commanded = read_commands(commands, simulation)
+    commanded = read_commands(commands, simulation, axes)
     if unlikely := unlikely_warning(simulation, commands_of(commanded)):
         warn(unlikely)
     summary = RunSummary(simulation, commanded.longest_hold)

@@ -13,7 +13,7 @@ import numpy as np
 from softrobot_twin.harness.output_file import csv_output
 from softrobot_twin.harness.terminal import console, table, terminal_status, tracked, warn
 from softrobot_twin.simulation import Command, Simulation, Status, StepResult
-from softrobot_twin.simulation.runs.input_tables import TargetTable, read_targets
+from softrobot_twin.simulation.runs.input_tables import Axes, TargetTable, read_targets
 from softrobot_twin.simulation.runs.run_columns import RunColumns, RunRow
 from softrobot_twin.simulation.scene_warnings import unlikely_commands
 from softrobot_twin.simulation.step.step_report import ITERATIONS
@@ -234,7 +234,8 @@ def load_with_notes(scene: Path) -> Simulation:
     return simulation
 
 
-def simulate(scene: Path, targets: Path, output: Path, settle: int = 0, picture: Path | None = None) -> int:
+def simulate(scene: Path, targets: Path, output: Path, settle: int = 0, picture: Path | None = None,
+             axes: Axes = Axes()) -> int:
     """Runs a scene over a targets file and writes the results.
 
     Args:
@@ -243,6 +244,7 @@ def simulate(scene: Path, targets: Path, output: Path, settle: int = 0, picture:
         output: Run file to write, see `run_file`.
         settle: Number of times the first row is run before the recording.
         picture: Picture of the last state to write, or None.
+        axes: How the targets file names them.
 
     Returns:
         Exit code: see `RunSummary.exit_code`.
@@ -251,7 +253,7 @@ def simulate(scene: Path, targets: Path, output: Path, settle: int = 0, picture:
         SoftRobotTwinError: The scene, its mesh, the targets or an output cannot be used.
     """
     simulation = load_with_notes(scene)
-    rows = read_targets(targets, simulation)
+    rows = read_targets(targets, simulation, axes)
     for note in (*rows.notes, unlikely_warning(simulation, commands_of(rows))):
         if note:
             warn(note)

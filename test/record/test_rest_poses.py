@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 
 from softrobot_twin.control.rest_watch import MOST_POSES, RestPose, RestWatch, Sample
-from softrobot_twin.record.rest_poses import Axes, AxesError, poses_of_run, poses_of_table
+from softrobot_twin.record.rest_poses import poses_of_run, poses_of_table
 from softrobot_twin.scene import load_scene
 from softrobot_twin.scene.scene_parameters import changed_scene
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.runs.input_tables import TableFileError
+from softrobot_twin.simulation.runs.input_tables import Axes, AxesError, TableFileError
 
 from .conftest import MESH, ROOT, Live
 

@@ -15,7 +15,8 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+import re
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import compress
@@ -27,10 +28,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation, Slerp
 
-from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.errors import NamedError, SoftRobotTwinError
 from softrobot_twin.scene.refusal_messages import nearest
 from softrobot_twin.simulation import Hold, Simulation, Touched
 from softrobot_twin.simulation.building.actuator_kinds import ActuatorKind, Quantity, actuator_kinds
+from softrobot_twin.simulation.building.actuators import Actuators
 from softrobot_twin.simulation.building.limits import ANGLE
 from softrobot_twin.simulation.building.table_columns import (
     DRIVEN_BY,
@@ -161,6 +163,7 @@ class Columns:
                 raise TableFileError(source, f"has {len(row)} cells where the header has {len(header)}", line)
         self._places = {name: place for place, name in enumerate(header)}
         self._made: dict[str, np.ndarray] = {}
+        self._signs: dict[str, float] = {}
 
     def __len__(self) -> int:
         return len(self.lines)
@@ -189,6 +192,14 @@ class Columns:
         """
         self._given = {names.get(new, new): old for new, old in self._given.items()}
         self._places = {names.get(old, old): place for old, place in self._places.items()}
+
+    def turn_round(self, signs: Mapping[str, float]) -> None:
+        """Multiplies columns, when they are taken out.
+
+        Args:
+            signs: Factor of each column; others stay.
+        """
+        self._signs = dict(signs)
 
     def keep(self, names: Collection[str]) -> None:
         """Leaves out all other columns.
@@ -232,8 +243,9 @@ class Columns:
             values = self._made.pop(name)
         else:
             place = self._places.pop(name)
-            values = np.array([self._number(name, line, row[place], may_be_open)
-                               for line, row in zip(self.lines, self._cells, strict=True)])
+            values = self._signs.get(name, 1.0) * np.array([
+                self._number(name, line, row[place], may_be_open)
+                for line, row in zip(self.lines, self._cells, strict=True)])
         self.taken[name] = values
         return values
 
@@ -334,6 +346,71 @@ def open_columns(source: Path | str | Mapping, example: str) -> Columns:
     return Columns(table, names, range(1, len(columns[0]) + 1), list(zip(*columns, strict=True)))
 
 
+_ALONG_AXIS = re.compile(r"(.+_([qk]?))([xyz])((?:_(?:m|N|Nm|N_m|N_per_m|m_per_s2))?)")
+
+
+class Axes(NamedTuple):
+    """How tables of somebody else name axes and turn motors.
+
+    Attributes:
+        order: Which of their axes is x, y and z of the scene.
+        signs: Its direction.
+        backwards: Names of actuators whose displacements and efforts have the other sign.
+    """
+
+    order: tuple[int, ...] = (0, 1, 2)
+    signs: tuple[float, ...] = (1.0, 1.0, 1.0)
+    backwards: tuple[str, ...] = ()
+
+    @classmethod
+    def read(cls, words: str, backwards: Iterable[str] = ()) -> Axes:
+        """Reads what a user wrote.
+
+        Args:
+            words: Axes of the table that are x, y and z of the scene, such as ``z,x,y`` or ``-y,x,z``.
+            backwards: See `backwards`.
+
+        Raises:
+            AxesError: They are no three axes of one right-handed frame.
+        """
+        parts = [one.strip() for one in words.split(",")]
+        if sorted(one.lstrip("-+") for one in parts) != ["x", "y", "z"]:
+            raise AxesError(words, "must name x, y and z once each, such as z,x,y or -y,x,z")
+        order = tuple("xyz".index(one.lstrip("-+")) for one in parts)
+        signs = tuple(-1.0 if one.startswith("-") else 1.0 for one in parts)
+        if np.linalg.det(np.eye(3)[list(order)] * np.array(signs)[:, None]) < 0.0:
+            raise AxesError(words, "is left-handed: such a table mirrors the robot; turn one axis round with -")
+        return cls(order, signs, tuple(backwards))
+
+    def turn(self, columns: Columns, actuators: Actuators) -> None:
+        """Names the columns of a table by the axes of the scene, and turns signs.
+
+        Args:
+            columns: The table.
+            actuators: Those of the scene.
+
+        Raises:
+            AxesError: The scene has no actuator of a name.
+        """
+        names, signs = dict[str, str](), dict[str, float]()
+        for match in filter(None, map(_ALONG_AXIS.fullmatch, columns.left)):
+            what, part, axis, unit = match.groups()
+            own = self.order.index("xyz".index(axis))
+            names[match[0]] = new = f"{what}{'xyz'[own]}{unit}"
+            signs[new] = 1.0 if part == "k" else self.signs[own]
+        for one in self.backwards:
+            if one not in actuators.names:
+                raise AxesError(one, f"is no actuator of the scene, which has {', '.join(actuators.names)}")
+            kind = actuators.kind_of[one]
+            signs |= dict.fromkeys((column(one, each) for each in (kind.setpoint, kind.displacement, kind.effort)), -1.0)
+        columns.rename(names)
+        columns.turn_round(signs)
+
+
+class AxesError(NamedError):
+    """Axes or actuators of a table that do not fit; its name is what was written."""
+
+
 _OF_ACTUATORS = {SETPOINTS: CommandSetpoints, EFFORTS: CommandEfforts}
 TARGETS_EXAMPLE = ",".join((TIME, *position_columns("tip")))
 
@@ -432,12 +509,13 @@ class Waypoints:
         return self.position(time), self.orientation(time)
 
 
-def read_targets(source: Path | str | Mapping, simulation: Simulation) -> TargetTable:
+def read_targets(source: Path | str | Mapping, simulation: Simulation, axes: Axes = Axes()) -> TargetTable:
     """Reads and checks a targets file.
 
     Args:
         source: CSV file with a header and one row a step, or a table of columns by name.
         simulation: Simulation with the effectors and actuators.
+        axes: How the table names them.
 
     Raises:
         TableFileError: The file cannot be read, names something unknown, mixes kinds, lacks a
@@ -447,6 +525,7 @@ def read_targets(source: Path | str | Mapping, simulation: Simulation) -> Target
     """
     columns = open_columns(source, TARGETS_EXAMPLE)
     take_old_names(columns, simulation.actuators.kind_of.values())
+    axes.turn(columns, simulation.actuators)
     if columns.is_output and not keep_targets(columns, simulation.effector_names, simulation.sensor_columns):
         _keep_what_drove(columns, simulation)
     times = columns.times()
@@ -845,13 +924,14 @@ class CommandTable:
         return float(begin), float(end)
 
 
-def read_commands(source: Path | str | Mapping, simulation: Simulation) -> CommandTable:
+def read_commands(source: Path | str | Mapping, simulation: Simulation, axes: Axes = Axes()) -> CommandTable:
     """Reads a commands file for a simulation.
 
     Args:
         source: CSV file with a header, then rows at increasing times, or a table of columns by
             name. A file that a run wrote begins where its first step began.
         simulation: Simulation with the actuators, motors and guided bodies.
+        axes: How the table names them.
 
     Raises:
         TableFileError: The file cannot be read, names something unknown, mixes setpoints with
@@ -859,6 +939,7 @@ def read_commands(source: Path | str | Mapping, simulation: Simulation) -> Comma
             finite number, a time that does not increase, or a quaternion that is not of unit length.
     """
     columns = open_columns(source, _EXAMPLE)
+    axes.turn(columns, simulation.actuators)
     if TIME in columns and len(columns) < 2:
         raise TableFileError(columns.source, "has one row; a run from the first row to the last needs two")
     if columns.is_output:
