@@ -6,9 +6,8 @@ import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from effect_costs import effect_costs, told
-
 from softrobot_twin.scene import load_scene
+from softrobot_twin.study.effect_costs import effect_costs, told
 
 
 def page_lines(scenes: Sequence[Path]) -> Iterator[str]:

@@ -364,7 +364,8 @@ def plot(file: Path, *, columns: Sequence[str] = (), output: Path | None = None)
 
 def explain(
     scene: GivenFile, *, mesh_error: bool = True, picture: Path | None = None,
-    picture_view: View | None = None, stiffness: bool = False, at: Sequence[str] | None = None,
+    picture_view: View | None = None, stiffness: bool = False, effects: bool = False,
+    at: Sequence[str] | None = None,
 ) -> int:  # fmt: skip
     """Show the effects of a scene and the terms they become.
 
@@ -373,6 +374,7 @@ def explain(
 
     Examples:
         softrobot_twin explain config/scenes/diamond.yaml --stiffness --at north_shortening_m=0.01
+        softrobot_twin explain config/scenes/grasper.yaml --effects
 
     Args:
         scene (SCENE): Scene file (YAML).
@@ -380,15 +382,22 @@ def explain(
         picture (FILE.png): Draw the robot at rest with names (needs matplotlib).
         picture_view (ELEVATION AZIMUTH): Direction of view [degrees] (default 24 -58).
         stiffness: Print instead how effectors yield to forces, and how each actuator moves them.
-        at (COLUMN=VALUE): With --stiffness: the actuation, such as north_shortening_m=0.01 (default: at rest).
+        effects: Print instead what each effect costs in time, and what changes without it.
+        at (COLUMN=VALUE): With these two: the actuation, such as north_shortening_m=0.01 (default: at rest).
     """
+    from softrobot_twin.study.effect_costs import print_effects
     from softrobot_twin.study.explain import explain as print_scene
     from softrobot_twin.study.stiffness import print_stiffness
 
     if stiffness:
-        refuse("cannot be combined with --stiffness", picture=picture)
-        return print_stiffness(scene, at or ())
-    refuse("requires --stiffness", at=at)
+        refuse("cannot be combined with --stiffness", effects=effects)
+    for option, is_wanted, prints in (
+        ("stiffness", stiffness, print_stiffness), ("effects", effects, print_effects)
+    ):  # fmt: skip
+        if is_wanted:
+            refuse(f"cannot be combined with --{option}", picture=picture)
+            return prints(scene, at or ())
+    refuse("requires --stiffness or --effects", at=at)
     if picture is None:
         refuse("requires --picture", picture_view=picture_view)
     return print_scene(scene, mesh_error, picture, picture_view)

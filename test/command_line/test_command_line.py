@@ -4,11 +4,13 @@ import os
 import shlex
 import subprocess
 import sys
+from typing import NamedTuple
 
 import pytest
 
 from softrobot_twin.__main__ import main
 from softrobot_twin.command_line.commands import COMMANDS, program
+from test.builder import builder
 from test.places import ROOT
 
 
@@ -17,6 +19,14 @@ def examples() -> list[str]:
     helps = [file.read_text() for file in sorted((ROOT / "test/study/print_outs").glob("*.txt"))]
     told = "".join(text.partition("examples:\n")[2].partition("exit codes:")[0] for text in helps)
     return told.replace("\\\n", "").splitlines()
+
+
+class Finished(NamedTuple):
+    """A command that has ended."""
+
+    returncode: int
+    stdout: str
+    stderr: str
 
 
 def test_every_command_has_an_example_of_its_help():
