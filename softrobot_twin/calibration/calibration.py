@@ -41,6 +41,7 @@ from softrobot_twin.scene.scene_parameters import (
     JointParameter,
     Parameter,
     changed_scene,
+    joint_changes,
     parameters,
     tied,
 )
@@ -547,11 +548,23 @@ class Estimate(NamedTuple):
         """The numbers, each in its unit, shape (p,)."""
         return np.array([one.value(z) for one, z in zip(self.unknowns, self.z, strict=True)])
 
-    @property
-    def changes(self) -> dict[str, float]:
-        """What the numbers set in a scene, by its keys, each in its unit."""
-        each = zip(self.unknowns, self.values.tolist(), strict=True)
-        return {key: number for one, value in each for key, number in one.parameter.changes(value).items()}
+    def changes(self, scene: Scene) -> dict[str, float]:
+        """What the numbers set in a scene, by its keys, each in its unit.
+
+        Args:
+            scene: The scene before.
+        """
+        return joint_changes(scene, [one.parameter for one in self.unknowns], self.values)
+
+    def values_of(self, others: Sequence[Unknown], scene: Scene) -> np.ndarray:
+        """Values of other numbers, of which some are fitted here, shape (number_count,).
+
+        Args:
+            others: These numbers.
+            scene: Has those that are not fitted.
+        """
+        own = dict(zip((one.parameter.key for one in self.unknowns), self.values, strict=True))
+        return np.array([own.get(one.parameter.key, one.parameter.read(scene)) for one in others])
 
     @property
     def intervals(self) -> np.ndarray:
@@ -866,7 +879,7 @@ class Calibration(NamedTuple):
     @property
     def values(self) -> dict[str, float]:
         """The fitted numbers by their keys, each in its unit."""
-        return self.estimate.changes
+        return self.estimate.changes(self.start)
 
     @property
     def systematic_error(self) -> float:
@@ -1053,11 +1066,11 @@ def calibrate(
         model = RestModel(scene, [one.parameter for one in unknowns], [*used, *judges])
     fit = _fitted(model, own, unknowns, bool(keys), aside)
     kept = fit.found.without(fit.unused)
-    fitted = changed_scene(scene, kept.changes)
+    fitted, values = changed_scene(scene, kept.changes(scene)), kept.values_of(fit.wide.unknowns, scene)
     reach = reach_of(fit.found.linear(fit.model.measured.poses), np.array([one.setpoints for one in fit.poses]))
-    held, off = _judged(model, fit, fitted, held, aside)
+    held, off = _judged(model, fit, values, held, aside)
     return Calibration(
-        fitted, kept, validated(model.of(held), fit.wide, fitted, reach), fit.not_told, len(fit.poses),
+        fitted, kept, validated(model.of(held), fit.wide, values, reach), fit.not_told, len(fit.poses),
         tuple(aside.words + _rows_in_words(aside.rows)), scene, tuple(fit.poses), fit.found, fit.steps, reach,
         hysteresis(*_in_order(used, off)))  # fmt: skip
 
@@ -1191,11 +1204,10 @@ def _off_in_words(off: np.ndarray) -> str:
 
 
 def _judged(
-    model: RestModel, fit: _Fit, fitted: Scene, held: list[RestPose], aside: _Aside
+    model: RestModel, fit: _Fit, values: np.ndarray, held: list[RestPose], aside: _Aside
 ) -> tuple[list[RestPose], dict[int, tuple[np.ndarray, np.ndarray]]]:
     """The poses that judge without faulty points; and mean error and mean place of the points of all poses."""
     judge = model.of(held)
-    values = np.array([one.parameter.read(fitted) for one in fit.wide.unknowns])
     off = judge.predict(values, False).values - judge.measured.values
     errors = fit.model.point_errors(fit.found.residuals * fit.found.scale_of(fit.model.measured.kinds))
     usual = np.linalg.norm(errors, axis=2)
@@ -1256,16 +1268,15 @@ class Forecast(NamedTuple):
     distances: np.ndarray
 
 
-def forecast(model: RestModel, joint: Estimate, scene: Scene, reach: Reach | None = None) -> Forecast:
+def forecast(model: RestModel, joint: Estimate, at: np.ndarray, reach: Reach | None = None) -> Forecast:
     """Predicts what is measured at poses, with 95 % intervals.
 
     Args:
         model: Of these poses and of the numbers of the estimate; it begins where it rested before.
         joint: The estimate, with the numbers that were not told.
-        scene: Has the numbers to predict with.
+        at: Values of its numbers to predict with, each in its unit, shape (p,).
         reach: How errors grow outside of the poses of the fit; None where they do not.
     """
-    at = np.array([one.parameter.read(scene) for one in joint.unknowns])
     found = model.predict(at, True)
     # NaN of kinds that the fit did not have.
     noise = np.array([joint.noise.get(kind, np.nan) for kind in model.measured.kinds])
@@ -1277,15 +1288,15 @@ def forecast(model: RestModel, joint: Estimate, scene: Scene, reach: Reach | Non
     return Forecast(found.values - model.measured.values, 1.96 * np.sqrt(spread + noise**2), model.distances)
 
 
-def validated(model: RestModel, joint: Estimate, after: Scene, reach: Reach | None = None) -> Validation:
-    """Compares a scene with another one by what was measured at poses.
+def validated(model: RestModel, joint: Estimate, after: np.ndarray, reach: Reach | None = None) -> Validation:
+    """Compares numbers with those that a scene begins with by what was measured at poses.
 
-    Where a pose has several shapes the second scene is in that of the first.
+    Where a pose has several shapes the robot is in that of the scene before.
 
     Args:
-        model: Of the poses, the first scene and the numbers of the estimate.
+        model: Of the poses, the scene and the numbers of the estimate.
         joint: See `forecast`.
-        after: The second scene.
+        after: See `forecast`.
         reach: See `forecast`.
     """
     start = np.array([one.parameter.read(model.begin) for one in joint.unknowns])

@@ -30,7 +30,7 @@ from softrobot_twin.record.run_description import files_named
 from softrobot_twin.scene import load_scene
 from softrobot_twin.scene.loading import changes_of
 from softrobot_twin.scene.scene_editing import EditedValue, edited_text
-from softrobot_twin.scene.scene_parameters import full_keys
+from softrobot_twin.scene.scene_parameters import full_keys, joint_changes
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.mounting import MountingError
 from softrobot_twin.simulation.runs.input_tables import Axes
@@ -327,12 +327,14 @@ def write_scene(found: Calibration, path: Path, written: Path, data: str) -> Non
         OutputError: It cannot be written.
     """
     estimate, day = found.estimate, f"{datetime.now(timezone.utc):%Y-%m-%d}"
-    numbers = {}
+    rounded = [float(f"{value:.{DIGITS}g}") for value in estimate.values]
+    told = joint_changes(found.start, [one.parameter for one in estimate.unknowns], rounded)
+    numbers = dict[str, EditedValue]()
     for one, value, ends in zip(estimate.unknowns, estimate.values, estimate.intervals, strict=True):
         words = (f"calibrated {day} by {data}: {_name(one.parameter.key)} {value:.5g}, 95 % "
                  f"{ends[0]:.5g} to {ends[1]:.5g} {one.parameter.unit}").strip()  # fmt: skip
-        for key, number in one.parameter.changes(float(f"{value:.{DIGITS}g}")).items():
-            numbers[key] = EditedValue(number, words)
+        for key in one.parameter.changes(value):
+            numbers[key] = EditedValue(told[key], "; ".join([numbers[key].comment, words]) if key in numbers else words)
     scene = found.start
     if scene.observer is not None:
         numbers["observer.systematic_error"] = EditedValue(

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.scene import Scene
-from softrobot_twin.scene.scene_parameters import JointParameter, Parameter, changed_scene
+from softrobot_twin.scene.scene_parameters import JointParameter, Parameter, changed_scene, joint_changes
 from softrobot_twin.simulation import (
     CommandEfforts,
     CommandSetpoints,
@@ -196,10 +196,7 @@ class FollowedPoses:
         Raises:
             SceneError: The scene does not take a value.
         """
-        changes = dict[str, float]()
-        for one, value in zip(self._numbers, values, strict=True):
-            changes |= one.changes(float(value))
-        return changed_scene(self.begin, changes)
+        return changed_scene(self.begin, joint_changes(self.begin, self._numbers, values))
 
     def take(self, values: np.ndarray) -> None:
         """Builds the simulation with these values, unless it has them.

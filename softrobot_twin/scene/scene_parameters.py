@@ -11,7 +11,7 @@ entry as its pattern turns them, and ``+-servo_1.offset+servo_2.offset`` two num
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import Any, NamedTuple
 
@@ -121,6 +121,23 @@ class JointParameter(NamedTuple):
     def sections(self) -> frozenset[str]:
         """See `Parameter.sections`."""
         return frozenset[str]().union(*(one.sections for one in self.numbers))
+
+
+def joint_changes(
+    scene: Scene, numbers: Sequence[Parameter | JointParameter], values: Iterable[float]
+) -> dict[str, float]:
+    """What numbers set in a scene together, by its keys: where two move one number, their moves add.
+
+    Args:
+        scene: Has the numbers before.
+        numbers: The handles.
+        values: Value of each, in its unit.
+    """
+    found = dict[str, float]()
+    for one, value in zip(numbers, values, strict=True):
+        for key, number in one.changes(float(value)).items():
+            found[key] = number + found.get(key, before := float(value_at(scene, key))) - before
+    return found
 
 
 def parameters(scene: Scene, *keys: str) -> tuple[Parameter, ...]:

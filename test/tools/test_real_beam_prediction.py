@@ -87,7 +87,7 @@ def test_intervals_of_the_predicted_sags_hold_those_under_loads(calibrated):
     _, found, poses = calibrated
     for load in LOADS[1:]:
         model = RestModel(found.start, [one.parameter for one in found.joint.unknowns], poses[load])
-        told = forecast(model, found.joint, found.scene)
+        told = forecast(model, found.joint, np.array([one.parameter.read(found.scene) for one in found.joint.unknowns]))
         off, reach = (one.reshape(-1, 3)[:, UP] for one in (told.off, told.reach))
         measured = np.array([pose.markers[0, UP] - MARKER_POINT[UP] for pose in poses[load]])
         console().print(f"{load.name}: measured {-1e3 * measured} mm, predicted "
