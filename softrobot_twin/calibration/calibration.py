@@ -548,24 +548,6 @@ class Estimate(NamedTuple):
         """The numbers, each in its unit, shape (p,)."""
         return np.array([one.value(z) for one, z in zip(self.unknowns, self.z, strict=True)])
 
-    def changes(self, scene: Scene) -> dict[str, float]:
-        """What the numbers set in a scene, by its keys, each in its unit.
-
-        Args:
-            scene: The scene before.
-        """
-        return joint_changes(scene, [one.parameter for one in self.unknowns], self.values)
-
-    def values_of(self, others: Sequence[Unknown], scene: Scene) -> np.ndarray:
-        """Values of other numbers, of which some are fitted here, shape (number_count,).
-
-        Args:
-            others: These numbers.
-            scene: Has those that are not fitted.
-        """
-        own = dict(zip((one.parameter.key for one in self.unknowns), self.values, strict=True))
-        return np.array([own.get(one.parameter.key, one.parameter.read(scene)) for one in others])
-
     @property
     def intervals(self) -> np.ndarray:
         """Ends of the 95 % intervals of the numbers, shape (p, 2)."""
@@ -879,7 +861,7 @@ class Calibration(NamedTuple):
     @property
     def values(self) -> dict[str, float]:
         """The fitted numbers by their keys, each in its unit."""
-        return self.estimate.changes(self.start)
+        return joint_changes(self.start, [one.parameter for one in self.estimate.unknowns], self.estimate.values)
 
     @property
     def systematic_error(self) -> float:
@@ -1066,7 +1048,10 @@ def calibrate(
         model = RestModel(scene, [one.parameter for one in unknowns], [*used, *judges])
     fit = _fitted(model, own, unknowns, bool(keys), aside)
     kept = fit.found.without(fit.unused)
-    fitted, values = changed_scene(scene, kept.changes(scene)), kept.values_of(fit.wide.unknowns, scene)
+    fitted = changed_scene(scene, joint_changes(scene, [one.parameter for one in kept.unknowns], kept.values))
+    told = dict(zip((one.parameter.key for one in kept.unknowns), kept.values, strict=True))
+    # What was not told stays as the scene has it.
+    values = np.array([told.get(one.parameter.key, one.parameter.read(scene)) for one in fit.wide.unknowns])
     reach = reach_of(fit.found.linear(fit.model.measured.poses), np.array([one.setpoints for one in fit.poses]))
     held, off = _judged(model, fit, values, held, aside)
     return Calibration(

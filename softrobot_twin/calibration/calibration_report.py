@@ -327,8 +327,8 @@ def write_scene(found: Calibration, path: Path, written: Path, data: str) -> Non
         OutputError: It cannot be written.
     """
     estimate, day = found.estimate, f"{datetime.now(timezone.utc):%Y-%m-%d}"
-    rounded = [float(f"{value:.{DIGITS}g}") for value in estimate.values]
-    told = joint_changes(found.start, [one.parameter for one in estimate.unknowns], rounded)
+    told = joint_changes(found.start, [one.parameter for one in estimate.unknowns],
+                         (float(f"{value:.{DIGITS}g}") for value in estimate.values))  # fmt: skip
     numbers = dict[str, EditedValue]()
     for one, value, ends in zip(estimate.unknowns, estimate.values, estimate.intervals, strict=True):
         words = (f"calibrated {day} by {data}: {_name(one.parameter.key)} {value:.5g}, 95 % "

@@ -598,17 +598,13 @@ def train_once(training: Training) -> tuple[Trained, States]:
     Args:
         training: The training.
     """
-    options = training.options
-    groups = [training.training_samples(options.snapshots or SNAPSHOTS)]
-    if options.states:
-        # In the same run of the workers.
-        groups.append(training.fresh_samples(options.states, FRESH_SEED))
-    states = training.states(f"{training.scene.name}: states of the full model", *groups)[0]
+    options, body = training.options, training.body
+    # Fresh ones in the same run of the workers.
+    fresh = [training.fresh_samples(options.states, FRESH_SEED)] if options.states else []
+    states = training.states(f"{training.scene.name}: states of the full model",
+                             training.training_samples(options.snapshots or SNAPSHOTS), *fresh)[0]  # fmt: skip
     with terminal_status("modes and sampled points"):
-        K = rest_stiffness(training.body)
-        trained = train(
-            training.body, K, states, options.modes, options, options.tolerance, training.vibrations)  # fmt: skip
-    return trained, states
+        return train(body, rest_stiffness(body), states, options.modes, options, options.tolerance, training.vibrations), states
 
 
 def reduce(path: Path, options: TrainingOptions) -> int:

@@ -136,7 +136,8 @@ def joint_changes(
     found = dict[str, float]()
     for one, value in zip(numbers, values, strict=True):
         for key, number in one.changes(float(value)).items():
-            found[key] = number + found.get(key, before := float(value_at(scene, key))) - before
+            other = found.get(key)
+            found[key] = number if other is None else other + number - float(value_at(scene, key))
     return found
 
 

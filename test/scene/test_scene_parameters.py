@@ -5,7 +5,7 @@ import pytest
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene import load_scene
 from softrobot_twin.scene.loading import read_changes
-from softrobot_twin.scene.scene_parameters import changed_scene, parameters, tied, value_at
+from softrobot_twin.scene.scene_parameters import changed_scene, joint_changes, parameters, tied, value_at
 from softrobot_twin.shared_files import ScenePath
 from test.places import CONFIG
 
@@ -29,8 +29,9 @@ def test_every_number_of_every_scene_can_be_set_to_its_value(path):
 
 def test_a_number_is_read_set_and_scaled(finger):
     (modulus,) = parameters(finger, "body.material.young_modulus")
-    assert modulus.unit == "Pa" and modulus.read(finger) == 5e5
-    assert modulus.read(modulus.scale(finger, 0.5)) == 2.5e5
+    assert modulus.unit == "Pa" and modulus.read(finger) == 5e5 == 2.0 * modulus.read(modulus.scale(finger, 0.5))
+    # Where two handles move one number, their moves add.
+    assert joint_changes(finger, [modulus] * 2, (6e5, 4.5e5)) == {modulus.key: 5.5e5}
     other = modulus.set(finger, 1e5)
     assert other.body.material.young_modulus == 1e5 and finger.body.material.young_modulus == 5e5
     assert modulus.set(other, 5e5) == finger
