@@ -413,8 +413,8 @@ class Solver(Entry):
     """Most linearizations in a step."""
     residual_tolerance: Annotated[float, unit("N", gt=0.0)] = 1.0e-4
     """Residual force of a node at which Newton's method stops."""
-    reach_tolerance: Annotated[float, unit("m", gt=0.0)] = 1.0e-4
-    """Distance within which a target counts as reached."""
+    reach_tolerance: Annotated[float | None, unit("m", gt=0.0)] = None
+    """Distance within which a target counts as reached; by default 0.1 mm, at most a thousandth of the size."""
     exploration: bool = False
     """At rest, look for a nearer pose by simulation."""
 

@@ -59,6 +59,9 @@ MOST_SHARES = 10
 # Moves of bodies that are brought near balance, at most, and the length of one, by the body's size,
 # that is near.
 MOST_MOVES_TO_NEAR, NEAR = 12, 0.01
+# A residual within tolerance tells of balance where it is this share of the loads, or would move the
+# body by no more than this share of its size.
+TELLING_LOAD, TELLING_MOVE = 1.0e-3, 1.0e-6
 # Steps towards the same targets that keep the state before further ones need not be made. Within
 # fewer the inverse tries all that it will try from there, but one step for each actuator.
 STEPS_UNTIL_REST = 120
@@ -670,7 +673,7 @@ class Simulation(Readouts):
             asks_again: Whether a prescribed move asks for one more linearization.
         """
         solver = self.model.scene.solver
-        if done.share == 1.0 and done.residual <= solver.residual_tolerance and not asks_again:
+        if done.share == 1.0 and not asks_again and self._is_within_tolerance(done):
             return True
         most = max(solver.newton_iterations, MOST_SHARES if asks_again else 1)
         if self.model.is_dynamic and self.newton.asks_for_more_moves(done.share):
@@ -683,18 +686,32 @@ class Simulation(Readouts):
         Near is where the scene or the deadline stopped the linearizations before they could converge,
         and the residual is small beside the forces at rest, and of actuators, contacts and parts.
         """
-        solver, weight = self.model.scene.solver, self.newton.balance.constant_load
-        actuation = done.actuation
-        if done.share != 1.0 or not actuation.is_exact:
+        if done.share != 1.0 or not done.actuation.is_exact:
             return Balance.MISSED
-        if done.residual <= solver.residual_tolerance:
+        if self._is_within_tolerance(done):
             return Balance.REACHED
-        if budget is None and solver.newton_iterations != 1:
+        if budget is None and self.model.scene.solver.newton_iterations != 1:
             return Balance.MISSED
-        if done.residual > NEAR_BALANCE * weight:
-            load = self.actuators.load(actuation.efforts) + actuation.contact.load
-            weight += load + self._load_of_parts()
-        return Balance.NEAR if done.residual <= NEAR_BALANCE * weight else Balance.MISSED
+        return Balance.NEAR if self._is_small(done, NEAR_BALANCE) else Balance.MISSED
+
+    def _is_within_tolerance(self, done: Correction) -> bool:
+        """Whether the residual is within its tolerance, and tells of balance.
+
+        Of a body that bears less than the tolerance every residual is within it: a thin fibre far
+        from its balance, too.
+        """
+        if not done.residual <= self.model.scene.solver.residual_tolerance:
+            return False
+        if self._is_small(done, TELLING_LOAD):
+            return True
+        return self.newton.longest_left() <= TELLING_MOVE * self.model.nodes.size
+
+    def _is_small(self, done: Correction, share: float) -> bool:
+        """Whether the residual is at most a share of the forces at rest, of actuators, contacts and parts."""
+        load, actuation = self.newton.balance.constant_load, done.actuation
+        if done.residual > share * load:
+            load += self.actuators.load(actuation.efforts) + actuation.contact.load + self._load_of_parts()
+        return done.residual <= share * load
 
     def _move(
         self, positions: np.ndarray, actuation: Actuation, clock: StageClock,

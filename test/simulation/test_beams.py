@@ -54,6 +54,28 @@ def loaded(simulate, force, **entries):
     return simulation
 
 
+def test_a_fibre_far_lighter_than_the_tolerance_is_in_balance_only_where_it_hangs(
+    simulate, drawn_rng
+):
+    for _ in range(4):
+        length, modulus = 10 ** drawn_rng.uniform(-2, -0.5), 10 ** drawn_rng.uniform(7, 10)
+        fibre = rod(points=((0, 0, 0), (length, 0, 0)), density=1100.0)
+        fibre["section"] = {"circle": {"radius": 10 ** drawn_rng.uniform(-5, -4)}}
+        fibre["material"]["young_modulus"] = modulus
+        simulation = simulate(beams=[fibre], solver={"newton_iterations": 3})
+        steps = [simulation.step(Hold()) for _ in range(60)]
+        tips = [step.state.positions[-1] for step in steps if step.status is Status.OK]
+        assert steps[-1].status is Status.OK
+        assert np.linalg.norm(np.array(tips) - tips[-1], axis=1).max() < 1e-3 * length
+
+
+def test_what_counts_as_reached_shrinks_with_a_small_robot(simulate):
+    for length, share in ((1.0, 0.0), (0.003, 1e-3)):
+        simulation = simulate(beams=[rod(points=((0, 0, 0), (length, 0, 0)))])
+        tolerance = share * simulation.model.nodes.size or 1e-4
+        assert simulation.model.reach_tolerance == pytest.approx(tolerance)
+
+
 def nodes_of(simulation, beam=0):
     return simulation.model.beams[beam].nodes_mapping().positions(simulation.state.positions)
 

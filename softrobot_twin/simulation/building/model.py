@@ -23,6 +23,9 @@ from softrobot_twin.solvers.factorization import Factorization
 STAGES = ("detect", "assemble", "factor", "condense", "stiffness", "optimise", "correct", "residual")
 """Names of all stages of a step, in the order they run."""
 
+# Where the scene gives no `reach_tolerance`: its largest value [m], and its share of the size.
+REACH_TOLERANCE, REACH_SHARE = 1.0e-4, 1.0e-3
+
 
 class TargetRows(NamedTuple):
     """Rows that may have targets: positions first, then orientations and sensors.
@@ -121,6 +124,12 @@ class Model:
             np.concatenate([rows.owners, own]), np.concatenate([rows.weights, sensors.row_weights]),
             np.concatenate([lengths, sensors.row_lengths]), rows.count + sensors.row_count,
         )  # fmt: skip
+
+    @property
+    def reach_tolerance(self) -> float:
+        """Distance within which a target counts as reached [m]."""
+        given = self.scene.solver.reach_tolerance
+        return min(REACH_TOLERANCE, REACH_SHARE * self.nodes.size) if given is None else given
 
     @property
     def slides(self):

@@ -399,7 +399,7 @@ class TargetGoal(Goal):
 
     def is_met(self, actuation: Actuation, missed: np.ndarray) -> bool:
         """See `Goal`."""
-        tolerance = self._model.scene.solver.reach_tolerance
+        tolerance = self._model.reach_tolerance
         reached = all(miss <= tolerance for miss in missed.tolist() if math.isfinite(miss))
         return reached and (self.commanded is None or self._are_there(self.commanded, actuation))
 
@@ -439,7 +439,7 @@ class TargetGoal(Goal):
                 shape (effector_count,).
             after: After it [m], same shape.
         """
-        inverse, tolerance = self._goals.inverse, self._model.scene.solver.reach_tolerance
+        inverse, tolerance = self._goals.inverse, self._model.reach_tolerance
         most = np.fmax.reduce(before, initial=0.0)
         nearer = most - np.fmax.reduce(after, initial=0.0)
         if nearer > tolerance or nearer > inverse.least_progress * most:

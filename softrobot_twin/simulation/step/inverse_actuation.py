@@ -489,7 +489,7 @@ class InverseActuation:
         if model.weighs_stiffness:
             self._proximal_weight = max(self._proximal_weight, LEAST_PROXIMAL_WEIGHT_WITH_STIFFNESS)
         self._learns = not model.is_dynamic
-        self._tolerance = model.scene.solver.reach_tolerance
+        self._tolerance = model.reach_tolerance
         self._posed = model if model.effectors.orientations else None
         kinds = QP_SOLVERS[model.scene.solver.qp_solver]
         self._solver = InverseSolver(

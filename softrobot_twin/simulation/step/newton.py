@@ -520,9 +520,12 @@ class Newton:
         Returns:
             False when the correction must not be kept.
         """
-        left = self._model.factorization.solve(self.balance.forces)
-        longest_left = self._model.nodes.longest(left)
+        longest_left = self.longest_left()
         if longest_left <= self._round_off:
             return True
         self.tangent.is_worn = not longest_left <= WORN_CONTRACTION * self.last_move
         return longest_left <= GREATEST_CONTRACTION * self.last_move
+
+    def longest_left(self) -> float:
+        """How far the forces out of balance would still move a node, at held λ [m]."""
+        return self._model.nodes.longest(self._model.factorization.solve(self.balance.forces))

@@ -258,8 +258,7 @@ def test_tensions_beyond_the_length_limits_are_saturated_and_named(diamond):
 def test_in_dynamics_no_status_overstates_the_result(diamond, seed, time_step):
     simulation = diamond(lambda m: m.update(integration="dynamic"))
     rng = np.random.default_rng(seed)
-    tolerance, reach = (getattr(simulation.scene.solver, name)
-                        for name in ("residual_tolerance", "reach_tolerance"))  # fmt: skip
+    tolerance, reach = simulation.scene.solver.residual_tolerance, simulation.model.reach_tolerance
     home = simulation.effector_positions()
     for tick in range(60):
         if tick % 15 == 0:
