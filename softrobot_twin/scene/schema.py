@@ -412,7 +412,7 @@ class Solver(Entry):
     newton_iterations: Annotated[int, Field(ge=1, le=100)] = 1
     """Most linearizations in a step."""
     residual_tolerance: Annotated[float, unit("N", gt=0.0)] = 1.0e-4
-    """Residual force of a node at which Newton's method stops."""
+    """Residual force of a node at which Newton's method stops; less where the loads are small."""
     reach_tolerance: Annotated[float | None, unit("m", gt=0.0)] = None
     """Distance within which a target counts as reached; by default 0.1 mm, at most a thousandth of the size."""
     exploration: bool = False
