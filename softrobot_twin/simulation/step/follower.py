@@ -297,7 +297,9 @@ class Follower(InverseActuation):
         self._since += not (self._settles or is_calm)
         if self._now < (1.0 - LEAPT) * self._judged:
             self._judged, self._returns = self._now, 0
-        if self._now < (1.0 - PROGRESS) * self._best_seen:
+        # What is not in balance may come and go, a little nearer each time.
+        progress = PROGRESS if situation.is_balanced else LEAPT
+        if self._now < (1.0 - progress) * self._best_seen:
             self._best_seen, self._since = self._now, 0
         snaps = self._rises >= RISES and self._has_snapped()
         if snaps or self._since > PATIENCE:
