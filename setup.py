@@ -50,7 +50,6 @@ setup(
         "meshio>=5.3.5",
         "numba>=0.60",
         "numpy>=1.26.4",
-        "osqp>=1.0.5",
         "pydantic>=2.7",
         "pyyaml>=6.0.1",
         "rerun-sdk>=0.23.1,<0.42",

@@ -291,10 +291,10 @@ def test_only_nodes_and_the_commands_that_start_them_load_ros(loaded_modules):
 
 
 # What a load with its first step imports: libraries, and rooms of scipy. Some come with another one:
-# rich with meshio, jinja2 with osqp, coverage with numba where it is installed.
+# rich with meshio, coverage with numba where it is installed.
 LOADED_BY_A_STEP = {
-    "annotated_types", "charset_normalizer", "colorama", "coverage", "cython_runtime", "daqp", "jinja2",
-    "llvmlite", "markupsafe", "meshio", "numba", "numpy", "osqp", "pydantic", "pydantic_core", "rich",
+    "annotated_types", "charset_normalizer", "colorama", "coverage", "cython_runtime", "daqp",
+    "llvmlite", "meshio", "numba", "numpy", "pydantic", "pydantic_core", "rich",
     "scipy", "scipy.constants", "scipy.linalg", "scipy.sparse", "scipy.spatial", "scipy.special",
     "scipy.version", "softrobot_twin", "typing_extensions", "typing_inspection", "yaml"}
 LOAD = """

@@ -21,7 +21,7 @@ from softrobot_twin.harness.terminal import console, table
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.scene.scene_changes import without_reductions
 from softrobot_twin.simulation import FollowTargets, Simulation
-from softrobot_twin.solvers.quadratic_program import DAQPSolver, OSQPSolver
+from softrobot_twin.solvers.quadratic_program import DAQPSolver
 from softrobot_twin.solvers.superlu import OPTIONS, SuperLU
 from softrobot_twin.study.accuracy_study import (
     RATE,
@@ -66,7 +66,6 @@ class SingleSuperLU(SuperLU):
 
 STEPS = 100
 ITERATIONS = (1, 2, 3)
-QP_TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-6, 1e-8)
 # With this tolerance DAQP's solution is exact up to rounding.
 _EXACT_QP = 1.0e-12
 
@@ -104,7 +103,7 @@ def vary_settings(scene: Scene, step_count: int = STEPS) -> Iterator[SettingErro
 
     def inverse(solver) -> FollowedPath:
         commands = [FollowTargets(target, path.time_step) for target in targets]
-        return follow(ready_simulation(scene, 1, {"qp_solvers": (solver,)}), start, commands)
+        return follow(ready_simulation(scene, 1, {"qp_solver": solver}), start, commands)
 
     direct = partial(follow_lengths, scene, path, start)
     for iterations in ITERATIONS:
@@ -115,8 +114,6 @@ def vary_settings(scene: Scene, step_count: int = STEPS) -> Iterator[SettingErro
     # Double precision is compared with the other factorization, which rounds differently.
     yield row("precision of the factor", "double, SuperLU", double, direct(1).positions)
     exact = inverse(DAQPSolver(tolerance=_EXACT_QP)).positions
-    for tolerance in QP_TOLERANCES:
-        yield row("QP solver", f"OSQP at {tolerance:g}", inverse(OSQPSolver(tolerance=tolerance)), exact)
     yield row("QP solver", "DAQP", inverse(DAQPSolver()), exact)
 
 

@@ -7,9 +7,9 @@ import platform
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-LIBRARIES = ("numpy", "scipy", "osqp", "rerun-sdk")
+LIBRARIES = ("numpy", "scipy", "daqp", "rerun-sdk")
 """Libraries of a loop with a view."""
-NUMERICAL_LIBRARIES = ("numpy", "scipy", "numba", "osqp", "daqp")
+NUMERICAL_LIBRARIES = ("numpy", "scipy", "numba", "daqp")
 """Libraries of a step."""
 BLAS_THREADS = "OPENBLAS_NUM_THREADS"
 

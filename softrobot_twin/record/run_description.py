@@ -24,7 +24,7 @@ from softrobot_twin.scene.loading import read_yaml, written_out
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.channels import FIGURES, registered
 
-_LIBRARIES = ("softrobot_twin", "numpy", "scipy", "numba", "llvmlite", "osqp", "daqp", "gmsh")
+_LIBRARIES = ("softrobot_twin", "numpy", "scipy", "numba", "llvmlite", "daqp", "gmsh")
 _VARIABLES = (
     "NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES", "OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES",
     "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS",

@@ -405,8 +405,6 @@ class Solver(Entry):
     """Multifrontal Cholesky, or SuperLU."""
     threads: Annotated[int | None, Field(ge=1, le=64)] = None
     """Most threads; by default the cores, at most four."""
-    qp_solver: Literal["osqp", "daqp"] = "osqp"
-    """Solver of the inverse problem."""
     energy_weight: Annotated[float, unit("", ge=0.0, le=1.0)] = 1.0e-6
     """ε of eq. (17): makes redundant actuation unique."""
     newton_iterations: Annotated[int, Field(ge=1, le=100)] = 1

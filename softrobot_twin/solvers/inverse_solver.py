@@ -2,13 +2,14 @@
 
 Little changes from one step to the next. Therefore the active set of the last solution is tried
 first: one small system of equations, whose result is accepted only where all optimality conditions
-hold (`warm_start`). Only where this fails, a general solver is used: OSQP or DAQP for a quadratic
-program, pivoting over the branches where there are contacts.
+hold (`warm_start`). Only where this fails, a general solver is used: DAQP for a quadratic program,
+pivoting over the branches where there are contacts.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -16,12 +17,9 @@ from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.solvers.inverse_problem import tracking_and_energy
 from softrobot_twin.solvers.pivoting import MOST_PROGRAMS, WARM_START, never, solve_by_pivoting
 from softrobot_twin.solvers.qpcc import QPCC, QPCCSolution, Stationarity
-from softrobot_twin.solvers.quadratic_program import DAQPSolver, OSQPSolver, QPSolution, whiten
+from softrobot_twin.solvers.quadratic_program import DAQPSolver, QPSolution, whiten
 from softrobot_twin.solvers.warm_start import objective_at, optimum_from_active_set
 
-# General solvers in the order they are asked. An iteration of OSQP costs the same whatever is
-# active; where it reaches its iteration limit, the exact active-set method takes over.
-QP_SOLVERS = {"osqp": (OSQPSolver, DAQPSolver), "daqp": (DAQPSolver,)}
 # A dual below this share of the largest is rounding noise.
 NO_DUAL = 1.0e-6
 
@@ -105,7 +103,7 @@ class InverseSolver:
 
     def __init__(
         self,
-        qp_solvers: Sequence,
+        qp_solver: Any = None,
         most_programs: int = MOST_PROGRAMS,
         uses_warm_start: bool = True,
         is_exact: bool = False,
@@ -113,7 +111,7 @@ class InverseSolver:
         """Start without a last solution.
 
         Args:
-            qp_solvers: General solvers of quadratic programs, in the order they are asked.
+            qp_solver: General solver of quadratic programs; DAQP unless given.
             most_programs: Programs that one problem with contacts may solve.
             uses_warm_start: False where the general solvers themselves are studied.
             is_exact: True to solve problems without contacts to round-off too, by the search that
@@ -121,7 +119,7 @@ class InverseSolver:
                 leaves at its tolerance would keep a robot from coming to rest.
         """
         self._is_exact = is_exact
-        self._qp_solvers = tuple(qp_solvers)
+        self._qp_solver = qp_solver or DAQPSolver()
         self._most_programs = most_programs
         self._uses_warm_start = uses_warm_start
         self.reset()
@@ -129,8 +127,6 @@ class InverseSolver:
     def reset(self) -> None:
         """Forget the last solution, so that a run can be repeated to the bit."""
         self.active: np.ndarray | None = None
-        for solver in self._qp_solvers:
-            solver.reset()
 
     @property
     def guess(self) -> np.ndarray | None:
@@ -181,7 +177,7 @@ class InverseSolver:
             )
             if proved:
                 return _solution(problem, z, held, objective, active, WARM_START)
-        found = self._from_general_solvers(problem)
+        found = self._from_general_solver(problem)
         if found is None:
             return _solution(
                 problem, held, held, problem.objective(held), np.zeros(count, dtype=np.int64), ""
@@ -191,18 +187,15 @@ class InverseSolver:
             problem, z, held, problem.objective(z), _active_set(problem, found), found.solver
         )
 
-    def _from_general_solvers(self, problem: QPCC) -> QPSolution | None:
+    def _from_general_solver(self, problem: QPCC) -> QPSolution | None:
         if not problem.is_finite:
             return None
         try:
             whitened = whiten(problem)
         except np.linalg.LinAlgError:
             return None
-        for solver in self._qp_solvers:
-            found = solver.solve(whitened)
-            if found.solved:
-                return found
-        return None
+        found = self._qp_solver.solve(whitened)
+        return found if found.solved else None
 
 
 def _active_set(problem: QPCC, found: QPSolution) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Convex quadratic programs in whitened unknowns, solved by OSQP or DAQP.
+"""Convex quadratic programs in whitened unknowns, solved by DAQP.
 
 The curvature of the inverse problem spans six decades: some directions displace the effector, the
 others only cost energy. Therefore the program is posed in unknowns w in which the Hessian is the
@@ -11,23 +11,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import scipy.sparse as sp
 
 from softrobot_twin.solvers.daqp_program import solve_program
 from softrobot_twin.solvers.qpcc import QPCC
 
-OSQP_INFINITY = 1.0e20
-OSQP_TOLERANCE = 1.0e-8
-OSQP_SETTINGS = {
-    "verbose": False,
-    # Where rows of C are nearly parallel, splitting methods converge slowly; another solver is
-    # asked then.
-    "max_iter": 1000,
-    # The problem comes scaled.
-    "scaling": 0,
-    # Counted in iterations, never in seconds: the same input gives the same bits.
-    "adaptive_rho_interval": 25,
-}
 DAQP_TOLERANCE = 1.0e-9
 
 
@@ -111,60 +98,6 @@ def whiten(problem: QPCC) -> WhitenedQP:
     return WhitenedQP(q / size, C / lengths[:, None], lower / lengths, upper / lengths, T)
 
 
-class OSQPSolver:
-    """OSQP; its workspace is set up once, and updated by each problem of the same size."""
-
-    name = "OSQP"
-
-    def __init__(self, *, tolerance: float = OSQP_TOLERANCE):
-        """Set nothing up yet: the first problem does.
-
-        Args:
-            tolerance: Residual, absolute and relative, at which the problem counts as solved.
-        """
-        # Imported where it is used: it is slow to import, and not every scene needs it.
-        import osqp
-
-        self._osqp = osqp
-        self._tolerance = tolerance
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget the last solution, so that a run can be repeated to the bit."""
-        self._solver, self._shape = None, (0, 0)
-
-    def solve(self, problem: WhitenedQP) -> QPSolution:
-        """Solve one problem, warm-started from the last.
-
-        Args:
-            problem: The whitened QP.
-
-        Returns:
-            z, and whether it can be trusted.
-        """
-        lower = np.maximum(problem.lower, -OSQP_INFINITY)
-        upper = np.minimum(problem.upper, OSQP_INFINITY)
-        if self._shape != problem.C.shape:
-            self._set_up(problem, lower, upper)
-        else:
-            # Column by column, as a sparse matrix with every entry present stores it.
-            self._solver.update(q=problem.q, l=lower, u=upper, Ax=problem.C.T.ravel())
-        found = self._solver.solve(raise_error=False)
-        status = found.info.status
-        return problem.solution(found.x, found.y, status == "solved", found.info.iter, status, self.name)
-
-    def _set_up(self, problem: WhitenedQP, lower: np.ndarray, upper: np.ndarray) -> None:
-        self._solver, self._shape = self._osqp.OSQP(), problem.C.shape
-        # Every entry is present, also one that is zero now.
-        C = sp.csc_matrix(np.ones(self._shape))
-        C.data = problem.C.T.ravel()
-        identity = sp.eye(self._shape[1], format="csc")
-        self._solver.setup(
-            identity, problem.q, C, lower, upper,
-            eps_abs=self._tolerance, eps_rel=self._tolerance, **OSQP_SETTINGS,
-        )  # fmt: skip
-
-
 class DAQPSolver:
     """DAQP, a dual active-set method: exact multipliers, no set-up, nothing kept."""
 
@@ -177,9 +110,6 @@ class DAQPSolver:
             tolerance: Largest excess of a bound, in the unit of w.
         """
         self._tolerance = tolerance
-
-    def reset(self) -> None:
-        """Nothing is kept from one problem to the next."""
 
     def solve(self, problem: WhitenedQP) -> QPSolution:
         """Solve one problem.

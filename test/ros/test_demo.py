@@ -485,7 +485,7 @@ def test_a_short_demo_halves_the_error_and_writes_all_documented_files(led):
     busy = report["processor_share_of_others"] > 0.1
     assert ("times above are not representative" in " ".join(demo.output.split())) == busy
     assert report["mesh"]["dof"] <= 3 * report["mesh"]["nodes"]
-    assert {"python", "numpy", "scipy", "osqp", "rerun", "rclpy"} <= set(report["versions"])
+    assert {"python", "numpy", "scipy", "daqp", "rerun", "rclpy"} <= set(report["versions"])
     assert (folder / "tracking.png").read_bytes().startswith(b"\x89PNG")
     assert (folder / "run.rrd").stat().st_size > 10_000
     assert "closed loop / open loop" in demo.output

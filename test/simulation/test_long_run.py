@@ -26,7 +26,7 @@ def stub(simulate, body_of, block):
         gravity=[0.0, 0.0, 0.0], body=body_of(mesh, "stub", young_modulus=3e5, fixed=foot),
         cables=[cable("east", 0.02, 0.01), cable("north", 0.005, 0.02), cable("south", 0.005, 0.0)],
         effectors=[{"name": "tip", "points": [[0.01, 0.01, 0.04]], "directions": ["x", "y"]}],
-        solver={"newton_iterations": 1, "residual_tolerance": 1e-6, "qp_solver": "daqp"},
+        solver={"newton_iterations": 1, "residual_tolerance": 1e-6},
     )  # fmt: skip
 
 

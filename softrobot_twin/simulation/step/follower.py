@@ -30,7 +30,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -120,9 +120,9 @@ class Place(NamedTuple):
 class Follower(InverseActuation):
     """Finds actuation that brings effectors nearer to targets, as far as it is trusted."""
 
-    def __init__(self, model: Model, direct: DirectActuation, qp_solvers: tuple | None = None):
+    def __init__(self, model: Model, direct: DirectActuation, qp_solver: Any = None):
         """See `InverseActuation`."""
-        super().__init__(model, direct, qp_solvers)
+        super().__init__(model, direct, qp_solver)
         self._positions = slice(model.effectors.position_row_count)
         self._model, self._at_rest = model, np.zeros(len(self._scales))
         self._ones = np.ones(model.effectors.position_row_count)

@@ -20,7 +20,7 @@ How far an optimum is trusted is a question of its own: `Follower`.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -39,7 +39,7 @@ from softrobot_twin.solvers.inverse_problem import (
     build_inverse_problem,
     with_effort_rows,
 )
-from softrobot_twin.solvers.inverse_solver import QP_SOLVERS, InverseSolver, proved_efforts
+from softrobot_twin.solvers.inverse_solver import InverseSolver, proved_efforts
 from softrobot_twin.solvers.pivoting import MUCH_LOWER, WARM_START
 from softrobot_twin.solvers.qpcc import QPCC, QPCCSolution
 from softrobot_twin.solvers.quadratic_program import DAQPSolver, whiten
@@ -453,14 +453,13 @@ class InverseActuation:
     is_departing: bool
     move_limit: float
 
-    def __init__(self, model: Model, direct: DirectActuation, qp_solvers: tuple | None = None):
+    def __init__(self, model: Model, direct: DirectActuation, qp_solver: Any = None):
         """Lay out the problem.
 
         Args:
             model: A scene with actuators and effectors.
             direct: Solves for λ at prescribed displacements.
-            qp_solvers: Solvers of quadratic programs in the order they are asked, without a warm
-                start, in place of those that the scene names.
+            qp_solver: Solver of quadratic programs, without a warm start; None for DAQP with one.
         """
         self._direct, self._contacts = direct, model.contacts
         self._steps, self._row_weights = TargetSteps(model), model.target_rows.weights
@@ -491,11 +490,9 @@ class InverseActuation:
         self._learns = not model.is_dynamic
         self._tolerance = model.reach_tolerance
         self._posed = model if model.effectors.orientations else None
-        kinds = QP_SOLVERS[model.scene.solver.qp_solver]
         self._solver = InverseSolver(
-            qp_solvers or [kind() for kind in kinds], MOST_PROGRAMS,
-            uses_warm_start=qp_solvers is None, is_exact=not alone,
-        )  # fmt: skip
+            qp_solver, MOST_PROGRAMS, uses_warm_start=qp_solver is None, is_exact=not alone
+        )
         self.reset()
 
     def reset(self) -> None:

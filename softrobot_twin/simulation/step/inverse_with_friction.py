@@ -35,7 +35,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from enum import Enum
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -572,16 +572,16 @@ class Search:
 class InverseWithFriction(Follower):
     """Finds actuation and contact forces that bring effectors to their targets, with friction."""
 
-    def __init__(self, model: Model, direct: DirectActuation, qp_solvers: tuple | None = None):
+    def __init__(self, model: Model, direct: DirectActuation, qp_solver: Any = None):
         """Lay out the problem.
 
         Args:
             model: A scene with actuators, effectors and friction.
             direct: See `InverseActuation`.
-            qp_solvers: See there.
+            qp_solver: See there.
         """
         self._grips = Grips.of(model)
-        super().__init__(model, direct, qp_solvers)
+        super().__init__(model, direct, qp_solver)
         self._place_count = model.effectors.position_row_count
         # Squares of misses that make no difference, of weight one.
         self._negligible = NO_MATTER * self._tolerance
@@ -606,7 +606,7 @@ class InverseWithFriction(Follower):
         super().reset()
         # In motion, a linearization sees no further than its step.
         self._search = Search(self._learns)
-        self._among_open_ones = InverseSolver((), MOST_PROGRAMS, is_exact=True)
+        self._among_open_ones = InverseSolver(most_programs=MOST_PROGRAMS, is_exact=True)
         self._targets = self._moved = None
         self._calm_count, self._calm, self._tried_length = 0, 0.0, GREATEST
         # Least forces and margins that lacked in the last optimum.

@@ -47,20 +47,6 @@ def test_direct_steps_with_the_inverse_solution_give_the_same_state(diamond, cir
     np.testing.assert_allclose(same.efforts, result.efforts, atol=1e-5)
 
 
-@pytest.mark.parametrize("solver", ["osqp", "daqp"])
-def test_both_qp_solvers_give_the_same_path(diamond, circle, solver):
-    reference = diamond()
-    simulation = diamond(lambda m: m.update(solver={"qp_solver": solver}))
-    answered = []
-    for targets in circle(10):
-        first = reference.step(FollowTargets(targets, 0.1))
-        second = simulation.step(FollowTargets(targets, 0.1))
-        np.testing.assert_allclose(second.setpoints, first.setpoints, atol=1e-6)
-        answered.append(second.report.qp_solver)
-    assert answered.count("warm start") >= 8
-    assert set(answered) <= {"warm start", "DAQP", *(["OSQP"] if solver == "osqp" else [])}
-
-
 @pytest.mark.exhaustive
 def test_a_target_out_of_reach_is_approached_to_the_nearest_point_and_held(diamond):
     simulation = diamond()
