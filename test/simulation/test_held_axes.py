@@ -7,7 +7,7 @@ import pytest
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry.tet_mesh import TetMesh
-from softrobot_twin.mechanics.inertia import ConsistentInertia
+from softrobot_twin.reduction.reduction_states import refuse_unreducible
 from softrobot_twin.simulation import FollowTargets, Hold, Status
 from softrobot_twin.simulation.apparent_compliance import apparent_compliance
 from softrobot_twin.simulation.mesh_error import MeshErrorEstimator
@@ -35,7 +35,7 @@ def box(simulate, /, fixed, element="linear", gravity=(0.0, 0.0, 0.0), body=None
     material = {"young_modulus": YOUNG, "poisson_ratio": RATIO, "density": 1000.0}
     own = {"mesh": {"box": {"size": SIZE.tolist(), "cells": [3, 2, 4]}}, "element": element, "fixed": fixed,
            "material": material, "volume": "per_element", **(body or {})}  # fmt: skip
-    return simulate(body=own, gravity=gravity, **entries)
+    return simulate(bodies=[own], gravity=gravity, **entries)
 
 
 def test_a_block_between_plates_without_friction_is_strained_uniformly(box, element):
@@ -56,7 +56,6 @@ def test_a_floor_without_friction_bears_the_weight_and_nothing_else(box, element
     force = repeat_step(block, Hold(), 12).state.memory["reactions.wrenches"][0, :3]
     assert np.ptp(block.state.positions[:, 0]) > 1.001 * SIZE[0]
     np.testing.assert_allclose(force, [0.0, 0.0, 9.81 * 1000.0 * SIZE.prod()], rtol=1e-9, atol=1e-9)
-    assert force[0] ** 2 + force[1] ** 2 < 1e-18
 
 
 @pytest.fixture(params=["linear", "quadratic"])
@@ -68,34 +67,32 @@ def halves(request, simulate, body_of, block):
     half = block(size=(0.01, 0.02, 0.08), cells=(1, 2, 5), shake=0.0)
     points, middle = half.node_positions, half.node_positions[:, 0] < 1e-9
     number = np.where(middle, np.arange(len(points)), len(points) - 1 + np.cumsum(~middle))
-    mirrored = number[half.cells][:, [1, 0, 2, 3]]
-    whole = TetMesh(np.vstack([points, points[~middle] * [-1, 1, 1]]), np.vstack([half.cells, mirrored]))
+    cells = np.vstack([half.cells, number[half.cells][:, [1, 0, 2, 3]]])
+    whole = TetMesh(np.vstack([points, points[~middle] * [-1, 1, 1]]), cells)
 
     def bar(name, mesh, fixed, sides):
         cables = [
             {"name": f"{name}{len(sides) - side}", "pull_point": [0.005 * side, y, 0.0], "shortening": [0.0, 0.03],
              "points": [[0.005 * side, y, 0.04], [0.005 * side, y, 0.08]], "tension": [0.0, 50.0]}
             for name, y in (("low", 0.002), ("high", 0.018)) for side in sides]  # fmt: skip
-        return simulate(
-            body=body_of(mesh, name, element=request.param, fixed=[near(2, 0.0, ["x", "y", "z"]), *fixed]), cables=cables,
-            gravity=[0.0, -2.0, -9.81],
-            effectors=[{"name": "tip", "points": [[0.0, 0.01, 0.08]], "directions": ["y"]}])  # fmt: skip
+        body = body_of(mesh, name, element=request.param, fixed=[near(2, 0.0, ["x", "y", "z"]), *fixed])
+        tip = {"name": "tip", "points": [[0.0, 0.01, 0.08]], "directions": ["y"]}
+        return simulate(body=body, cables=cables, gravity=[0.0, -2.0, -9.81], effectors=[tip])
 
     return bar("half", half, PLANES[:1], [1]), bar("whole", whole, [], [1, -1])
 
 
 def test_half_a_bar_moves_as_the_whole_one(halves):
-    results = [repeat_step(bar, FollowTargets(bar.effector_positions() + [[0.0, 0.01, 0.0]], 1.0), 25) for bar in halves]
-    half, whole = (result.state.positions for result in results)
-    assert results[0].status is Status.OK and results[0].effector_positions[0, 1] > 0.015
-    rest = [bar.model.nodes.rest_positions for bar in halves]
-    same = np.linalg.norm(rest[0][:, None] - rest[1], axis=2).argmin(axis=1)
-    np.testing.assert_allclose(half, whole[same], atol=1e-8)
-    assert np.abs(half[rest[0][:, 0] == 0.0, 0]).max() < 1e-25
-    np.testing.assert_allclose(results[0].efforts, results[1].efforts[::2], rtol=1e-4, atol=1e-6)
-    yields = [apparent_compliance(bar).compliance[0] for bar in halves]
-    np.testing.assert_allclose(yields[0][1:, 1:], 2.0 * yields[1][1:, 1:], rtol=1e-5, atol=1e-9)
-    assert np.abs(yields[0][0]).max() < 1e-25
+    half, whole = (
+        repeat_step(bar, FollowTargets(bar.effector_positions() + [[0.0, 0.01, 0.0]], 1.0), 25) for bar in halves)
+    assert half.status is Status.OK and half.effector_positions[0, 1] > 0.015
+    rest, other = (bar.model.nodes.rest_positions for bar in halves)
+    same = np.linalg.norm(rest[:, None] - other, axis=2).argmin(axis=1)
+    np.testing.assert_allclose(half.state.positions, whole.state.positions[same], atol=1e-8)
+    assert np.abs(half.state.positions[rest[:, 0] == 0.0, 0]).max() < 1e-25
+    np.testing.assert_allclose(half.efforts, whole.efforts[::2], rtol=1e-4, atol=1e-6)
+    yields, both = (apparent_compliance(bar).compliance[0] for bar in halves)
+    np.testing.assert_allclose(yields, 2.0 * both * np.outer([0, 1, 1], [0, 1, 1]), rtol=1e-5, atol=1e-9)
 
 
 def test_half_a_bar_has_the_mesh_error_of_the_whole_one(halves):
@@ -107,19 +104,17 @@ def test_half_a_bar_has_the_mesh_error_of_the_whole_one(halves):
 @pytest.mark.parametrize("scheme", ["backward_euler", "generalized_alpha"])
 def test_momentum_along_free_axes_is_conserved(box, element, scheme, drawn_rng):
     block = box([near(2, 0.0)], element, integration="dynamic", time_scheme=scheme)
-    nodes = block.model.nodes
-    inertia = next(term for term in block.model.forces if term.is_inertia)
-    masses = inertia.masses if hasattr(inertia, "masses") else inertia._borne_masses
-    velocities = 0.05 * drawn_rng.standard_normal((len(masses), 3)) * nodes.free_axes
-    block.restore(replace(block.state, velocities=velocities))
+    free, inertia = block.model.nodes.free_axes, next(term for term in block.model.forces if term.is_inertia)
+    block.restore(replace(block.state, velocities=0.05 * drawn_rng.standard_normal(free.shape) * free))
+    before = inertia.momentum(block.state.velocities)
     assert repeat_step(block, Hold(0.002), 15).status is Status.OK
-    np.testing.assert_allclose(masses @ block.state.velocities[:, :2], masses @ velocities[:, :2], rtol=1e-9)
-    assert np.abs(block.state.velocities * (1.0 - nodes.free_axes)).max() < 1e-25
+    np.testing.assert_allclose(inertia.momentum(block.state.velocities)[:2], before[:2], rtol=1e-9)
+    assert np.abs(block.state.velocities * (1.0 - free)).max() < 1e-25
 
 
 def test_masses_accelerate_as_if_held_axes_were_left_out(box, drawn_rng):
     block = box([near(2, 0.0), near(0, 0.0)], "quadratic", integration="dynamic")
-    term = next(term for term in block.model.forces if isinstance(term, ConsistentInertia))
+    term = next(term for term in block.model.forces if term.is_inertia)
     M, free = block.model.bodies[0].mass_matrix(True).toarray(), block.model.nodes.free_axes
     forces, found = drawn_rng.standard_normal(free.shape) * free, np.zeros_like(free)
     term.add_accelerations(block.state.positions, forces, found)
@@ -128,8 +123,7 @@ def test_masses_accelerate_as_if_held_axes_were_left_out(box, drawn_rng):
 
 
 def test_the_tangent_is_the_slope_of_the_forces_along_free_axes(box, drawn_rng):
-    block = box([*PLANES, {"nodes": [30], "axes": ["x", "z"]}], gravity=(0.0, 0.0, -9.81),
-                solver={"factorization": "superlu"})  # fmt: skip
+    block = box([*PLANES, {"nodes": [30], "axes": ["x", "z"]}], solver={"factorization": "superlu"})
     model, balance = block.model, block.newton.balance
     free = model.nodes.free_axes.astype(bool)
     x, own = model.nodes.rest_positions.copy(), model.nodes.free_nodes
@@ -142,24 +136,29 @@ def test_the_tangent_is_the_slope_of_the_forces_along_free_axes(box, drawn_rng):
     assert np.abs(model.factorization.solve(np.ones(free.shape))[~free]).max() < 1e-27
 
 
-@pytest.mark.parametrize("entries, reason", [
-    ({"fixed": [near(2, 0.0)]}, "floats away"),
-    ({"fixed": PLANES, "vertebrae": {"rigid": [{"name": name, "region": name} for name in "ab"]}}, "bodies with vertebrae"),
-    ({"fixed": PLANES, "reduced": {"file": "a.npz"}}, "reduced bodies"),
-    ({"fixed": PLANES, "attached": [{**near(2, SIZE[2]), "to": "plate"}]}, "a node is held or attached"),
+PLATE = {"name": "plate", "motion": "guided", "box": {"size": [0.1, 0.1, 0.01]}}
+ACROSS = {"name": "across", "pull_point": [-0.01, 0.01, 0.02], "points": [[0.0, 0.01, 0.02]], "tension": [0.0, 9.0]}
+
+
+@pytest.mark.parametrize("body, entries, reason", [
+    ({"fixed": [near(2, 0.0)]}, {}, "floats away"),
+    ({"vertebrae": {"rigid": [{"name": name, "region": name} for name in "ab"]}}, {}, "bodies with vertebrae"),
+    ({"reduced": {"file": "a.npz"}}, {}, "reduced bodies"),
+    ({"attached": [{"to": "plate", "nodes": [1]}]}, {"rigid_bodies": [PLATE]}, "a node is held or attached"),
+    ({}, {"cables": [ACROSS]}, "it moves nothing"),
 ])  # fmt: skip
-def test_what_is_not_built_is_refused(box, entries, reason):
-    plate = {"name": "plate", "motion": "guided", "box": {"size": [0.1, 0.1, 0.01]}}
-    for region in entries.get("attached", ()):
-        del region["axes"]
+def test_what_is_not_built_is_refused(box, body, entries, reason):
     with pytest.raises(SceneError, match=reason):
-        box(entries["fixed"], body=entries, rigid_bodies=[plate] if "attached" in entries else [])
+        box([PLANES[0], *PLANES], body=body, **entries)
 
 
-def test_axes_turn_with_a_body_in_a_pattern(simulate):
-    body = {"name": "finger", "mesh": {"box": {"size": [0.01, 0.01, 0.03], "cells": [1, 1, 2]}}, "element": "linear",
-            "material": {"young_modulus": YOUNG, "poisson_ratio": RATIO, "density": 1000.0},
-            "fixed": [{"nodes": [0, 1, 2]}, {**near(2, 0.03), "frame": "mesh", "axes": ["x"]}],
-            "repeat": {"count": 2, "about": [0, 0, 1], "angle": np.pi / 2}}  # fmt: skip
-    robot = simulate(bodies=[body], gravity=[0, 0, 0])
+def test_a_body_held_along_some_axes_gets_no_basis(box):
+    block = box(PLANES)
+    with pytest.raises(SceneError, match="fixed.axes"):
+        refuse_unreducible(block.scene, block.model.bodies[0])
+
+
+def test_axes_turn_with_a_body_in_a_pattern(box):
+    fixed = [{"nodes": [0, 1, 15]}, {**near(2, SIZE[2]), "frame": "mesh", "axes": ["x"]}]
+    robot = box(fixed, body={"repeat": {"count": 2, "about": [0, 0, 1], "angle": np.pi / 2}})
     assert [one.entry.fixed[1].axes for one in robot.model.bodies] == [("x",), ("y",)]
