@@ -118,8 +118,7 @@ def test_masses_accelerate_as_if_held_axes_were_left_out(box, drawn_rng):
     M, free = block.model.bodies[0].mass_matrix(True).toarray(), block.model.nodes.free_axes
     forces, found = drawn_rng.standard_normal(free.shape) * free, np.zeros_like(free)
     term.add_accelerations(block.state.positions, forces, found)
-    np.testing.assert_allclose(free * (M @ found), forces, atol=1e-12)
-    assert not (found * (1.0 - free)).any()
+    np.testing.assert_allclose(np.where(free, M @ found, found), forces, atol=1e-12)
 
 
 def test_the_tangent_is_the_slope_of_the_forces_along_free_axes(box, drawn_rng):
