@@ -131,7 +131,7 @@ def test_the_tangent_is_the_slope_of_the_forces_along_free_axes(box, drawn_rng):
     found = model.factorization.matrix().toarray()[np.ix_(free.ravel(), free.ravel())]
     slopes = central_slopes(lambda at: balance.gather_forces(at).copy(), x, own, 1e-7)
     np.testing.assert_allclose(found, -slopes[free][:, free.ravel()], atol=1e-6 * np.abs(found).max())
-    assert not slopes[~free].any() and model.factorization.factor()
+    assert not slopes[~free].any() and model.factorization.factor() == (np.linalg.eigvalsh(found)[0] > 0.0)
     assert np.abs(model.factorization.solve(np.ones(free.shape))[~free]).max() < 1e-27
 
 
