@@ -427,7 +427,7 @@ def _is_moving(state: SceneComponent) -> bool:
 def _fix(record: BodyRecord, component: SceneComponent, regions: list[dict[str, Any]]) -> str:
     axes = [axis for axis, is_held in zip("xyz", _directions(component), strict=False) if is_held]
     if not axes:
-        raise NotConverted("its fixedDirections hold nothing")
+        return "nothing, as it holds no axis"
     if len(axes) < 3:
         regions = [{**one, "axes": axes} for one in regions]
     record.entry.setdefault("fixed", []).extend({SOURCE: [source_of(component)], **one} for one in regions)
