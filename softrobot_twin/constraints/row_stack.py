@@ -16,6 +16,7 @@ import numpy as np
 from softrobot_twin.constraints.constraint_term import ConstraintTerm
 from softrobot_twin.geometry.vector_arrays import are_same, copy_vectors
 from softrobot_twin.kernels.compilation import KERNEL, njit
+from softrobot_twin.mechanics.held_axes import leave_free
 from softrobot_twin.mechanics.kinematics import CarriedPoints, CarriedRows
 
 
@@ -70,17 +71,21 @@ class RowStack:
         reached_nodes: Unknowns with entries in the rows, in any state.
     """
 
-    def __init__(self, terms: Sequence[ConstraintTerm], points: CarriedPoints | None = None):
+    def __init__(
+        self, terms: Sequence[ConstraintTerm], points: CarriedPoints | None = None,
+        free_axes: np.ndarray | None = None,
+    ):  # fmt: skip
         """Allocate.
 
         Args:
             terms: The terms, in the order of their groups; those whose rows vary come last.
             points: The carried points of the scene; None without any.
+            free_axes: See `Nodes.free_axes`.
 
         Raises:
             ValueError: The rows of a term vary that is not in the last group.
         """
-        self.terms = tuple(terms)
+        self.terms, self._free_axes = tuple(terms), free_axes
         self._varying = tuple(term for term in self.terms if term.varies)
         self.varies = bool(self._varying)
         last = RowGroups._fields[-1]
@@ -249,6 +254,8 @@ class RowStack:
                 self.row_index = carried.row_index[:count]
                 self.node_index = carried.node_index[:count]
                 self.blocks = carried.blocks[:count]
+        if self._free_axes is not None:
+            leave_free(self.node_index, self._free_axes, self.blocks)
 
     def knows(self, positions: np.ndarray) -> bool:
         """Whether the rows are those at some node positions [m], shape (node_count, 3).

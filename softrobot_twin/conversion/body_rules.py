@@ -368,15 +368,12 @@ def damping_of(node: SceneNode) -> dict[str, Any]:
 
 @rule(FIXING, *KINDS["fixing"])
 def fixed(conversion: Conversion, component: SceneComponent) -> str | None:
-    """Points that do not move.
+    """Points that do not move, along all axes or some.
 
     Args:
         conversion: The conversion.
         component: The constraint.
     """
-    if component.kind.startswith("Partial") and not array_of(
-            component, 1, "fixedDirections", otherwise=[1.0])[:3].all():  # fmt: skip
-        raise NotConverted("points that are fixed along some axes only are not built here")
     state = conversion.state(component)
     for whole in conversion.bodies.values():
         for _, nodes, points in parts_of(whole, [state]):
@@ -428,12 +425,24 @@ def _is_moving(state: SceneComponent) -> bool:
 
 
 def _fix(record: BodyRecord, component: SceneComponent, regions: list[dict[str, Any]]) -> str:
+    axes = [axis for axis, is_held in zip("xyz", _directions(component), strict=False) if is_held]
+    if not axes:
+        return "nothing, as it holds no axis"
+    if len(axes) < 3:
+        regions = [{**one, "axes": axes} for one in regions]
     record.entry.setdefault("fixed", []).extend({SOURCE: [source_of(component)], **one} for one in regions)
     return f"{record.name}.fixed"
 
 
+def _directions(component: SceneComponent) -> np.ndarray:
+    """Whether a constraint holds points or frames along each axis, and about it."""
+    return array_of(component, 1, "fixedDirections", otherwise=[1.0] * 3).ravel()
+
+
 def _fix_frames(conversion: Conversion, component: SceneComponent, names: list[str]) -> str:
     """Rigid bodies that do not move, or ends of a beam."""
+    if not _directions(component).all():
+        raise NotConverted("frames that are fixed along or about some axes only are not built here")
     chosen = indices_of(component, "indices", "points", otherwise=[0])
     beams, rigids = ({one["name"]: one for one in conversion.scene.get(section, ())}
                      for section in ("beams", "rigid_bodies"))  # fmt: skip

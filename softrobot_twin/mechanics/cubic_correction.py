@@ -126,20 +126,24 @@ class CubicPart:
 class CubicCorrection:
     """The stiffness of bodies with bubbles around a state, and the forces on the bubbles."""
 
-    def __init__(self, parts: list[CubicPart], free_index: np.ndarray, node_unknowns: int):
+    def __init__(
+        self, parts: list[CubicPart], free_index: np.ndarray, node_unknowns: int,
+        free_axes: np.ndarray | float = 1.0,
+    ):  # fmt: skip
         """Lay out the unknowns: those of the scene first, then the bubbles.
 
         Args:
             parts: The bodies.
             free_index: Unknown of each node and then of each bubble, -1 where it is fixed.
             node_unknowns: Number of unknowns that are not bubbles.
+            free_axes: As `Nodes.free_axes`, of the bubbles, shape (bubble_count, 3); 1.0 for all axes.
         """
         functions = np.concatenate([part.functions for part in parts])
         signs = np.concatenate([part.signs for part in parts])
         self._gradients = np.concatenate([part.gradients for part in parts])
         self._lame = np.concatenate([part.lame for part in parts])
         self._turns = np.concatenate([np.full(len(part.signs), part.turns) for part in parts])
-        self._count, self.node_unknowns = int(free_index.max()) + 1, node_unknowns
+        self._count, self.node_unknowns, self._free_axes = int(free_index.max()) + 1, node_unknowns, free_axes
         self.bubble_count = self._count - node_unknowns
         self._functions, self._signs = functions, signs
         self._unknowns = free_index[functions]
@@ -214,7 +218,8 @@ class CubicCorrection:
             own = (la + mu) * outer + mu * dot * identity
             moving = self._unknowns[:, a] >= 0
             np.add.at(blocks, self._unknowns[moving, a] - self.node_unknowns, own[moving])
-        self._preconditioner = np.linalg.inv(blocks)
+        free = np.broadcast_to(self._free_axes, (self.bubble_count, 3))
+        self._preconditioner = free[:, :, None] * np.linalg.inv(blocks) * free[:, None, :]
 
     def weight(self, gravity: np.ndarray) -> np.ndarray:
         """Weight on the bubbles [N] under an acceleration [m/s²], shape (bubble_count, 3).
@@ -222,7 +227,7 @@ class CubicCorrection:
         Args:
             gravity: The acceleration [m/s²], shape (3,).
         """
-        return np.outer(self._masses, gravity)
+        return np.outer(self._masses, gravity) * self._free_axes
 
     def multiply(self, move: np.ndarray) -> np.ndarray:
         """The elements' stiffness times a move of all unknowns [m], (unknown_count, 3) [N].
@@ -240,7 +245,9 @@ class CubicCorrection:
 
     def _scattered(self) -> np.ndarray:
         flat = self._stresses.reshape(len(_FROM_FUNCTIONS), -1)
-        return self._scatter @ (_FROM_FUNCTIONS.T @ flat).reshape(-1, 3)
+        forces = self._scatter @ (_FROM_FUNCTIONS.T @ flat).reshape(-1, 3)
+        forces[self.node_unknowns :] *= self._free_axes
+        return forces
 
     def left_on_bubbles(self, forces: np.ndarray, move: np.ndarray) -> np.ndarray:
         """Forces on bubbles that a move of the nodes does not balance.

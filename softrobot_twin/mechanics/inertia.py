@@ -28,7 +28,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.sparse import coo_array, csr_array
+from scipy.sparse import coo_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
 
 from softrobot_twin.geometry.cell_mesh import CellBlock
@@ -382,7 +382,7 @@ class ConsistentInertia(RememberedNodes, InertiaTerm):
     name = "consistent inertia"
 
     def __init__(
-        self, mesh, free_index: np.ndarray, density, free_nodes: np.ndarray, lumped=None
+        self, mesh, free_index: np.ndarray, density, free_nodes: np.ndarray, lumped=None, free_axes=None
     ):
         """Sum the mass matrix.
 
@@ -394,6 +394,7 @@ class ConsistentInertia(RememberedNodes, InertiaTerm):
             free_nodes: The body's nodes that move, shape (body_free_node_count,).
             lumped: Elements whose mass is lumped, shape (element_count,) of bool; none when left
                 out.
+            free_axes: See `Nodes.free_axes`.
 
         Raises:
             ValueError: The density is not positive and finite.
@@ -407,7 +408,8 @@ class ConsistentInertia(RememberedNodes, InertiaTerm):
         self._row_starts, self._columns, self._values = M.indptr, M.indices, M.data
         self._lower_values = self._offsets = self._strides = None
         self._accelerations = np.zeros((len(self._nodes), 3))
-        self._mass_factor = None
+        self._free_axes = np.ones((len(self._nodes), 3)) if free_axes is None else free_axes[self._unknowns]
+        self._mass_factors = None
 
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
         """Find the places of the lower blocks."""
@@ -450,11 +452,17 @@ class ConsistentInertia(RememberedNodes, InertiaTerm):
 
     def add_accelerations(self, positions, forces, accelerations) -> None:
         """Add M⁻¹ f; see `InertiaTerm`. M is factorized when it is needed first."""
-        if self._mass_factor is None:
-            count = len(self._nodes)
+        if self._mass_factors is None:
+            count, free_axes = len(self._nodes), self._free_axes
             M = csr_array((self._values, self._columns, self._row_starts), shape=(count, count))
-            self._mass_factor = splu(M.tocsc())
-        accelerations[self._unknowns] += self._mass_factor.solve(forces[self._unknowns])
+            # Axes along which the same nodes are free have the same factor.
+            self._mass_factors = []
+            for free in np.unique(free_axes, axis=1).T:
+                axes, D = np.flatnonzero((free_axes == free[:, None]).all(axis=0)), diags_array(free)
+                self._mass_factors.append((axes, splu((D @ M @ D + diags_array(1.0 - free)).tocsc())))
+        for axes, factor in self._mass_factors:
+            own = np.ix_(self._unknowns, axes)
+            accelerations[own] += factor.solve(forces[own])
 
     def momentum(self, velocities: np.ndarray) -> np.ndarray:
         """∫ρ v dV [kg m/s], shape (3,), of the free nodes.

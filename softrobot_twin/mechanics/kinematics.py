@@ -200,6 +200,8 @@ class Nodes:
         free_node_count: Number of unknowns, three numbers each.
         size: Size of the largest body, see `size_of_body` [m]; infinite for a single point.
         kinds: Kinds of unknowns besides free nodes, in the order of their carried points.
+        free_axes: 1.0 along each axis that an unknown may move along, 0.0 along those where it is held,
+            shape (free_node_count, 3); None where none is held; see `held_axes`.
     """
 
     rest_positions: np.ndarray
@@ -208,6 +210,7 @@ class Nodes:
     free_node_count: int
     size: float
     kinds: tuple[UnknownKind, ...] = field(default=())
+    free_axes: np.ndarray | None = None
 
     @property
     def finite_size(self) -> float:

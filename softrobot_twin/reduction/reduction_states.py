@@ -782,6 +782,8 @@ def refuse_unreducible(scene: Scene, body: Body) -> None:
         refuse("attached", ", ".join(sorted(body.riding)),
                "nodes attached to rigid bodies are not built for a reduced body, but for one "
                "platform that a slide moves")
+    if (body.held != body.fixed[:, None]).any():
+        refuse("fixed.axes", body.name, "is held along some axes only, which is not built for a reduced body")
     for part in body.materials:
         key = part.key.removeprefix(f"{body.key}.")
         if part.viscosity:

@@ -463,6 +463,15 @@ class Region(Entry):
     """Nodes, by their index in the mesh file."""
 
 
+class FixedRegion(Region):
+    """Nodes that do not move along some axes."""
+
+    placed: ClassVar[dict[str, str]] = {**Region.placed, "axes": "letters"}
+
+    axes: Annotated[tuple[Literal["x", "y", "z"], ...], Field(min_length=1)] = ("x", "y", "z")
+    """Axes of the world along which they do not move."""
+
+
 class Attachment(Region):
     """Nodes that move with a rigid body, which takes their mass if it is free."""
 
@@ -550,7 +559,7 @@ class Body(Entry):
     material: Material
     materials: tuple[RegionMaterial, ...] = ()
     """Of parts; other cells have `material`."""
-    fixed: tuple[Region, ...] = ()
+    fixed: tuple[FixedRegion, ...] = ()
     """Nodes that do not move."""
     attached: tuple[Attachment, ...] = ()
     """Nodes that move with a rigid body."""
@@ -592,6 +601,9 @@ class Body(Entry):
         if self.reduced is not None and self.has_patches:
             raise refusal("volume", "patches", PATCHES_NOT_REDUCED)
         bodies = "bodies with vertebrae" if self.reduced is None else "reduced bodies"
+        for index, region in enumerate(self.fixed):
+            if len(set(region.axes)) < 3:
+                raise refusal(f"fixed[{index}].axes", ", ".join(region.axes), f"is not built for {bodies}")
         for key, entry in self._materials_by_key().items():
             for name in ("viscosity", "softening"):
                 if getattr(entry, name):

@@ -325,7 +325,9 @@ def _helix(value: Any, motion: Motion, model: type[Entry]) -> Any:
     return moved
 
 
-def _moved(model: type[Entry], entry: dict, motion: Motion, above: str = "") -> dict:
+def _moved(
+    model: type[Entry], entry: dict, motion: Motion, above: str = "", is_in_mesh: bool = False
+) -> dict:
     """An entry with everything that has a place in the world moved.
 
     Args:
@@ -333,6 +335,7 @@ def _moved(model: type[Entry], entry: dict, motion: Motion, above: str = "") -> 
         entry: The values of its keys.
         motion: The motion.
         above: Key of the entry, for errors.
+        is_in_mesh: Whether it moves with the mesh of its body; axes of the world do not.
 
     Raises:
         _CannotMove: A value cannot be moved in this way.
@@ -341,7 +344,7 @@ def _moved(model: type[Entry], entry: dict, motion: Motion, above: str = "") -> 
     for key, kind in (model.placed or {}).items():
         field = model.model_fields[key]
         value = entry.get(key, None if field.is_required() else field.default)
-        if value is None:
+        if value is None or is_in_mesh and kind != "letters":
             continue
         if kind in ("point", "direction", "angles"):
             moved[key] = _vectors(value, getattr(motion, kind))
@@ -365,9 +368,8 @@ def _moved_inside(model: type[Entry], value: Any, motion: Motion, key: str) -> A
     if not isinstance(value, Mapping):
         return value
     frame = model.model_fields.get("frame")
-    if frame is not None and value.get("frame", frame.default) == "mesh":
-        return value  # it moves with the mesh of its body
-    return _moved(model, dict(value), motion, f"{key}.")
+    is_in_mesh = frame is not None and value.get("frame", frame.default) == "mesh"
+    return _moved(model, dict(value), motion, f"{key}.", is_in_mesh)
 
 
 def _model_of(form: Form) -> type[Entry]:

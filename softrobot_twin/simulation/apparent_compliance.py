@@ -36,6 +36,7 @@ from scipy.sparse.linalg import splu
 
 from softrobot_twin.constraints.effector import Effectors
 from softrobot_twin.constraints.hinge_angle import HingeAngles
+from softrobot_twin.mechanics.held_axes import HELD
 from softrobot_twin.simulation.building.limits import DISPLACEMENT_MARGIN, HOLDING_MARGIN
 from softrobot_twin.simulation.simulation import Simulation
 from softrobot_twin.simulation.step.apparent_stiffness import SHARING, effector_rows, sharing
@@ -515,7 +516,8 @@ class Saddle:
             stiffness = np.concatenate([part.stiffness for part in dense])
         # Redundant rows share the load.
         diagonal = np.abs(A.diagonal())
-        scale = diagonal[diagonal > 0.0].mean() if (diagonal > 0.0).any() else 1.0
+        free = (diagonal > 0.0) & (diagonal < HELD)
+        scale = diagonal[free].mean() if free.any() else 1.0
         by_node = np.where(diagonal > 0.0, diagonal, scale)
         softness = (D.multiply(D) @ (1.0 / by_node)) if D.shape[0] else np.empty(0)
         C = sp.csr_array(holding.own_of_places + np.diag(sharing(softness)))

@@ -10,6 +10,7 @@ import numpy as np
 from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.errors import SceneError
 from softrobot_twin.kernels.worker_threads import default_thread_count
+from softrobot_twin.mechanics.held_axes import HeldAxes
 from softrobot_twin.mechanics.kinematics import on_unknowns
 from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.scene import Scene
@@ -157,7 +158,8 @@ def with_cables(terms: Terms, scene: Scene) -> Terms:
     """
     layout, passive = terms.layout._replace(scene=scene), len(terms.actuators.held_forces)
     actuators = build_actuators(layout, [])
-    forces = terms.forces[: len(terms.forces) - passive] + actuators.held_forces
+    held = _held_axes(layout)
+    forces = terms.forces[: len(terms.forces) - passive - len(held)] + actuators.held_forces + held
     return terms._replace(layout=layout, forces=forces, actuators=actuators)
 
 
@@ -172,7 +174,7 @@ def _model_of(scene: Scene, factorization_type: type | None, mounted: np.ndarray
     if not is_dense and isinstance(factorization, Multifrontal):
         factorization.use_threads(scene.solver.threads or default_thread_count())
     # Binding sorts the terms' entries, so their rows are stacked after it.
-    rows = RowStack(constraints, nodes.carried)
+    rows = RowStack(constraints, nodes.carried, nodes.free_axes)
     dense = [term for term in (*forces, *constraints) if term.dense_rows is not None]
     if dense:
         factorization = DenseStiffness(factorization, dense)
@@ -199,10 +201,16 @@ def _terms(layout: Layout, notes: list[str]) -> Terms:
     sensors = sensor_term(layout, notes) if scene.sensors else None
     wanted = sensor_term(layout, [], True) if scene.sensors else None
     return Terms(
-        layout, forces + actuators.held_forces, actuators, effector_term(layout, notes),
+        layout, forces + actuators.held_forces + _held_axes(layout), actuators, effector_term(layout, notes),
         marker_mapping(layout, notes),
         contact_term(layout, notes) if scene.contact is not None else None, notes, sensors, wanted,
     )  # fmt: skip
+
+
+def _held_axes(layout: Layout) -> tuple[HeldAxes, ...]:
+    """What leaves out the forces along held axes, after all other force terms; none without such axes."""
+    free_axes = layout.nodes.free_axes
+    return () if free_axes is None else (HeldAxes(free_axes),)
 
 
 def _is_dense(layout: Layout) -> bool:

@@ -270,26 +270,27 @@ class CubicBody:
         for body in layout.bodies:
             mesh = add_bubbles(body.mesh, node_count + bubble_count - body.first_node)
             bubble_count += len(mesh.bubble_corners)
-            held.append(body.fixed[mesh.bubble_corners].all(axis=1))
+            held.append(body.held[mesh.bubble_corners].all(axis=1))
             lame, turns = (cell_values(body.materials, name, body.mesh.cell_count)
                            for name in ("lame_parameters", "turns"))  # fmt: skip
             parts.append(CubicPart(mesh, body.first_node, lame, body.density, turns))
             bodies.append(replace(body, mesh=mesh))
         held = np.concatenate(held)
-        places = np.where(held, -1, np.cumsum(~held) - 1)
+        moving = ~held.all(axis=1)
+        places, free_axes = np.where(moving, np.cumsum(moving) - 1, -1), 1.0 - held[moving]
         unknowns = model.nodes.free_node_count
         index = np.where(places >= 0, unknowns + places, -1)
         free = np.where(layout.nodes.free_index < unknowns, layout.nodes.free_index, -1)
-        self._correction = CubicCorrection(parts, np.concatenate([free, index]), unknowns)
+        self._correction = CubicCorrection(parts, np.concatenate([free, index]), unknowns, free_axes)
         # Rows of the bubbles alone: the entries of the nodes are those of the model.
         self._bubbles = np.zeros((bubble_count, 3))
         nodes = replace(
             layout.nodes, free_index=np.concatenate([np.full(node_count, -1), places]),
-            rest_positions=np.vstack([layout.nodes.rest_positions, self._bubbles]), kinds=(),
+            rest_positions=np.vstack([layout.nodes.rest_positions, self._bubbles]), kinds=(), free_axes=free_axes,
         )  # fmt: skip
         widened = layout._replace(bodies=tuple(bodies), nodes=nodes)
         terms = [group.term for group in build_groups(widened, [])]
-        self._rows = RowStack([*terms, effector_term(widened, [])])
+        self._rows = RowStack([*terms, effector_term(widened, [])], None, free_axes)
         self._actuator_count = model.actuators.row_count
 
     def responses(self) -> tuple[Response, Response]:

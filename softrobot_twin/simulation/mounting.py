@@ -299,7 +299,7 @@ def prestress(simulation: Steppable) -> Prestress:
     nodes = terms.layout.nodes
     terms.bind_alone()
     forces = terms.passive_forces(mounted.positions)
-    rows = RowStack(terms.actuators.terms, nodes.carried)
+    rows = RowStack(terms.actuators.terms, nodes.carried, nodes.free_axes)
     rows.tell_efforts(mounted.efforts)
     rows.evaluate(mounted.positions)
     rows.add_forces(rows.multipliers(mounted.efforts), forces)

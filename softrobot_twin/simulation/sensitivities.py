@@ -388,7 +388,7 @@ class Sensitivities(HeldTangent):
         known = self._middle if is_own else None
         passive = terms.passive_forces(positions) if known is None else known.passive
         forces = passive.copy()
-        rows = RowStack(actuators.terms, nodes.carried)
+        rows = RowStack(actuators.terms, nodes.carried, nodes.free_axes)
         # What a regulator is told stays; the pressure that it means may be a number of the scene.
         efforts = np.where(actuators.is_effort_driven, actuators.drives(state.setpoints), state.efforts)
         rows.tell_efforts(efforts)
@@ -424,7 +424,8 @@ class Sensitivities(HeldTangent):
 def _is_alike(one: Layout, other: Layout) -> bool:
     """Whether two scenes have the same cells and unknowns, at whatever places."""
     pairs = zip(one.bodies, other.bodies, strict=True)
-    return np.array_equal(one.nodes.free_index, other.nodes.free_index) and all(
+    unknowns = ((layout.nodes.free_index, layout.nodes.free_axes) for layout in (one, other))
+    return all(map(np.array_equal, *unknowns)) and all(
         before.mesh is after.mesh or np.array_equal(before.mesh.cells, after.mesh.cells)
         for before, after in pairs)
 

@@ -28,7 +28,7 @@ from softrobot_twin.harness.terminal import tracked, warn
 from softrobot_twin.harness.timing import spread, without_garbage_collection
 from softrobot_twin.mechanics.element_kinds import HEXAHEDRAL
 from softrobot_twin.scene import Scene, load_scene
-from softrobot_twin.scene.body_entries import Material, Mesh, Reduced, Region
+from softrobot_twin.scene.body_entries import FixedRegion, Material, Mesh, Reduced
 from softrobot_twin.scene.entry import expanded
 from softrobot_twin.scene.loading import changes_of, read_yaml, written_out
 from softrobot_twin.scene.scene_changes import unlimited, with_mesh_file, with_newton
@@ -78,7 +78,7 @@ def write_scene_copy(path: Path, original: Path, chosen: Scene, setting: Setting
             body["mesh"]["file"] = file
     else:  # a refined mesh is already placed, and is fixed by node indices
         body["mesh"] = {"file": file}
-        body["fixed"] = [{"nodes": list(region.nodes)} for region in chosen.body.fixed]
+        body["fixed"] = [region.model_dump(mode="json", exclude_defaults=True) for region in chosen.body.fixed]
     body["element"] = setting.element
     body.pop("reduced", None)
     solver = {**(content.get("solver") or {}), "newton_iterations": setting.iterations}
@@ -868,17 +868,19 @@ def _refined(scene: Scene, folder: Path) -> list[MeshLevel]:
     """The scene's own mesh and its refinements, with the same fixed regions."""
     levels = [_own_level(scene)]
     body = only_body(with_element(scene, "linear"))
-    mesh, is_fixed = body.mesh, body.fixed
+    mesh, held = body.mesh, body.held
     for number in range(1, REFINEMENTS + 1):
         mesh, ends = refine(mesh)
-        is_fixed = np.concatenate([is_fixed, is_fixed[ends].all(axis=1)])
+        held = np.concatenate([held, held[ends].all(axis=1)])
         file = (folder / f"{scene.mesh_name}_refined_{number}.vtk").resolve()
         folder.mkdir(parents=True, exist_ok=True)
         write_mesh(file, mesh)
-        nodes = tuple(int(node) for node in np.flatnonzero(is_fixed))
+        regions = tuple(
+            FixedRegion(nodes=np.flatnonzero((held == axes).all(axis=1)), axes=np.array(["x", "y", "z"])[axes])
+            for axes in np.unique(held, axis=0) if axes.any())
         placed = {"file": file, "box": None, "size": None, "scale": 1.0, "rotation": (0.0,) * 3,
                   "translation": (0.0,) * 3}
-        finer = scene.changed(body={"mesh": placed, "fixed": (Region(nodes=nodes),)})
+        finer = scene.changed(body={"mesh": placed, "fixed": regions})
         levels.append(_level(file.stem, finer, False))
     return levels
 

@@ -388,7 +388,10 @@ def _body_effects(body, integration: str, names: list[str]) -> Iterator[Effect]:
         held = int(np.count_nonzero(body.fixed)) - len(np.unique(riding))
         if vertebrae is not None:
             held = int(np.count_nonzero(vertebrae.division.body.fixed))
-        yield Effect(f"{key}.fixed", count(entry.fixed, "region"), f"{held} nodes without unknowns")
+        told = f"{held} nodes without unknowns"
+        if in_part := int(np.count_nonzero(body.held.any(axis=1) & ~body.fixed)):
+            told += f", {in_part} held along some axes"
+        yield Effect(f"{key}.fixed", count(entry.fixed, "region"), told)
     if vertebrae is not None:
         parts = vertebrae.parts
         yield Effect(

@@ -210,8 +210,7 @@ def test_surfaces_of_one_body_in_other_groups_may_touch_each_other(convert, fold
 
 def test_what_has_no_counterpart_is_listed_by_component_and_line(convert):
     converted = convert("foreign.py")
-    for kind, line, why in (("PartialFixedProjectiveConstraint", 14, "along some axes"),
-                            ("TetrahedronFEMForceField", 12, "plasticMaxThreshold"),
+    for kind, line, why in (("TetrahedronFEMForceField", 12, "plasticMaxThreshold"),
                             ("CableConstraint", 18, "pullPoint is not known"),
                             ("ConstantForceField", 15, "no counterpart"),
                             ("ForcePointActuator", 19, "no direction"),
@@ -220,6 +219,11 @@ def test_what_has_no_counterpart_is_listed_by_component_and_line(convert):
         assert re.search(rf"{kind} +foreign.py:{line} .*{why}", converted.told)
         assert re.search(rf"# Not converted: {kind}", converted.path.read_text())
     assert not converted.scene.cables and "GridTopology" not in converted.told
+
+
+def test_points_fixed_along_some_axes_are_held_along_these(convert):
+    everywhere, in_part = convert("foreign.py").scene.deformables[0].fixed
+    assert everywhere.axes == ("x", "y", "z") and (in_part.nodes, in_part.axes) == ((7,), ("x",))
 
 
 @pytest.mark.parametrize("lines, unknown", [

@@ -353,6 +353,7 @@ class Body:
         mesh: The body at rest, its nodes numbered from 0.
         first_node: Its first node among all nodes of the scene.
         fixed: Nodes that are fixed or attached, shape (node_count,) of bool.
+        held: Axes along which each node is held, all of those in `fixed`, shape (node_count, 3) of bool.
         riding: Its nodes attached to each rigid body, by that body's name.
         is_held: Every connected part has three nodes that are not on one line and are fixed, or
             attached to a rigid body that is guided or held by beams.
@@ -368,6 +369,7 @@ class Body:
     mesh: CellMesh
     first_node: int
     fixed: np.ndarray
+    held: np.ndarray
     riding: dict[str, np.ndarray]
     is_held: bool
     materials: tuple[MaterialPart, ...]
@@ -520,19 +522,25 @@ def build_body(
     entry = _with_element_of_cells(entry, key, reading, scene, notes)
     mesh = element_named(entry.element).make_mesh(reading.mesh)
     search = _RegionSearch(entry, mesh, reading, scene, notes)
-    fixed = np.zeros(mesh.node_count, dtype=bool)
+    held = np.zeros((mesh.node_count, 3), dtype=bool)
     for index, region in enumerate(entry.fixed):
-        fixed[_nodes_in(region, search, f"{key}.fixed[{index}]")] = True
+        nodes = _nodes_in(region, search, f"{key}.fixed[{index}]")
+        held[np.ix_(nodes, ["xyz".index(axis) for axis in region.axes])] = True
+    in_part = held.any(axis=1) & ~held.all(axis=1)
     riding = {}
     for index, region in enumerate(entry.attached):
         nodes = _nodes_in(region, search, f"{key}.attached[{index}]")
+        if in_part[nodes].any():
+            raise scene.error(f"{key}.attached[{index}]", f"{in_part[nodes].sum()} nodes",
+                              f"of it are held along some axes by {key}.fixed: a node is held or attached")
         riding[region.to] = np.union1d(riding.get(region.to, nodes), nodes)
-        fixed[nodes] = True
-    # A mid-edge node is attached or fixed if both ends of its edge are.
+        held[nodes] = True
+    # A mid-edge node is attached or held if both ends of its edge are.
     for name, nodes in riding.items():
         between = np.isin(mesh.mid_edge_ends, nodes).all(axis=1)
         riding[name] = np.union1d(nodes, reading.mesh.node_count + np.flatnonzero(between))
-    fixed[reading.mesh.node_count :] |= fixed[mesh.mid_edge_ends].all(axis=1)
+    held[reading.mesh.node_count :] |= held[mesh.mid_edge_ends].all(axis=1)
+    fixed = held.all(axis=1)
     if fixed.all():
         notes.append(
             f"{key} ({entry.name}): all its {len(fixed)} nodes are fixed or attached; nothing of "
@@ -541,12 +549,12 @@ def build_body(
     cut = next((note for note in reading.notes if CUT in note), "")
     # Nodes attached to a free rigid body are not fixed in space, unless beams hold it.
     free = {rigid.name for rigid in scene.rigid_bodies if rigid.motion == "free"} - held_bodies
-    held = fixed.copy()
+    in_space = held.copy()
     for name in free & set(riding):
-        held[riding[name]] = False
-    is_held = _is_held(mesh, held, f"{key}.fixed", scene, cut)
+        in_space[riding[name]] = False
+    is_held = _is_held(mesh, in_space, f"{key}.fixed", scene, cut)
     materials = material_parts(entry, key, mesh, reading.parts, scene, notes)
-    return Body(entry, key, mesh, first_node, fixed, riding, is_held, materials, reading.parts)
+    return Body(entry, key, mesh, first_node, fixed, held, riding, is_held, materials, reading.parts)
 
 
 def _read_mesh(entry: BodyEntry, scene: Scene) -> MeshReading:
@@ -728,33 +736,37 @@ def size_hint(size: float) -> str:
     return f"; it is {size:.4g} m large: is its mesh in millimetres? then give mesh.scale: 0.001"
 
 
-def holds_still(points: np.ndarray) -> bool:
-    """True where points [m], shape (count, 3), are three or more that are not on one line.
+def holds_still(points: np.ndarray, held: np.ndarray | None = None) -> bool:
+    """True where a rigid body cannot move: of held points, three or more that are not on one line.
 
     Args:
         points: The points [m], shape (count, 3).
+        held: Axes along which each is held, shape (count, 3) of bool; None for all.
     """
-    if len(points) < 3:
-        return False
-    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    return bool(spread[1] > 1.0e-9 * max(spread[0], 1.0e-300))
+    held = np.ones(points.shape, bool) if held is None else held
+    arms = points - points.mean(axis=0) if len(points) else points
+    arms = arms / max(np.abs(arms).max(initial=0.0), 1.0e-300)
+    node, axis = np.nonzero(held)
+    along = np.eye(3)[axis]
+    motions = np.hstack([along, np.cross(arms[node], along)])
+    return bool(np.linalg.matrix_rank(motions, 1.0e-9 * np.sqrt(len(points))) == 6)
 
 
-def _is_held(mesh, fixed: np.ndarray, key: str, scene: Scene, cut: str) -> bool:
-    """Whether every connected part has three fixed nodes that are not on one line."""
+def _is_held(mesh, held: np.ndarray, key: str, scene: Scene, cut: str) -> bool:
+    """Whether what holds the nodes of every connected part leaves no motion as a rigid body."""
     others = mesh.cells[:, 1:]
     first = np.broadcast_to(mesh.cells[:, :1], others.shape)
     part = connected_pieces(first.ravel(), others.ravel(), mesh.node_count)
     part_count = part.max() + 1
     for index in range(part_count):
-        held = mesh.node_positions[fixed & (part == index)]
-        if holds_still(held):
+        own = np.flatnonzero(held.any(axis=1) & (part == index))
+        if holds_still(mesh.node_positions[own], held[own]):
             continue
         if scene.integration != "quasi_static":
             return False
         which = "the body" if part_count == 1 else f"part {index} of {part_count}"
         hint = f"; {cut[:1].lower()}{cut[1:]}" if cut else size_hint(_size(mesh.node_positions))
-        raise scene.error(key, f"{len(held)} nodes",
+        raise scene.error(key, f"{len(own)} nodes",
                           f"{which} is not held: in quasi_static integration at least three nodes "
                           f"that are not on one line must be fixed, or the body floats away{hint}")
     return True

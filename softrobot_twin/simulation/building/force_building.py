@@ -456,7 +456,7 @@ def body_motion_terms(layout: Layout) -> Iterator[ForceTerm]:
         if dynamic and not is_diagonal:
             mesh = layout.mesh_among_nodes(body)
             lumped = _lumped_elements(layout, body)
-            yield ConsistentInertia(mesh, free_index, density, nodes, lumped)
+            yield ConsistentInertia(mesh, free_index, density, nodes, lumped, layout.nodes.free_axes)
         masses = body.node_masses()[own]
         if dynamic and is_diagonal:
             yield LumpedInertia(nodes, free_index[nodes], masses)

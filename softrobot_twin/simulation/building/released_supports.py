@@ -86,6 +86,9 @@ class ReleasedSupports:
         self._own, self._unknowns = np.flatnonzero(own), nodes.free_index[own]
         index = model.nodes.free_index[self._own]
         self._moved = np.where((index >= 0) & (index < model.nodes.free_node_count), index, -1)
+        self._held = np.ones_like(nodes.rest_positions)
+        for body in drawn.bodies:
+            self._held[body.first_node : body.first_node + len(body.held)] = body.held
 
     def begin_step(
         self, before: np.ndarray, after: np.ndarray, velocities: np.ndarray, time_step: float
@@ -131,6 +134,7 @@ class ReleasedSupports:
         at_nodes[self._own] = forces[self._unknowns]
         if self._contacts is not None:
             _add_contacts(self._contacts, at_nodes)
+        at_nodes *= self._held
         return -np.array([self._wrench(one, positions, forces, at_nodes) for one in self.supports])
 
     def _wrench(
@@ -189,7 +193,7 @@ def _support(layout: Layout, entry: Reaction, key: str) -> Support:
         riding = body.riding
         if entry.attached_to is None:
             ridden = np.concatenate([none, *riding.values()])
-            nodes = np.setdiff1d(np.flatnonzero(body.fixed), ridden) + body.first_node
+            nodes = np.setdiff1d(np.flatnonzero(body.held.any(axis=1)), ridden) + body.first_node
         elif entry.attached_to in riding:
             nodes = riding[entry.attached_to] + body.first_node
     elif body in layout.beams:

@@ -539,7 +539,7 @@ def lay_out(
     if net is not None and net.pivots:
         before = len(framed) - len(beam_frames)
         hinges = net.hinges(framed, before, first_node - 4 * before)
-    nodes = _number(positions, fixed, sizes, framed, hinges, reduced)
+    nodes = _with_held_axes(_number(positions, fixed, sizes, framed, hinges, reduced), bodies)
     if nodes.free_node_count == 0 and (scene.deformables or scene.mass_springs or beams):
         raise _nothing_moves(scene)
     drawn = nodes.rest_positions if scene.mounting else None
@@ -682,6 +682,16 @@ def _number(
         size = max(sizes) or np.inf
         nodes = Nodes(rest, free_nodes, free_index, len(free_nodes), size)
     return _with_reduced_points(nodes, reduced) if reduced else nodes
+
+
+def _with_held_axes(nodes: Nodes, bodies: list[Body]) -> Nodes:
+    """The nodes, some of which are held along some axes."""
+    free_axes = np.ones((nodes.free_node_count, 3))
+    for body in bodies:
+        if body.vertebrae is None and body.reduction is None:
+            own = np.flatnonzero(~body.fixed)
+            free_axes[nodes.free_index[body.first_node + own]] = ~body.held[own]
+    return nodes if free_axes.all() else replace(nodes, free_axes=free_axes)
 
 
 def _with_reduced_points(nodes: Nodes, reduced: list[ReducedNodes]) -> Nodes:
