@@ -148,10 +148,9 @@ for contacts in (3, 40):
         Y @ Y.T, rng.uniform(-1.0, 0.1, 3 * contacts), none, none, np.full(contacts, 0.4), 3)
     guess = np.zeros(3 * contacts)
     solvers.swept(problem, guess, guess)
-    for solver in (solvers.rubbing, solvers.sweeps, solvers.newton, solvers.judge):
+    for solver in (solvers.sweeps, solvers.newton, solvers.judge):
         solver.solve(problem, guess)
-    found = solvers.continuation.solve(problem, guess, guess)
-    solvers.continuation.end(problem, found.multipliers)
+    solvers.continuation.solve(problem, guess, guess)
 print(late)
 """
 

@@ -67,7 +67,8 @@ def test_displacements_to_targets(seed):
     targets[rng.random(7) < 0.3] = np.nan
     effector, row_weights = np.sort(rng.integers(0, 3, 7)), rng.random(7)
     steps, weights = np.empty(7), np.empty(7)
-    write_steps(targets, now, effector, row_weights, 0.8, np.zeros(3), steps, weights)
+    no_turns, squares = np.empty(0), np.zeros((3, 2))
+    write_steps(targets, now, effector, row_weights, no_turns, 0.8, 1.0, squares, steps, weights)
     wanted = np.isfinite(targets)
     whole = np.where(wanted, targets - now, 0.0)
     distances = np.sqrt(np.bincount(effector, whole * whole, 3))

@@ -1,4 +1,17 @@
-"""Choice of the solver of a contact problem, by its rank, its size and friction."""
+"""Choice of the solver of a contact problem, by its rank, its size and friction.
+
+Times are those of `tools/contact_growth.py` and of the shipped robots. Which problem needs which:
+
+- Low rank, as of rigid bodies that touch at many points: the proximal Newton method in the unknowns
+  of W, 0.2 ms for 225 points.
+- Few rows with friction: sweeps with a Newton step between them; without that step the contacts of
+  the Grasper and of the Octoleg take 2.5 times as long.
+- More rows with friction: the continuation; without it a block that rubs on 50 to 200 points takes
+  3 to 5 times as long.
+- Few rows without friction: the active set; see `contact_active_set`.
+- More rows without friction, and what the others leave: the proximal Newton method by the matrix. It
+  solves nearly all problems, and from the start it takes 2 to 10 times as long as the others.
+"""
 
 from __future__ import annotations
 
@@ -12,12 +25,12 @@ from softrobot_twin.solvers.contact_problem import ContactProblem, ContactSoluti
 from softrobot_twin.solvers.contact_proximal_newton import ContactProximalNewton
 from softrobot_twin.solvers.direct_problem import solve_by_daqp
 
-# Sweeps after which an active set is used, without friction and with few rows: its time grows with
-# the cube of the rows.
-FEW_SWEEPS, MANY_ROWS = 5, 100
-# Sweeps after which Newton's method is used with friction: a problem that they have not solved by
-# then takes thousands.
-SWEEPS_THAT_RUB = 60
+# Rows above which the continuation is used with friction, and no active set without: its time grows
+# with the cube of the rows. Sweeps before the active set.
+MANY_ROWS, SWEEPS_BEFORE_ACTIVE_SET = 100, 5
+# Sweeps after which Newton's method is used: a problem that they have not solved by then takes
+# thousands.
+FEW_SWEEPS = 60
 # Contacts with a gap above this share of the alarm distance are not expected to close in a step.
 CLEARANCE = 0.125
 # Tolerance of forces, as a share of the largest.
@@ -33,7 +46,7 @@ class ContactSolvers:
 
     Attributes:
         tolerance: Residual at which a solution is good enough [m].
-        rubbing, sweeps: A few sweeps, to exact forces and to the tolerance alone.
+        sweeps: A few sweeps, to exact forces.
         newton, continuation: Newton's method in the unknowns of W, and along a path of problems.
         judge: Computes the residual of a solution.
     """
@@ -45,12 +58,13 @@ class ContactSolvers:
             entry: The contact section of the scene.
         """
         self.tolerance, self._clearance = entry.tolerance, 0.0
-        self._solver = ContactGaussSeidel(entry.tolerance, entry.most_sweeps)
-        self._short = ContactGaussSeidel(entry.tolerance, min(FEW_SWEEPS, entry.most_sweeps))
-        rubbing = min(SWEEPS_THAT_RUB, entry.most_sweeps)
-        self.rubbing = ContactGaussSeidel(entry.tolerance, rubbing, FORCE_SHARE)
-        self.sweeps = ContactGaussSeidel(entry.tolerance, rubbing)
-        self._may_go_on = entry.most_sweeps > SWEEPS_THAT_RUB
+        self._short = ContactGaussSeidel(
+            entry.tolerance, min(SWEEPS_BEFORE_ACTIVE_SET, entry.most_sweeps)
+        )
+        self.sweeps = ContactGaussSeidel(
+            entry.tolerance, min(FEW_SWEEPS, entry.most_sweeps), FORCE_SHARE
+        )
+        self._may_go_on = entry.most_sweeps > FEW_SWEEPS
         self.newton = ContactProximalNewton(entry.tolerance, FORCE_SHARE)
         self.continuation = ContactContinuation(entry.tolerance, FORCE_SHARE)
         # Without a sweep it only computes the residual of a solution.
@@ -69,19 +83,17 @@ class ContactSolvers:
         low = ContactProblem(None, np.full(count, -1.0), none, none, friction, rows_per_contact, Yt)
         problem, nothing = low.with_matrix(), np.zeros(count)
         self.newton.solve(low, nothing)
-        self._solver.solve(problem, nothing)
-        if rows_per_contact == 1:
-            self._finished(problem, self._short.solve(problem, nothing))
-            solve_by_daqp(problem.W, problem.violation, nothing, nothing)
-            return
-        found = self.rubbing.solve(problem, nothing)
+        found = self.sweeps.solve(problem, nothing)
         # Any gap is accepted and no force, so that the steps after the last sweep are compiled too.
         ContactGaussSeidel(np.inf, 1, 0.0).solve(problem, nothing)
         self.newton.solve(problem, nothing)
-        self.continuation.warm_up()
-        for guess in (nothing, found.multipliers, -found.multipliers):
-            self.continuation.solve(problem, guess, nothing)
-            self.continuation.end(problem, guess)
+        if rows_per_contact == 3:
+            self.continuation.warm_up()
+            for guess in (nothing, found.multipliers, -found.multipliers):
+                self.continuation.solve(problem, guess, nothing)
+            return
+        self._with_active_set(problem, nothing)
+        solve_by_daqp(problem.W, problem.violation, nothing, nothing)
 
     def solve(
         self, problem: ContactProblem, guess: np.ndarray, expected: np.ndarray, margin: float
@@ -100,77 +112,46 @@ class ContactSolvers:
             if found.converged:
                 return found
             return _better(found, self.swept(problem.with_matrix(), guess, expected))
-        problem = problem.with_matrix()
-        return self.swept(problem, guess, expected)
+        return self.swept(problem.with_matrix(), guess, expected)
 
     def swept(
         self, problem: ContactProblem, guess: np.ndarray, expected: np.ndarray
     ) -> ContactSolution:
-        """Sweeps; if they converge slowly, Newton's method. Without friction an active set makes a
-        few rows exact.
+        """Sweeps, the active set or the continuation; where these fail, the proximal Newton method.
 
-        They are slow if the load moves between two nearly identical contacts, or by friction along
-        a row of contacts.
+        Sweeps are slow if the load moves between two nearly identical contacts, or by friction
+        along a row of contacts.
 
         Args:
-            problem: The problem.
+            problem: The problem, with W.
             guess: Multipliers to begin with [N], shape (row_count,).
             expected: Extrapolated multipliers of this step [N], same shape.
         """
-        if problem.rows_per_contact != 1:
-            if len(guess) > MANY_ROWS:
-                found = self._continued(problem, guess, expected)
-            else:
-                found = self.rubbing.solve(problem, guess)
-            if found.converged or not (self._may_go_on and np.isfinite(found.gap_residual)):
-                return found
-            exact = self.newton.solve(problem, found.multipliers)
-            return _better(found, exact._replace(sweeps=found.sweeps + exact.sweeps))
-        soon = len(guess) <= MANY_ROWS
-        found = (self._short if soon else self._solver).solve(problem, guess)
-        # Where gaps are exact to the tolerance, forces may still keep a soft body from its rest.
-        if soon and len(problem.friction) or not found.converged:
-            found = self._finished(problem, found)
-        if soon and not found.converged:
-            found = _better(found, self._solver.solve(problem, found.multipliers))
-        return found
-
-    def _continued(
-        self, problem: ContactProblem, guess: np.ndarray, expected: np.ndarray
-    ) -> ContactSolution:
-        """Newton's method from the extrapolated forces; if it fails, sweeps from its best forces.
-
-        The residual of sweeps is small in metres, not in newtons: Newton's method reduces it.
-        """
-        found = self.continuation.solve(problem, expected, guess)
-        if found.converged:
+        rubs, is_large = problem.rows_per_contact == 3, len(guess) > MANY_ROWS
+        if rubs and is_large:
+            found = self.continuation.solve(problem, expected, guess)
+        elif rubs or is_large:
+            found = self.sweeps.solve(problem, guess)
+        else:
+            found = self._with_active_set(problem, guess)
+        if found.converged or not (self._may_go_on and np.isfinite(found.gap_residual)):
             return found
-        swept = self.sweeps.solve(problem, found.multipliers)
-        swept = swept._replace(sweeps=found.sweeps + swept.sweeps)
-        if not swept.converged or has_exact_forces(swept):
-            return swept
-        for exactly in (self.continuation.end, self.newton.solve):
-            ended = exactly(problem, swept.multipliers)
-            swept = swept._replace(sweeps=swept.sweeps + ended.sweeps)
-            if ended.converged:
-                return ended._replace(sweeps=swept.sweeps)
-        return swept
+        exact = self.newton.solve(problem, found.multipliers)
+        exact = exact._replace(sweeps=found.sweeps + exact.sweeps)
+        return exact if exact.converged else _better(found, exact)
 
-    def _finished(self, problem: ContactProblem, found: ContactSolution) -> ContactSolution:
-        """The solution by an active set, if its residual is smaller."""
+    def _with_active_set(self, problem: ContactProblem, guess: np.ndarray) -> ContactSolution:
+        """A few sweeps, and the active set where its residual is smaller.
+
+        Where gaps are exact to the tolerance, forces may still keep a soft body from its rest.
+        """
+        found = self._short.solve(problem, guess)
+        if found.converged and not len(problem.friction):
+            return found
         multipliers = solve_by_active_set(problem, found.multipliers, self._clearance)
         if multipliers is None:
             return found
         return _better(found, self.judge.solve(problem, multipliers)._replace(sweeps=found.sweeps))
-
-
-def has_exact_forces(found: ContactSolution) -> bool:
-    """Whether the residual in newtons is a small share of the largest force.
-
-    Args:
-        found: What a solver found.
-    """
-    return found.force_residual <= FORCE_SHARE * np.abs(found.multipliers).max(initial=0.0)
 
 
 def _better(found: ContactSolution, other: ContactSolution) -> ContactSolution:

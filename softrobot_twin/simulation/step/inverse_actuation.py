@@ -77,50 +77,26 @@ AT_LIMIT = 1.0e-8
 
 @njit(**KERNEL)
 def write_steps(
-    targets, now, row_effector, row_weights, longest, squares, steps, weights
-):
-    """Displacements to targets, none longer than `longest`; see `TargetSteps.asked`.
+    targets, now, row_effector, row_weights, row_lengths, longest, longest_turn, squares, steps,
+    weights,
+):  # fmt: skip
+    """Displacements to targets, and turns, none longer than may be; see `TargetSteps.asked`.
+
+    Both of an effector are shortened by the same factor.
 
     Args:
         targets: Wanted effector coordinates [m], NaN where free, shape (n,).
         now: Where they are [m], shape (n,).
         row_effector: Effector of each row, shape (n,).
         row_weights: Weight of each row, shape (n,).
-        longest: Longest displacement [m].
-        squares: Zeros; takes the squared distance of each effector [m²], shape (effector_count,).
-        steps: Takes the displacements [m], shape (n,).
-        weights: Takes the weights by these shares, zero where a row is free, shape (n,).
-    """
-    for r in range(len(now)):
-        is_wanted = np.isfinite(targets[r])
-        steps[r] = targets[r] - now[r] if is_wanted else 0.0
-        weights[r] = row_weights[r] if is_wanted else 0.0
-        squares[row_effector[r]] += steps[r] * steps[r]
-    for r in range(len(now)):
-        share = longest / max(np.sqrt(squares[row_effector[r]]), longest)
-        steps[r] *= share
-        weights[r] /= share
-
-
-@njit(**KERNEL)
-def write_posed_steps(
-    targets, now, row_effector, row_weights, row_lengths, longest, longest_turn, squares, steps,
-    weights,
-):  # fmt: skip
-    """The same with orientations, whose rows come last: both are shortened by the same factor.
-
-    Args:
-        targets: See `write_steps`.
-        now: See there.
-        row_effector: See there.
-        row_weights: See there.
-        row_lengths: Length per radian of the last rows [m/rad], shape (turn_row_count,).
+        row_lengths: Length per radian of the last rows, those of orientations [m/rad],
+            shape (turn_row_count,).
         longest: Longest displacement [m].
         longest_turn: Largest angle [rad].
         squares: Zeros; takes the squared distance [m²] and the squared angle [rad²] of each
             effector, shape (effector_count, 2).
-        steps: See `write_steps`.
-        weights: See there.
+        steps: Takes the displacements [m], shape (n,).
+        weights: Takes the weights by these shares, zero where a row is free, shape (n,).
     """
     first = len(now) - len(row_lengths)
     for r in range(len(now)):
@@ -337,9 +313,8 @@ class TargetSteps:
         Args:
             model: A scene with effectors.
         """
-        self.row_effector, self._row_weights, lengths, self._effector_count = model.target_rows
+        self.row_effector, *self._rows, self._effector_count = model.target_rows
         self._longest = LONGEST_REACH * model.nodes.size
-        self._row_lengths = lengths if len(lengths) else None
 
     def asked(self, target_rows: np.ndarray, now: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Displacements to the targets, shortened where they are too long, and their weights.
@@ -358,15 +333,9 @@ class TargetSteps:
             free, same shape.
         """
         steps, weights = np.empty(len(now)), np.empty(len(now))
-        if self._row_lengths is not None:
-            write_posed_steps(
-                target_rows, now, self.row_effector, self._row_weights, self._row_lengths,
-                self._longest, LONGEST_TURN, np.zeros((self._effector_count, 2)), steps, weights,
-            )  # fmt: skip
-            return steps, weights
         write_steps(
-            target_rows, now, self.row_effector, self._row_weights, self._longest,
-            np.zeros(self._effector_count), steps, weights,
+            target_rows, now, self.row_effector, *self._rows, self._longest, LONGEST_TURN,
+            np.zeros((self._effector_count, 2)), steps, weights,
         )  # fmt: skip
         return steps, weights
 
@@ -565,7 +534,6 @@ class InverseActuation:
 
     def forget(self) -> None:
         """Forget all targets."""
-        raise NotImplementedError
 
     def depart(self, goal: np.ndarray, follows: bool) -> None:
         """Forget all targets, and let the actuators go to a place first.
@@ -574,7 +542,6 @@ class InverseActuation:
             goal: Their displacements there, shape (actuator_count,).
             follows: Whether they follow targets from there; else they stay.
         """
-        raise NotImplementedError
 
     def tries(self, found: Actuation, held: Actuation) -> Iterator[Actuation]:
         """What is tried, one after the other, until the bodies accept a move: ever smaller shares.
@@ -592,11 +559,9 @@ class InverseActuation:
         Args:
             is_stuck: Whether they cannot even stay as they are.
         """
-        raise NotImplementedError
 
     def _begin(self, situation: Situation, linear: Linearized, held: Actuation) -> None:
         """Judge what came of the last step, and choose what to do, where a step begins."""
-        raise NotImplementedError
 
     def _follow(self, asked: Asked) -> Actuation:
         """What the actuators do; the held actuation with `solved` False where nothing is found."""
@@ -922,13 +887,7 @@ class InverseActuation:
 
         Where the bounds change a displacement, efforts and contact forces are solved anew.
         """
-        if linear.augmentation is None:
-            efforts = np.minimum(np.maximum(efforts, bounds.effort_min), bounds.effort_max)
-        path = linear.actuator_displacements(efforts, contact.multipliers)
-        within = np.empty(len(path))
-        are_kept = keep_within(
-            path, bounds.displacement_min, bounds.displacement_max, self._round_off, within
-        )
+        efforts, path, within, are_kept = self._paths(linear, efforts, contact, bounds)
         if not are_kept:
             # A cable without tension may hang slack: its path is shorter than its length.
             loads = linear.efforts(efforts, contact.multipliers) / self._effort_scales
@@ -943,6 +902,19 @@ class InverseActuation:
             return actuation._replace(qp_solver=solver, contact=limited)
         self._direct.remember(efforts)
         return Actuation(efforts, within, True, solver, contact)
+
+    def _paths(
+        self, linear: Linearized, efforts: np.ndarray, contact: ContactLoads, bounds: Bounds
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, bool]:
+        """Efforts and displacements found, these within their bounds, and whether all are."""
+        if linear.augmentation is None:
+            efforts = np.minimum(np.maximum(efforts, bounds.effort_min), bounds.effort_max)
+        path = linear.actuator_displacements(efforts, contact.multipliers)
+        within = np.empty(len(path))
+        are_kept = keep_within(
+            path, bounds.displacement_min, bounds.displacement_max, self._round_off, within
+        )
+        return efforts, path, within, are_kept
 
     def _limits_met(self, forces: np.ndarray) -> tuple[str, ...]:
         """Names of pairs that press as hard as they may, and of those that cannot but exceed it."""

@@ -46,7 +46,7 @@ from softrobot_twin.simulation.step.actuation import NO_EFFORT, Actuation, Conta
 from softrobot_twin.simulation.step.apparent_stiffness import StiffnessRows
 from softrobot_twin.simulation.step.direct_actuation import DirectActuation
 from softrobot_twin.simulation.step.follower import GREATEST, NO_PROMISE, SHRINK, Follower
-from softrobot_twin.simulation.step.inverse_actuation import MOST_PROGRAMS, Asked, keep_within
+from softrobot_twin.simulation.step.inverse_actuation import MOST_PROGRAMS, Asked
 from softrobot_twin.simulation.step.linearized import Linearized
 from softrobot_twin.simulation.step.situation import Situation, longest_move
 from softrobot_twin.solvers.inverse_problem import Bounds
@@ -939,11 +939,7 @@ class InverseWithFriction(Follower):
         """Set actuators to the paths found; what comes of them is found with friction."""
         if linear.ties is None:
             return super()._settled(linear, efforts, contact, bounds, solver)
-        if linear.augmentation is None:
-            efforts = np.minimum(np.maximum(efforts, bounds.effort_min), bounds.effort_max)
-        path = linear.actuator_displacements(efforts, contact.multipliers)
-        within = np.empty(len(path))
-        keep_within(path, bounds.displacement_min, bounds.displacement_max, self._round_off, within)
+        efforts, _, within, _ = self._paths(linear, efforts, contact, bounds)
         return Actuation(efforts, within, True, solver, contact)
 
     def _last(self, linear: Linearized) -> tuple[np.ndarray, np.ndarray]:
