@@ -229,10 +229,6 @@ class GarbageCollection:
         longest_wait: After this time without enough spare time it collects in any case [s].
         clock: Monotonic clock [s].
         collect: The collection itself.
-
-    Attributes:
-        collections: Number of collections.
-        forced: Number of collections without enough spare time.
     """
 
     def __init__(
@@ -242,7 +238,6 @@ class GarbageCollection:
         clock: Callable[[], float] = time.monotonic,
         collect: Callable[[], object] = gc.collect,
     ):
-        self.collections = self.forced = 0
         self._interval, self._longest_wait = interval, longest_wait
         self._clock, self._collect = clock, collect
         self._last = clock()
@@ -280,6 +275,4 @@ class GarbageCollection:
         self._collect()
         self._last = self._clock()
         self._duration = self._last - began
-        self.collections += 1
-        self.forced += not fits
         return True

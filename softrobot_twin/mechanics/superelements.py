@@ -538,7 +538,7 @@ class Superelements(ForceTerm):
         """
         self.count, self.pressures = len(fits), np.zeros(cavity_count)
         most = max((len(fit.cavities) for fit in fits), default=0)
-        self._n = n = DEFORMATIONS + most
+        n = DEFORMATIONS + most
         self._monomials = Monomials(n, degree)
         corners = np.arange(4)
         self._nodes = np.array(

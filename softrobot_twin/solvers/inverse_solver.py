@@ -16,7 +16,7 @@ import numpy as np
 from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.solvers.inverse_problem import tracking_and_energy
 from softrobot_twin.solvers.pivoting import MOST_PROGRAMS, WARM_START, never, solve_by_pivoting
-from softrobot_twin.solvers.qpcc import QPCC, QPCCSolution, Stationarity
+from softrobot_twin.solvers.qpcc import QPCC, QPCCSolution
 from softrobot_twin.solvers.quadratic_program import DAQPSolver, QPSolution, whiten
 from softrobot_twin.solvers.warm_start import objective_at, optimum_from_active_set
 
@@ -176,16 +176,12 @@ class InverseSolver:
                 *problem, NO_CONTACTS, active
             )
             if proved:
-                return _solution(problem, z, held, objective, active, WARM_START)
+                return _solution(problem, z, objective, active, WARM_START)
         found = self._from_general_solver(problem)
         if found is None:
-            return _solution(
-                problem, held, held, problem.objective(held), np.zeros(count, dtype=np.int64), ""
-            )
+            return _solution(problem, held, problem.objective(held), np.zeros(count, dtype=np.int64), "")
         z = np.minimum(np.maximum(found.unknowns, problem.lower), problem.upper)
-        return _solution(
-            problem, z, held, problem.objective(z), _active_set(problem, found), found.solver
-        )
+        return _solution(problem, z, problem.objective(z), _active_set(problem, found), found.solver)
 
     def _from_general_solver(self, problem: QPCC) -> QPSolution | None:
         if not problem.is_finite:
@@ -206,9 +202,8 @@ def _active_set(problem: QPCC, found: QPSolution) -> np.ndarray:
     return np.concatenate([signs[m:], signs[:m]])
 
 
-def _solution(problem: QPCC, z, held, objective, active, solver: str) -> QPCCSolution:
+def _solution(problem: QPCC, z, objective, active, solver: str) -> QPCCSolution:
     return QPCCSolution(
-        z, NO_CONTACTS, solver != "", Stationarity.STRONG if solver else Stationarity.HELD,
-        objective, objective_at(problem.P, problem.g, held), NO_FORCES,
-        np.zeros(len(problem.row_lower)), 1, 0, active, solver,
+        z, NO_CONTACTS, solver != "", objective, NO_FORCES, np.zeros(len(problem.row_lower)), 1, 0, active,
+        solver,
     )  # fmt: skip

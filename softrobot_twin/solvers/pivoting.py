@@ -35,7 +35,6 @@ from softrobot_twin.solvers.qpcc import (
     BranchSolver,
     ProgramBudget,
     QPCCSolution,
-    Stationarity,
 )
 from softrobot_twin.solvers.warm_start import optimum_from_active_set
 
@@ -118,20 +117,19 @@ def _from_last(problem, held, last, active, budget) -> QPCCSolution | None:
         return None
     problem = QPCC(*map(np.ascontiguousarray, problem))
     proved, z, objective, touching, active, pivots = optimum_from_active_set(*problem, last, active)
-    held_objective = problem.objective(held) if proved else 0.0
-    if not (proved and objective < held_objective and budget.spend()):
+    if not (proved and objective < problem.objective(held) and budget.spend()):
         return None
     return QPCCSolution(
-        z, touching, True, Stationarity.STRONG, objective, held_objective, np.zeros(len(last)),
-        np.zeros(rows), budget.spent, pivots, active, WARM_START,
+        z, touching, True, objective, np.zeros(len(last)), np.zeros(rows), budget.spent, pivots, active,
+        WARM_START,
     )  # fmt: skip
 
 
 def _held(problem, held, touching) -> QPCCSolution:
     with np.errstate(invalid="ignore", over="ignore"):
         return QPCCSolution(
-            held, touching, False, Stationarity.HELD, problem.objective(held),
-            problem.objective(held), problem.force_excess(held), problem.row_excess(held), 0, 0,
+            held, touching, False, problem.objective(held), problem.force_excess(held),
+            problem.row_excess(held), 0, 0,
             np.zeros(len(held) - len(touching) + len(problem.row_lower), dtype=np.int64),
         )  # fmt: skip
 
@@ -151,10 +149,10 @@ class _Descent:
     def run(self, held, touching, last) -> QPCCSolution:
         """Find a start, descend from it, and return the best."""
         self._touching = touching
-        improved = self._begin(last)
-        stationarity = self._descend() if improved else Stationarity.HELD
-        z = self._branches.refine(self._best, self._touching) if improved else held
-        return self._solution(z, stationarity, held)
+        if not self._begin(last):
+            return self._solution(held)
+        self._descend()
+        return self._solution(self._branches.refine(self._best, self._touching))
 
     def run_again(self, start: np.ndarray, first: QPCCSolution) -> QPCCSolution:
         """Descend from another branch, and return what is found where it is much better.
@@ -167,21 +165,21 @@ class _Descent:
         self._touching = first.touching
         if not self._solve(start, lambda branch, than: True):
             return first._replace(programs=self._budget.spent)
-        stationarity = self._descend()
+        self._descend()
         if not self._best.is_much_better_than(reached, MUCH_LOWER):
             return first._replace(programs=self._budget.spent)
         z = self._branches.refine(self._best, self._touching)
         if not self._branches.at(z).is_much_better_than(reached, MUCH_LOWER):
             # Gaps of contacts in a line, nearly dependent, are closed to rounding by a long way.
             z = self._best.unknowns
-        return self._solution(z, stationarity, self._held.unknowns)
+        return self._solution(z)
 
-    def _solution(self, z: np.ndarray, stationarity: Stationarity, held: np.ndarray) -> QPCCSolution:
+    def _solution(self, z: np.ndarray) -> QPCCSolution:
         problem = self._branches.problem
         return QPCCSolution(
-            z, self._touching, self._solved_any, stationarity, problem.objective(z),
-            problem.objective(held), problem.force_excess(z), self._branches.row_excess(z),
-            self._budget.spent, self._pivots, self._branches.active(self._best), PIVOTING,
+            z, self._touching, self._solved_any, problem.objective(z), problem.force_excess(z),
+            self._branches.row_excess(z), self._budget.spent, self._pivots,
+            self._branches.active(self._best), PIVOTING,
         )  # fmt: skip
 
     def _begin(self, last) -> bool:
@@ -223,40 +221,27 @@ class _Descent:
         self._best, self._touching = branch, touching
         return True
 
-    def _descend(self) -> Stationarity:
+    def _descend(self) -> None:
         """Change branches until no change lowers the objective."""
         while True:
             degenerate, improving = self._degenerate_contacts()
             if not len(improving):
-                return Stationarity.STRONG
-            if any(self._change([contact]) for contact in improving):
-                self._pivots += 1
-                continue
-            if len(degenerate) == 1 and not self._budget.is_over:
-                return Stationarity.BOULIGAND
-            together = self._change_together(degenerate)
-            if together is not None:
-                return together
+                return
+            if not any(self._change([contact]) for contact in improving):
+                is_alone = len(degenerate) == 1 and not self._budget.is_over
+                if is_alone or not self._change_together(degenerate):
+                    return
             self._pivots += 1
 
-    def _change_together(self, degenerate: np.ndarray) -> Stationarity | None:
-        """Change several contacts as the convex problem over all their branches says.
-
-        Returns:
-            None where the objective is lower then; else what is known of the best branch.
-        """
+    def _change_together(self, degenerate: np.ndarray) -> bool:
+        """Change several contacts as the convex problem over all their branches says; whether it helped."""
         undecided = np.zeros(len(self._touching), dtype=bool)
         undecided[degenerate] = True
         around = self._branches.solve(self._touching, undecided)
-        if around is None:
-            return Stationarity.BUDGET if self._budget.is_over else Stationarity.SINGLE
-        if not around.is_better_than(self._best):
-            return Stationarity.BOULIGAND
+        if around is None or not around.is_better_than(self._best):
+            return False
         wanted = around.forces[degenerate] > around.gaps[degenerate]
-        others = degenerate[wanted != self._touching[degenerate]]
-        if self._change(others):
-            return None
-        return Stationarity.BUDGET if self._budget.is_over else Stationarity.SINGLE
+        return self._change(degenerate[wanted != self._touching[degenerate]])
 
     def _change(self, contacts) -> bool:
         """Solve the branch in which these contacts make the other choice."""

@@ -20,7 +20,6 @@ of every bound.
 from __future__ import annotations
 
 from collections.abc import Callable
-from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
@@ -182,16 +181,6 @@ class QPCC(NamedTuple):
         return unknowns if unknowns > NEGLIGIBLE * widest else widest or 1.0
 
 
-class Stationarity(Enum):
-    """What is known of a solution."""
-
-    STRONG = "strongly stationary: a local minimum"
-    BOULIGAND = "B-stationary: a local minimum"
-    SINGLE = "no change of a single contact lowers it"
-    BUDGET = "the best when the budget ended"
-    HELD = "the held actuation"
-
-
 class QPCCSolution(NamedTuple):
     """An admissible solution.
 
@@ -199,9 +188,7 @@ class QPCCSolution(NamedTuple):
         unknowns: z, shape (n,).
         touching: Contacts that the branch holds at gap zero, shape (contact_count,).
         solved: False when no program could be solved; z is then the held one.
-        stationarity: What is known of z.
         objective: Objective of z.
-        held_objective: Objective of the held z; never less where neither exceeds a bound.
         force_excess: Excess over `force_max`, zero unless nothing else was admissible,
             shape (contact_count,).
         row_excess: Excess of rows over their bounds, likewise, shape (m,).
@@ -215,9 +202,7 @@ class QPCCSolution(NamedTuple):
     unknowns: np.ndarray
     touching: np.ndarray
     solved: bool
-    stationarity: Stationarity
     objective: float
-    held_objective: float
     force_excess: np.ndarray
     row_excess: np.ndarray
     programs: int

@@ -102,7 +102,7 @@ def _own_level(scene: Scene) -> MeshLevel:
     """The scene on its own mesh, of linear tetrahedra."""
     if scene.body.mesh.file is not None:
         scene = with_mesh_file(scene, scene.mesh_path.resolve())
-    return _level(scene.mesh_name, scene, True)
+    return _level(scene.mesh_name, scene)
 
 
 def with_element(scene: Scene, element: str) -> Scene:
@@ -732,7 +732,6 @@ class MeshLevel(NamedTuple):
         tet_count: Its tetrahedra, or its cells of any kind.
         node_count: Its nodes, of hexahedra the corners.
         size: Mean size h of its elements, the cube root of their mean volume [m].
-        is_own: True for the scene's own mesh.
         volume: Volume of the body [m³].
         bounds: Its smallest and largest coordinates [m], shape (2, 3).
     """
@@ -742,7 +741,6 @@ class MeshLevel(NamedTuple):
     tet_count: int
     node_count: int
     size: float
-    is_own: bool
     volume: float
     bounds: np.ndarray
 
@@ -795,7 +793,7 @@ def hexahedral_family(scene: Scene) -> list[MeshLevel]:
         The scene on these meshes; empty without such files.
     """
     if scene.body.mesh.box is not None:
-        return [_level(f"{scene.mesh_name}_hexa", scene, False, HEXAHEDRAL)]
+        return [_level(f"{scene.mesh_name}_hexa", scene, HEXAHEDRAL)]
     own = _own_level(scene)
     levels = _family(own, _siblings(scene, HEXAHEDRAL_NAME), HEXAHEDRAL)
     return sorted(levels, key=lambda level: level.tet_count)
@@ -805,7 +803,7 @@ def _family(own: MeshLevel, files: Iterable[Path], element: str) -> Iterator[Mes
     """The meshes of files that are of the same body as the scene's own."""
     for path in files:
         try:
-            level = _level(path.stem, with_mesh_file(own.scene, path.resolve()), False, element)
+            level = _level(path.stem, with_mesh_file(own.scene, path.resolve()), element)
         except SoftRobotTwinError as error:
             warn(f"{path.name} is left out: {error}")
             continue
@@ -843,11 +841,11 @@ def _difference(own: MeshLevel, other: MeshLevel) -> str:
     return ""
 
 
-def _level(name: str, scene: Scene, is_own: bool, element: str = "linear") -> MeshLevel:
+def _level(name: str, scene: Scene, element: str = "linear") -> MeshLevel:
     scene = with_element(scene, element)
     mesh = only_body(scene).mesh
     size = float(np.cbrt(mesh.volume / mesh.cell_count))
-    return MeshLevel(name, scene, mesh.cell_count, mesh.corner_mesh.node_count, size, is_own,
+    return MeshLevel(name, scene, mesh.cell_count, mesh.corner_mesh.node_count, size,
                      mesh.volume, mesh.bounding_box)
 
 
@@ -881,7 +879,7 @@ def _refined(scene: Scene, folder: Path) -> list[MeshLevel]:
         placed = {"file": file, "box": None, "size": None, "scale": 1.0, "rotation": (0.0,) * 3,
                   "translation": (0.0,) * 3}
         finer = scene.changed(body={"mesh": placed, "fixed": regions})
-        levels.append(_level(file.stem, finer, False))
+        levels.append(_level(file.stem, finer))
     return levels
 
 

@@ -1,15 +1,12 @@
 """Facts of the quadratic program with complementarity, solved by single pivoting."""
 
-
 import numpy as np
 import pytest
 from scipy.optimize import nnls
 
 from softrobot_twin.solvers.pivoting import MUCH_LOWER, solve_by_pivoting
-from softrobot_twin.solvers.qpcc import Stationarity
 from softrobot_twin.solvers.quadratic_program import DAQPSolver, whiten
 
-LOCAL_MINIMA = {Stationarity.STRONG, Stationarity.BOULIGAND}
 ADMISSIBLE = 1.0e-9
 
 
@@ -23,11 +20,12 @@ def test_an_answer_is_admissible_and_no_worse_than_holding(robot_in_contact, com
     robot = robot_in_contact(seed)
     problem = robot.problem()
     answer = solve(robot, problem)
-    assert answer.solved and answer.stationarity in LOCAL_MINIMA
+    assert answer.solved
     assert complementarity_residual(problem, answer.unknowns) < ADMISSIBLE
     assert np.all(answer.unknowns >= problem.lower) and np.all(answer.unknowns <= problem.upper)
     assert answer.row_excess.max() < 1e-12
-    assert answer.objective <= answer.held_objective + 1e-12 * abs(answer.held_objective)
+    held = problem.objective(robot.held)
+    assert answer.objective <= held + 1e-12 * abs(held)
 
 
 def test_without_contacts_it_is_the_quadratic_program(robot_in_contact):
@@ -56,7 +54,7 @@ def test_a_contact_opens_where_opening_lowers_the_objective(robot_in_contact):
     )  # fmt: skip
     answer = solve(robot)
     assert robot.touching.tolist() == [True] and answer.touching.tolist() == [False]
-    assert answer.pivots == 1 and answer.stationarity is Stationarity.STRONG
+    assert answer.pivots == 1
     assert answer.unknowns[2] == 0.0
     assert answer.unknowns[0] == pytest.approx(3.0, rel=1e-3)
     assert robot.problem().gaps(answer.unknowns)[0] == pytest.approx(3e-3, rel=1e-3)
@@ -115,7 +113,7 @@ def test_a_second_start_gives_the_first_answer_or_a_much_lower_one(
             continue
         lower += 1
         assert both.objective - unbound < MUCH_LOWER * (first.objective - unbound)
-        assert both.stationarity in LOCAL_MINIMA and both.row_excess.max() < 1e-12
+        assert both.row_excess.max() < 1e-12
         assert complementarity_residual(problem, both.unknowns) < ADMISSIBLE
     print(f"{lower} of 60 local minima were left")
     assert lower > 0
@@ -140,7 +138,7 @@ def test_duplicate_contacts_neither_cycle_nor_change_the_motion(
     answer = solve(twice, problem)
     assert answer.solved and answer.programs < 50
     assert complementarity_residual(problem, answer.unknowns) < ADMISSIBLE
-    assert answer.objective <= answer.held_objective
+    assert answer.objective <= problem.objective(twice.held)
     if not np.array_equal(answer.touching[:5], answer.touching[5:]):
         return
     expected = eliminated(once.problem(), answer.touching[:5])
@@ -184,7 +182,7 @@ def test_a_problem_with_nan_is_rejected(robot_in_contact, field):
     broken = getattr(problem, field).copy()
     broken.flat[0] = np.nan
     answer = solve(robot, problem._replace(**{field: broken}))
-    assert not answer.solved and answer.stationarity is Stationarity.HELD
+    assert not answer.solved
     np.testing.assert_array_equal(answer.unknowns, robot.held)
 
 
@@ -198,7 +196,7 @@ def test_an_exhausted_budget_gives_an_admissible_answer(
     answer = solve(robot, problem, most_programs=most)
     assert answer.programs <= most and answer.solved == (most > 0)
     assert complementarity_residual(problem, answer.unknowns) < ADMISSIBLE
-    assert answer.objective <= answer.held_objective
+    assert answer.objective <= problem.objective(robot.held)
 
 
 def test_the_deadline_is_checked_before_each_program(robot_in_contact):
@@ -211,5 +209,4 @@ def test_the_deadline_is_checked_before_each_program(robot_in_contact):
 
     answer = solve(robot, expired=expired)
     assert answer.solved and answer.programs == 1
-    assert answer.stationarity is Stationarity.BUDGET
     assert not solve(robot, expired=lambda: True).solved

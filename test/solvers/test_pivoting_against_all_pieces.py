@@ -22,7 +22,7 @@ def compare_with_all_pieces(robots, eliminated):
         problem = robot.problem()
         answer = solve_by_pivoting(problem, robot.held, robot.touching)
         least = least_of_all_pieces(problem, eliminated)
-        lost.append((answer.objective - least) / (answer.held_objective - least))
+        lost.append((answer.objective - least) / (problem.objective(robot.held) - least))
     return np.array(lost)
 
 

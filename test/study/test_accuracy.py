@@ -101,7 +101,6 @@ def trained(family, levels, tmp_path_factory):
 def test_a_mesh_family_is_found_by_the_numbers_in_its_file_names(family, tmp_path):
     levels = mesh_family(load_scene(family), tmp_path)
     assert [level.name for level in levels] == ["column_10", "column_20", "column_30"]
-    assert [level.is_own for level in levels] == [False, True, False]
     assert np.all(np.diff([level.size for level in levels]) < 0.0)
 
 
