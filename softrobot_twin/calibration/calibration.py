@@ -31,6 +31,7 @@ from softrobot_twin.calibration.residual_analysis import (
     hysteresis,
     reach_of,
     selected,
+    spread_between,
 )
 from softrobot_twin.control.rest_watch import RestPose
 from softrobot_twin.errors import NamedError, SceneError
@@ -105,7 +106,7 @@ _PLACE = re.compile(r"markers\[(\d+)\]\.point\[(\d)\]")
 FRAME_NUMBERS = ("position", "rotation", "scale")
 _FRAME = re.compile(rf"marker_frame\.({'|'.join(FRAME_NUMBERS)})\[(\d)\]")
 _ZERO = re.compile(r"(cables|hinge_motors)\[(\d+)\]\.offset")
-_LINE = re.compile(r"(.*), line (\d+)")
+_LINE, _SOURCE = re.compile(r"(.*), line (\d+)"), re.compile(r"(.*)(?:, line| at) [\d.]+(?: s)?")
 _REGULATOR = re.compile(r"cavities\[(\d+)\]\.pressure_(gain|offset)")
 _SPECIAL = re.compile("|".join(re.sub(r"\((?!\?)", "(?:", one.pattern)
                                for one in (_PLACE, _FRAME, _ZERO, _REGULATOR)))  # fmt: skip
@@ -241,6 +242,7 @@ class RestModel:
         distances: Root mean square distances of the points from the measured ones in the last
             prediction [m], NaN where the model did not come to rest, shape (pose_count,).
         size: Of the robot [m].
+        begin: The scene that it was built with.
     """
 
     def __init__(self, scene: Scene, keys: Sequence[Parameter | JointParameter], poses: Sequence[RestPose]):
@@ -254,7 +256,7 @@ class RestModel:
         Raises:
             SceneError: The robot has no statics.
         """
-        self._keys, self._scene = list(keys), scene
+        self._keys, self._scene, self.begin = list(keys), scene, scene
         self._numbers, self._shares = _apart_where_special(self._keys)
         self._followed = FollowedPoses(scene, self._keys, scene_of_points)
         self.size = self.simulation.model.nodes.finite_size
@@ -287,16 +289,6 @@ class RestModel:
         found = copy(self)
         found._take_poses(poses)
         return found
-
-    @property
-    def begin(self) -> Scene:
-        """The scene that it was built with."""
-        return self._followed.begin
-
-    @property
-    def marker_count(self) -> int:
-        """Number of markers, which come before the effectors."""
-        return len(self._scene.markers)
 
     @property
     def at(self) -> np.ndarray:
@@ -489,9 +481,7 @@ def _stacked(markers: np.ndarray, effectors: np.ndarray, efforts: np.ndarray) ->
 
 
 def _turn_about(axis: int, frame: MarkerFrame) -> np.ndarray:
-    angles = [0.0, 0.0, 0.0]
-    angles[axis] = frame.rotation[axis]
-    return MarkerFrame(rotation=(angles[0], angles[1], angles[2])).to_cameras
+    return MarkerFrame(rotation=(np.eye(3)[axis] * frame.rotation).tolist()).to_cameras
 
 
 def frame_derivative(frame: MarkerFrame, points: np.ndarray) -> np.ndarray:
@@ -628,11 +618,10 @@ def estimate(model: Model, measured: Measurements, unknowns: Sequence[Unknown]) 
     here, radius, is_here = scaled.at(z, True), 1.0, True
     if not np.isfinite(here.values).all():
         raise CalibrationError("data", "the model does not come to rest at a pose")
-    noise, alike = _noise(here.values - measured.values, measured, count), 1.0
+    noise, alike = _noise(here.values - measured.values, measured, 0.0), 1.0
     for _ in range(_ROUNDS):
-        linear = _Linear(z, here)
-        to, after, alike_there = _polished(linear, measured, noise, radius)
-        per, told = _scales(measured.kinds, after, alike_there), linear.at(to)
+        to, after, alike_there = _polished(z, here, measured, noise, radius)
+        per, told = _scales(measured.kinds, after, alike_there), here.values + here.jacobian @ (to - z)
         now, promised = (_cost((values - measured.values) / per, at) for values, at in
                          ((here.values, z), (told, to)))  # fmt: skip
         if now - promised < _NO_GAIN:
@@ -661,7 +650,7 @@ def estimate(model: Model, measured: Measurements, unknowns: Sequence[Unknown]) 
     # and one of what is known before.
     variances = np.diag(covariance)
     of_data = np.maximum(variances - np.sum(covariance**2, axis=1), 1.0e-12 * variances)
-    freedom = max(1, len(residuals) / alike - count) * (variances / of_data) ** 2
+    freedom = max(1.0, len(residuals) / alike - count + variances.sum()) * (variances / of_data) ** 2
     return Estimate(tuple(unknowns), z, covariance, noise, J, residuals, freedom, alike)
 
 
@@ -676,20 +665,22 @@ def _scales(kinds: np.ndarray, noise: Mapping[str, float], alike: float) -> np.n
 
 
 def _polished(
-    linear: _Linear, measured: Measurements, noise: dict[str, float], radius: float
+    z: np.ndarray, here: Prediction, measured: Measurements, noise: dict[str, float], radius: float
 ) -> tuple[np.ndarray, dict[str, float], float]:
-    """The minimum of a linear model near its origin, with the noise that follows from its residuals, and how
-    many points are alike."""
-    z, count = linear.origin, len(linear.origin)
+    """The minimum of a model near z that is linear with what is predicted there, with the noise that follows
+    from its residuals, and how many points are alike."""
+    count, taken, origin = len(z), 0.0, here.values - here.jacobian @ z - measured.values
     low, high = np.maximum(z - radius, -MOST), np.minimum(z + radius, MOST)
     for _ in range(_REWEIGHTED):
-        off = linear.at(z) - measured.values
-        before, noise = noise, _noise(off, measured, count)
+        off = origin + here.jacobian @ z
+        before, noise = noise, _noise(off, measured, taken)
         alike = measured.alike(np.clip(off / _scales(measured.kinds, noise, 1.0), -SOFT, SOFT))
         per = _scales(measured.kinds, noise, alike)
         root = (1.0 + (off / per / SOFT) ** 2) ** -0.25
-        A = np.concatenate([linear.jacobian * (root / per)[:, None], np.eye(count)])
+        A = np.concatenate([here.jacobian * (root / per)[:, None], np.eye(count)])
         b = A @ z - np.concatenate([root * off / per, z])
+        # Of the measurements, the numbers take up so many: what is known of these takes none.
+        taken = alike * (count - np.trace(np.linalg.inv(A.T @ A)))
         moved, z = z, np.linalg.lstsq(A, b, rcond=None)[0]
         if np.any((z < low) | (z > high)):
             from scipy.optimize import lsq_linear  # it loads slowly
@@ -721,25 +712,9 @@ class _Scaled:
         return found
 
 
-class _Linear:
-    """A model that is linear in z.
-
-    Attributes:
-        origin: Where it was built.
-        jacobian: See `Prediction`; by z.
-    """
-
-    def __init__(self, origin: np.ndarray, here: Prediction):
-        self.origin, self._values, self.jacobian = origin, here.values, here.jacobian
-
-    def at(self, z: np.ndarray) -> np.ndarray:
-        """The values at z."""
-        return self._values + self.jacobian @ (z - self.origin)
-
-
-def _noise(residuals: np.ndarray, measured: Measurements, count: int) -> dict[str, float]:
-    """Standard deviation of the residuals of each kind, of which some may be outliers."""
-    freedom = np.sqrt(len(residuals) / max(1, len(residuals) - count))
+def _noise(residuals: np.ndarray, measured: Measurements, taken: float) -> dict[str, float]:
+    """Standard deviation of the residuals of each kind, of which some may be outliers and a fit took up some."""
+    freedom = np.sqrt(len(residuals) / max(1.0, len(residuals) - taken))
     found = {}
     for kind, is_own in measured.by_kind.items():
         own = residuals[is_own]
@@ -793,8 +768,7 @@ def deviations_with(jacobian: np.ndarray, *others: np.ndarray) -> np.ndarray:
         jacobian: See `Estimate`.
         *others: Those of further measurements.
     """
-    information = np.eye(jacobian.shape[1]) + sum(J.T @ J for J in (jacobian, *others))
-    return np.sqrt(np.diag(np.linalg.inv(information)))
+    return np.sqrt(np.diag(np.linalg.inv(np.eye(jacobian.shape[1]) + sum(J.T @ J for J in (jacobian, *others)))))
 
 
 # --- the whole -----------------------------------------------------------------------------------
@@ -1053,6 +1027,8 @@ def calibrate(
     # What was not told stays as the scene has it.
     values = np.array([told.get(one.parameter.key, one.parameter.read(scene)) for one in fit.wide.unknowns])
     reach = reach_of(fit.found.linear(fit.model.measured.poses), np.array([one.setpoints for one in fit.poses]))
+    sessions, off = _sessions(fit.poses), [_mean(one) for one in fit.errors]
+    reach = reach._replace(sessions=tuple(np.unique(sessions)), between=spread_between(np.array(off), sessions))
     held, off = _judged(model, fit, values, held, aside)
     return Calibration(
         fitted, kept, validated(model.of(held), fit.wide, values, reach), fit.not_told, len(fit.poses),
@@ -1092,6 +1068,11 @@ class _Fit(NamedTuple):
     steps: tuple[tuple[str, Step], ...]
     poses: list[RestPose]
     model: RestModel
+
+    @property
+    def errors(self) -> np.ndarray:
+        """Those of its points; see `RestModel.point_errors`."""
+        return self.model.point_errors(self.found.residuals * self.found.scale_of(self.model.measured.kinds))
 
 
 def _fitted(
@@ -1138,7 +1119,7 @@ def _cleaned(
 ) -> tuple[list[RestPose], _Aside]:
     """Poses without their faulty points, and what was left out."""
     errors = model.point_errors(off)
-    found, count = faulty(errors, least), model.marker_count
+    found = faulty(errors, least)
     kept, out = list[RestPose](), _Aside([], [])
     for pose, bad, error in zip(poses, found, errors, strict=True):
         if not bad.any():
@@ -1151,7 +1132,7 @@ def _cleaned(
         names = ", ".join(model.simulation.effector_names[i].strip("_").replace("_", " ") for i in np.flatnonzero(bad))
         out.words.append(f"{pose.origin}: {names} {_off_in_words(mean)}")
         markers, effectors = pose.markers.copy(), pose.effectors.copy()
-        markers[bad[:count]], effectors[bad[count:]] = np.nan, np.nan
+        markers[bad[: len(markers)]], effectors[bad[len(markers) :]] = np.nan, np.nan
         kept.append(pose._replace(markers=markers, effectors=effectors))
     return kept, out
 
@@ -1176,6 +1157,12 @@ def _rows_in_words(rows: Sequence[tuple[RestPose, np.ndarray]]) -> list[str]:
     return words
 
 
+def _sessions(poses: Sequence[RestPose]) -> np.ndarray:
+    """Files that poses are from; empty for others, shape (pose_count,)."""
+    found = [_SOURCE.fullmatch(pose.origin) for pose in poses]
+    return np.array([match[1] if match else "" for match in found])
+
+
 def _line(pose: RestPose) -> tuple[str, int]:
     """File and line that a pose is from; 0 without one."""
     match = _LINE.fullmatch(pose.origin)
@@ -1194,10 +1181,9 @@ def _judged(
     """The poses that judge without faulty points; and mean error and mean place of the points of all poses."""
     judge = model.of(held)
     off = judge.predict(values, False).values - judge.measured.values
-    errors = fit.model.point_errors(fit.found.residuals * fit.found.scale_of(fit.model.measured.kinds))
-    usual = np.linalg.norm(errors, axis=2)
+    usual = np.linalg.norm(fit.errors, axis=2)
     least = float(np.nanmedian(usual)) if np.isfinite(usual).any() else 0.0
-    both = [*zip(fit.poses, errors, strict=True), *zip(held, judge.point_errors(off), strict=True)]
+    both = [*zip(fit.poses, fit.errors, strict=True), *zip(held, judge.point_errors(off), strict=True)]
     means = {id(pose.setpoints): (_mean(error), _mean(np.concatenate([pose.markers, pose.effectors])))
              for pose, error in both}  # fmt: skip
     left, out = _cleaned(judge, held, off, least)
@@ -1267,6 +1253,8 @@ def forecast(model: RestModel, joint: Estimate, at: np.ndarray, reach: Reach | N
     noise = np.array([joint.noise.get(kind, np.nan) for kind in model.measured.kinds])
     if reach is not None and len(model.poses):
         noise *= reach.factors(np.array([pose.setpoints for pose in model.poses]))[model.measured.poses]
+        is_other = np.isin(model.measured.kinds, POINTS) & ~np.isin(_sessions(model.poses), reach.sessions)[model.measured.poses]
+        noise = np.hypot(noise, reach.further * is_other)
     by_known = found.jacobian * [
         one.known * (value if one.is_relative else 1.0) for one, value in zip(joint.unknowns, at)]
     spread = np.einsum("ki,ij,kj->k", by_known, joint.covariance, by_known)
@@ -1335,8 +1323,7 @@ def suggestions(found: Calibration, count: int = 3) -> tuple[Suggestion, ...]:
 
 def _information(*jacobians: np.ndarray) -> float:
     """Logarithm of the determinant of the information of measurements, with what is known before."""
-    total = np.eye(jacobians[0].shape[1]) + sum(J.T @ J for J in jacobians)
-    return float(np.linalg.slogdet(total)[1])
+    return float(np.linalg.slogdet(np.eye(jacobians[0].shape[1]) + sum(J.T @ J for J in jacobians))[1])
 
 
 class _Candidates:

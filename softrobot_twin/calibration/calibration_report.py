@@ -106,12 +106,16 @@ def calibrate_scene(
         for group in found.not_told:
             warn(refusal(group, found, advice))
     elif found.not_told:
-        print(f"as they were, because they bring nothing at poses held back: "
+        print(f"as they were, because they bring nothing beside the others: "
               f"{', '.join(key for (key,) in found.not_told)}")
     if suggest:
         print_advice(found, advice, simulation.actuator_names)
-    if found.hysteresis is not None:
-        print(hysteresis_in_words(found))
+    if words := hysteresis_in_words(found):
+        print(words)
+    if len(found.reach.sessions) == 1:
+        print("one session: the spread between sessions cannot be told, and is in no interval")
+    elif np.isfinite(found.reach.between):
+        print(f"between sessions: ±{1e3 * found.reach.between:.2f} mm along each axis, in the intervals of others")
     if picture is not None:
         draw(found, picture)
         print(f"wrote {picture}")

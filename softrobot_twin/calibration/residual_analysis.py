@@ -11,12 +11,16 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import stdtrit
 
 FOLDS = 8
 """Parts of which each is held back once."""
-GAIN, IN_DEVIATIONS = 2.0, 0.5
-"""A number is worth its place where the held-back error falls by this (Akaike 1974: two for each number),
-and by this share of the standard deviation of the sum of what single poses gain."""
+IN_MODEL, SLAB, DRAWS = 0.3, 0.5, 200
+"""Before the data a number differs from its start with this probability, and then by so many deviations of what is
+known of it; and sets of numbers that are drawn for each number, of which the first quarter only leads to likely ones."""
+LEFT, RANGE = 1.0, 4.0
+"""What a chosen set may leave of the averaged prediction: the sum of squares over all measurements, over their noise;
+and by how many deviations of what is known of it a number may move for that."""
 FAULTY, MOST_FAULTY = 4.0, 0.3
 """A point is faulty where it is off by so many times the median of its errors, or the median of all points if that is
 larger or if this point is off in most poses; where more than this share are, the model is wrong."""
@@ -76,83 +80,65 @@ class Step(NamedTuple):
     after: float
 
 
-def selected(linear: Linear, always: Sequence[int] = (), shown: np.ndarray | None = None) -> list[Step]:
-    """The numbers that lower the held-back error, the one that brings most first.
+def averaged(linear: Linear, always: Sequence[int] = ()) -> np.ndarray:
+    """Numbers averaged over sets of them, each by its probability (spike and slab; George and McCulloch 1993).
 
-    Numbers are added one after the other, and those that became needless taken away. Numbers that only help
-    together are missed so; the set that remains where needless ones are taken from all of them replaces
-    the first where its error is less by more than luck.
+    Args:
+        linear: With all candidates.
+        always: Indices of numbers that are in each set, with all of what is known of them.
+
+    Returns:
+        Scaled as z, shape (p,).
+    """
+    J, count = linear.jacobian, linear.jacobian.shape[1]
+    G, b = J.T @ J, J.T @ (J @ linear.z - linear.residuals)
+    known, free = np.full(count, SLAB**-2), np.delete(np.arange(count), always)
+    known[list(always)] = 1.0
+
+    def of_set(own: np.ndarray) -> tuple[float, np.ndarray]:
+        A, mean = G[np.ix_(own, own)] + np.diag(known[own]), np.zeros(count)
+        mean[own] = np.linalg.solve(A, b[own])
+        odds = np.log(known[own]) + 2.0 * np.log(IN_MODEL / (1.0 - IN_MODEL))
+        return 0.5 * float(b @ mean - np.linalg.slogdet(A)[1] + odds.sum()), mean
+
+    rng, own, total, draws = np.random.default_rng(0), np.ones(count, bool), np.zeros(count), DRAWS * len(free)
+    now, mean = of_set(own)
+    for draw in range(draws):
+        one, other = rng.choice(free, 2)  # A number comes or goes, or two change places.
+        new = own.copy()
+        new[one], new[other] = (own[other], own[one]) if draw % 2 else (not own[one], own[other] ^ (one == other))
+        told, there = of_set(new)
+        if np.log(rng.random()) < told - now:
+            own, now, mean = new, told, there
+        total += mean * (draw >= draws // 4)
+    return total / max(1, draws - draws // 4) if draws else mean
+
+
+def selected(linear: Linear, always: Sequence[int] = (), shown: np.ndarray | None = None) -> list[Step]:
+    """The fewest numbers that predict as all sets averaged do, the one that takes most of it first.
+
+    Single sets are chosen by luck where several explain as much, their average is not (projection
+    predictive selection; Piironen and Vehtari 2017).
 
     Args:
         linear: With all candidates.
         always: Indices of numbers that are fitted in any case, and are told first.
         shown: Mask of the residuals that steps tell, shape (n,); None for all.
     """
-    search = _Search(linear, list(always))
-    added = search.grown(list(always))
-    left = search.thinned(list(range(linear.jacobian.shape[1])))
-    chosen = left if search.is_gain(added, left) else added
-    own, steps = slice(None) if shown is None else shown, list[Step]()
-    so_far, waiting = list[int](), list(dict.fromkeys([*always, *chosen]))
-    while waiting:
-        first = waiting[:1] if len(so_far) < len(always) else waiting
-        best = min(first, key=lambda k: search.error([*so_far, k]))
-        before, after = (search.residuals(one)[own] for one in (so_far, [*so_far, best]))
-        steps.append(Step(best, *(float(np.sqrt(np.mean(one**2))) for one in (before, after))))
-        so_far.append(best)
-        waiting.remove(best)
-    return steps
+    chosen, count = list(dict.fromkeys(always)), linear.jacobian.shape[1]
+    # A number stands for others within its range only, which is narrow where it was measured.
+    ranges = np.where(np.isin(np.arange(count), always), 1.0, RANGE)
+    Q, R = np.linalg.qr(np.concatenate([linear.jacobian, np.diag(1.0 / ranges)]))
+    wanted = Q[: len(linear.jacobian)].T @ (linear.jacobian @ averaged(linear, chosen))
 
+    def left(own: list[int]) -> float:
+        return float(np.sum((wanted - R[:, own] @ np.linalg.lstsq(R[:, own], wanted, rcond=None)[0]) ** 2))
 
-class _Search:
-    """Held-back residuals of sets of numbers."""
-
-    def __init__(self, linear: Linear, always: list[int]):
-        self._linear, self._always, self._folds = linear, always, linear.folds()
-        self._places = np.unique(linear.poses, return_inverse=True)[1]
-        self._known: dict[frozenset[int], np.ndarray] = {}
-
-    def residuals(self, numbers: Sequence[int]) -> np.ndarray:
-        """Those of a set, shape (n,)."""
-        key = frozenset(numbers)
-        if key not in self._known:
-            self._known[key] = self._linear.held_back(sorted(key), self._folds)
-        return self._known[key]
-
-    def error(self, numbers: Sequence[int]) -> float:
-        """Their sum of squares."""
-        return float(np.sum(self.residuals(numbers) ** 2))
-
-    def is_gain(self, before: Sequence[int], after: Sequence[int]) -> bool:
-        """Whether a set is better than another one by more than luck."""
-        return _is_gain(np.bincount(self._places, self.residuals(before) ** 2 - self.residuals(after) ** 2))
-
-    def grown(self, chosen: list[int]) -> list[int]:
-        """A set to which numbers were added as long as one brings something."""
-        seen = set[frozenset[int]]()
-        while frozenset(chosen) not in seen:
-            seen.add(frozenset(chosen))
-            left = [k for k in range(self._linear.jacobian.shape[1]) if k not in chosen]
-            best = min(left, key=lambda k: self.error([*chosen, k]), default=None)
-            if best is None or not self.is_gain(chosen, [*chosen, best]):
-                break
-            chosen = self.thinned([*chosen, best])
-        return chosen
-
-    def thinned(self, chosen: list[int]) -> list[int]:
-        """A set without its needless numbers."""
-        while True:
-            free = [k for k in chosen if k not in self._always]
-            least = min(free, key=lambda k: self.error([one for one in chosen if one != k]), default=None)
-            without = [one for one in chosen if one != least]
-            if least is None or self.is_gain(without, chosen):
-                return chosen
-            chosen = without
-
-
-def _is_gain(gains: np.ndarray) -> bool:
-    """Whether what each pose gains is more than a number costs, and no luck of single poses."""
-    return gains.sum() > max(GAIN, IN_DEVIATIONS * np.sqrt(len(gains)) * gains.std())
+    while left(chosen) > LEFT:
+        chosen.append(min((k for k in range(count) if k not in chosen), key=lambda k: left([*chosen, k])))
+    folds, own = linear.folds(), slice(None) if shown is None else shown
+    errors = [float(np.sqrt(np.mean(linear.held_back(chosen[:count], folds)[own] ** 2))) for count in range(len(chosen) + 1)]
+    return [Step(*one) for one in zip(chosen, errors, errors[1:])]
 
 
 class Reach(NamedTuple):
@@ -163,12 +149,29 @@ class Reach(NamedTuple):
         inverse: Inverse of their covariance, shape (actuator_count, actuator_count).
         farthest: Largest distance of them from the centre.
         factor: Error at the outer poses by a fit to the others, over the error of that fit; at least 1.
+        sessions: Names of the sessions of the fit.
+        between: Standard deviation of how far a session is shifted along each axis [m]; NaN where one session or no point
+            was measured.
     """
 
     centre: np.ndarray
     inverse: np.ndarray
     farthest: float
     factor: float
+    sessions: tuple[str, ...] = ()
+    between: float = np.nan
+
+    @property
+    def further(self) -> float:
+        """What a session adds to the noise that is not of the fit [m], where a few sessions told how they vary.
+
+        The shift of the sessions of the fit is in their noise, that of their mean is not known.
+        """
+        if not self.between > 0.0:
+            return 0.0
+        count = len(self.sessions)
+        wide = (stdtrit(3 * (count - 1), 0.975) / 1.96) ** 2
+        return float(self.between * np.sqrt((1.0 + 1.0 / count) * wide - 1.0 + 1.0 / count))
 
     def factors(self, setpoints: np.ndarray) -> np.ndarray:
         """By how much the noise grows at setpoints: `factor` outside of those of the fit.
@@ -198,6 +201,21 @@ def reach_of(linear: Linear, setpoints: np.ndarray) -> Reach:
                 errors.append(float(np.nanmean(found**2)))
     factor = np.sqrt(max(1.0, np.mean(errors) / max(within, 1.0e-12))) if errors else 1.0
     return Reach(centre, inverse, float(_distances(setpoints - centre, inverse).max()), float(factor))
+
+
+def spread_between(off: np.ndarray, sessions: np.ndarray) -> float:
+    """Standard deviation of how far a session is shifted along each axis [m]; NaN for less than two.
+
+    Args:
+        off: Mean error of the points of each pose [m], shape (pose_count, 3).
+        sessions: Name of the session of each, shape (pose_count,).
+    """
+    seen = np.isfinite(off).all(axis=1)
+    each = [off[seen & (sessions == one)] for one in np.unique(sessions[seen])]
+    if len(each) < 2:
+        return np.nan
+    by_noise = np.mean([np.var(one, axis=0) / len(one) for one in each])
+    return float(np.sqrt(max(0.0, np.var([one.mean(axis=0) for one in each], axis=0, ddof=1).mean() - by_noise)))
 
 
 def _distances(off: np.ndarray, inverse: np.ndarray) -> np.ndarray:

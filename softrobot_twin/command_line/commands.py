@@ -278,7 +278,7 @@ def simulate(
     """Run a scene offline, without ROS.
 
     Run a scene over a targets file, a row a step, over a commands file at a fixed rate, or without
-    commands. docs/files.md describes the columns.
+    commands. docs/files.md describes the columns; <effector>_by_cameras_* is an effector in marker_frame.
 
     Examples:
         softrobot_twin simulate config/scenes/diamond.yaml --targets config/targets/diamond_circle.csv --output run.csv

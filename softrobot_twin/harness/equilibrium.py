@@ -174,8 +174,8 @@ class FollowedPoses:
         self._build(scene, None)
 
     def _build(self, scene: Scene, mounted: Mounted | None) -> None:
-        self.scene = scene
         self.simulation = Simulation(self._simulated(scene), with_warnings=False, mounted=mounted)
+        self.scene = scene
         self.tangent = Sensitivities(self.simulation)
         self._rested: dict[Hashable, State] = {}
 

@@ -315,7 +315,7 @@ def _steps(key: str) -> tuple:
 def _place(scene: Scene, key: str, value: Any = "") -> tuple:
     """Where a key is in a scene; its last part may be new."""
     steps = _steps(key)
-    found = list(_places(scene, steps)) if steps and "*" not in key else []
+    found = list(_places(scene, steps, value)) if steps and "*" not in key else []
     if not found:
         raise _no_key(scene, key, value, "is no key of a scene, such as body.material.young_modulus "
                       "or cables[0].tension")
@@ -325,24 +325,25 @@ def _place(scene: Scene, key: str, value: Any = "") -> tuple:
 def _all_places(scene: Scene, key: str, value: Any = "") -> list[tuple]:
     """Where a key is in a scene, or where its ``*`` means several entries."""
     steps = _steps(key) if "*" in key else ()
-    return (list(_places(scene, steps)) if steps else []) or [_place(scene, key, value)]
+    return (list(_places(scene, steps, value)) if steps else []) or [_place(scene, key, value)]
 
 
-def _places(scene: Scene, steps: tuple) -> Iterator[tuple]:
-    """The places that a key means: one, or several where it has ``*``."""
+def _places(scene: Scene, steps: tuple, given: Any = "") -> Iterator[tuple]:
+    """The places that a key means: one, or several where it has ``*``; and what they shall be, for errors."""
     places: list[tuple[tuple, Any]] = [((), scene)]
-    for step in steps:
+    for k in range(len(steps)):
         places = [
             ((*place, own), _below(value, own)) for place, value in places
-            for own in _own_steps(scene, place, value, step)
+            for own in _own_steps(scene, place, value, steps[k:], given, any("*" in str(one) for one in steps[:k]))
         ]  # fmt: skip
     return (place for place, _ in places)
 
 
-def _own_steps(scene: Scene, place: tuple, value: Any, step: str | int) -> list:
-    """What a part of a key means in a section or a list."""
+def _own_steps(scene: Scene, place: tuple, value: Any, steps: tuple, given: Any, is_pattern: bool) -> list:
+    """What the next part of a key means in a section or a list; nothing where a name fits none of a pattern."""
+    step = steps[0]
     if not isinstance(value, tuple):
-        names = list(type(value).model_fields) if isinstance(value, Entry) else list(value or ())
+        names = list(type(value).model_fields) if isinstance(value, Entry) else list(value if isinstance(value, Mapping) else ())
         if isinstance(step, int) or "*" not in step:
             return [step]
         return [name for name in names if fnmatchcase(name, step)]
@@ -350,10 +351,10 @@ def _own_steps(scene: Scene, place: tuple, value: Any, step: str | int) -> list:
         found = [step] if step < len(value) else []
     else:
         found = [i for i, one in enumerate(value) if fnmatchcase(_name_of(one), step)]
-    if not found and not (isinstance(step, str) and "*" in step):
+    if not found and not (isinstance(step, str) and (is_pattern or "*" in step)):
         named = [name for name in map(_name_of, value) if name]
         known = [*named, f"0 to {len(value) - 1}"] if value else ["no entry"]
-        raise _no_key(scene, dotted((*place, step)), "", "is not there: the scene has "
+        raise _no_key(scene, dotted((*place, *steps)), given, "is not there: the scene has "
                       f"{', '.join(known)}{nearest(step, named)}")
     return found
 

@@ -47,6 +47,13 @@ def poses_of(scene, rng, count):
     return poses
 
 
+def off_and_widths(estimate, true):
+    """Distances from the middle of the intervals, by half their widths; and these."""
+    low, high = estimate.intervals.T
+    print("distance from the middle, by half the width:", np.round(off := (2.0 * true - low - high) / (high - low), 2))
+    return off, 0.5 * (high - low)
+
+
 @pytest.mark.exhaustive
 def test_servos_zeros_and_clamps_of_another_emio_are_found_within_their_intervals(drawn_rng):
     scene = load_scene(SCENE)
@@ -55,9 +62,7 @@ def test_servos_zeros_and_clamps_of_another_emio_are_found_within_their_interval
     found = calibrate(scene, poses, [*KEYS, *WAYS, *CLAMPS])
     true = np.array([truth["beams[0].material.young_modulus"]] + [
         truth[key] for key in (*(f"hinge_motors[{leg}].offset" for leg in range(4)), *WAYS, *CLAMPS)])
-    low, high = found.joint.intervals.T
-    off = (true - 0.5 * (low + high)) / (0.5 * (high - low))
-    print("distance from the middle, by half the width of the interval:", np.round(off, 2))
+    off, _ = off_and_widths(found.joint, true)
     # Poses that happen to lie together tell little of how soft the strips are, as they only shift the hub.
     assert all("young_modulus" in key for group in found.not_told for key in group)
     # One of twenty is outside of its interval; errors of neighbours belong together.
@@ -66,11 +71,7 @@ def test_servos_zeros_and_clamps_of_another_emio_are_found_within_their_interval
 
 @pytest.mark.exhaustive
 def test_the_ways_of_the_servos_are_found_within_their_intervals(drawn_rng):
-    scene, ways = load_scene(SCENE), {
-        key: -sign * 0.1155 for key, sign in zip(WAYS, (1, 1, -1, -1), strict=True)}
+    scene, ways = load_scene(SCENE), dict(zip(WAYS, (-0.1155, -0.1155, 0.1155, 0.1155), strict=True))
     found = calibrate(scene, poses_of(changed_scene(scene, ways), drawn_rng, 8), WAYS)
-    low, high = found.estimate.intervals.T
-    off = (np.array(list(ways.values())) - 0.5 * (low + high)) / (0.5 * (high - low))
-    print("distance from the middle, by half the width of the interval:", np.round(off, 2), high - low)
-    assert np.abs(off).max() < 2.0
-    assert 0.5 * (high - low).max() < 0.1155 - 0.11494  # what they were off
+    off, widths = off_and_widths(found.estimate, np.array(list(ways.values())))
+    assert np.abs(off).max() < 2.0 and widths.max() < 0.1155 - 0.11494  # what they were off

@@ -3,7 +3,15 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.calibration.residual_analysis import Linear, faulty, hysteresis, reach_of, selected
+from softrobot_twin.calibration.residual_analysis import (
+    Linear,
+    Reach,
+    faulty,
+    hysteresis,
+    reach_of,
+    selected,
+    spread_between,
+)
 
 POSES, POINTS = 40, 3
 
@@ -79,3 +87,13 @@ def test_the_error_outside_grows_where_the_form_of_the_model_is_wrong():
         factors.append(reach.factor)
         assert reach.factors(x).max() == 1.0 and reach.factors(np.array([[2.0, 2.0]]))[0] == reach.factor
     assert factors[0] < 1.3 and factors[1] > 1.5
+
+
+def test_intervals_of_a_session_that_was_not_seen_hold_by_what_two_tell(drawn_rng):
+    sessions, inside = np.repeat(["day_1.csv", "day_2.csv"], 20), []
+    for _ in range(400):
+        shifts, off = drawn_rng.normal(0.0, 1.4e-3, (3, 3)), drawn_rng.normal(0.0, 5e-4, (60, 3))
+        off = off + np.repeat(shifts, 20, axis=0) - shifts[:2].mean(axis=0)  # what both share is fitted
+        reach = Reach(*np.empty((4, 0)), tuple(np.unique(sessions)), spread_between(off[:40], sessions))
+        inside.append(np.mean(np.abs(off[40:]) < 1.96 * np.hypot(off[:40].std(), reach.further)))
+    assert 0.9 < np.mean(inside) < 0.99 and np.isnan(spread_between(off[:20], sessions[:20]))

@@ -102,14 +102,15 @@ def test_a_preset_gives_way_to_a_constant_of_its_law(finger):
     ("body.material", "must be KEY=VALUE"),
     ("=3", "is no key of a scene"),
     ("body.materil.density=3", "body.materil.*is material meant"),
-    ("cables[3].rate=1", r"cables\[3\].*the scene has flexor, extensor, 0 to 1"),
+    ("cables[3].rate=1", r"cables\[3\].rate = 1: .*the scene has flexor, extensor, 0 to 1"),
     ("cables.flexr.rate=1", "is flexor meant"),
     ("springs[0].stiffness=1", r"springs\[0\].*the scene has no entry"),
     ("cables[0].tension.x=1", r"cables\[0\].tension"),
     ("body.material.density=-2", r"finger.yaml:\d+: body.material.density = -2 kg/m³: must be"),
     ("body.material.density={", "is not YAML"),
     ("body..density=1", "is no key of a scene"),
-    ("cables.x*.rate=1", "is no key of a scene"),
+    ("cables.x*.rate=1", "cables.x.*.rate = 1: is no key of a scene"),
+    ("*.rate=0.25", r"rate = 0.25( m/s)?: "),
 ])  # fmt: skip
 def test_a_change_that_cannot_be_made_is_refused_with_its_key(finger, change, words):
     with pytest.raises(SceneError, match=words):

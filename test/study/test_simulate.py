@@ -59,6 +59,14 @@ def test_settling_runs_the_first_row_before_recording(tmp_path, column, targets,
         np.testing.assert_array_equal(tip_of(row), tip_of(longer))
 
 
+def test_targets_in_another_frame_are_followed_in_that_of_the_scene(tmp_path, column, targets, call):
+    _, rows = TARGETS.split("\n", 1)
+    for text, axes in ((TARGETS, "x,y,z"), (f"time_s,tip_y_m,tip_z_m,tip_x_m\n{rows}", "y,z,x")):
+        call("simulate", column, "--targets", targets(text), "--output", tmp_path / f"{axes}.csv", "--axes", axes)
+    own, turned = (rows_of(tmp_path / f"{axes}.csv") for axes in ("x,y,z", "y,z,x"))
+    assert [tip_of(row).tolist() for row in own] == [tip_of(row).tolist() for row in turned]
+
+
 def test_lengths_and_their_tensions_lead_to_the_same_state(tmp_path, column, targets, call):
     simulation = Simulation.from_scene_file(column)
     names = simulation.actuator_names
