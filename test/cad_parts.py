@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from pathlib import Path
 
 import meshio
@@ -57,13 +58,22 @@ def finger():
     return joined(box((60, 20, 16), (30, 0, 0)), inside_out(box((40, 8, 6), (30, 0, 2))))
 
 
-def write_step(path: Path, *solids, cut=()) -> Path:
-    """Writes boxes, each a corner and a size [mm], as STEP; `cut` are cut out of the first."""
+@contextmanager
+def gmsh_session():
+    """Gmsh, which tells nothing, for as long as it is needed."""
     import gmsh
 
     gmsh.initialize(["gmsh"], readConfigFiles=False, interruptible=False)
     try:
         gmsh.option.setNumber("General.Terminal", 0)
+        yield gmsh
+    finally:
+        gmsh.finalize()
+
+
+def write_step(path: Path, *solids, cut=()) -> Path:
+    """Writes boxes, each a corner and a size [mm], as STEP; `cut` are cut out of the first."""
+    with gmsh_session() as gmsh:
         occ = gmsh.model.occ
         made = [occ.addBox(*corner, *size) for corner, size in solids]
         if cut:
@@ -71,6 +81,4 @@ def write_step(path: Path, *solids, cut=()) -> Path:
             occ.cut([(3, made[0])], tools)
         occ.synchronize()
         gmsh.write(str(path))
-    finally:
-        gmsh.finalize()
     return path

@@ -4,13 +4,11 @@ import os
 import shlex
 import subprocess
 import sys
-from typing import NamedTuple
 
 import pytest
 
 from softrobot_twin.__main__ import main
 from softrobot_twin.command_line.commands import COMMANDS, program
-from test.builder import builder
 from test.places import ROOT
 
 
@@ -19,14 +17,6 @@ def examples() -> list[str]:
     helps = [file.read_text() for file in sorted((ROOT / "test/study/print_outs").glob("*.txt"))]
     told = "".join(text.partition("examples:\n")[2].partition("exit codes:")[0] for text in helps)
     return told.replace("\\\n", "").splitlines()
-
-
-class Finished(NamedTuple):
-    """A command that has ended."""
-
-    returncode: int
-    stdout: str
-    stderr: str
 
 
 def test_every_command_has_an_example_of_its_help():
@@ -70,31 +60,20 @@ def test_an_invalid_scene_gives_one_line_and_exit_code_two(tmp_path, capsys, com
     assert [path.name for path in tmp_path.iterdir()] == ["scene.yaml"] * (content is not None)
 
 
-def printed_by(code: str) -> set[str]:
-    """Words that code prints where the environment chooses no number of threads."""
+THREADS = """
+import ctypes
+lines = open("/proc/self/maps").read().splitlines()
+for path in {line.split()[-1] for line in lines if "openblas" in line}:
+    library = ctypes.CDLL(path)
+    for name in [kind + "openblas_get_num_threads" + end for kind in ("scipy_", "") for end in ("64_", "")]:
+        if hasattr(library, name): print(getattr(library, name)())
+"""
+
+
+@pytest.mark.parametrize("order", ["softrobot_twin.mechanics.gravity, numpy, scipy.linalg",
+                                   "numpy, scipy.linalg, softrobot_twin"])
+def test_products_take_one_thread_whether_numpy_or_the_package_is_imported_first(order):
     environment = {key: value for key, value in os.environ.items() if key != "OPENBLAS_NUM_THREADS"}
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=environment,
+    done = subprocess.run([sys.executable, "-c", f"import {order}\n{THREADS}"], cwd=ROOT, env=environment,
                           capture_output=True, text=True, check=True)
-    return set(done.stdout.split())
-
-
-def test_one_blas_thread_is_chosen_before_numpy_is_imported():
-    code = ("import sys, os\n"
-            "class Watch:\n"
-            "    def find_spec(self, name, path=None, target=None):\n"
-            "        if name == 'numpy': print(os.environ.get('OPENBLAS_NUM_THREADS'))\n"
-            "sys.meta_path.insert(0, Watch())\n"
-            "import softrobot_twin.mechanics.gravity")
-    assert printed_by(code) == {"1"}  # Whether it is there is asked before, too.
-
-
-def test_products_take_one_thread_also_where_numpy_was_imported_before_the_package():
-    code = ("import ctypes, numpy, scipy.linalg, softrobot_twin\n"
-            "lines = open('/proc/self/maps').read().splitlines()\n"
-            "for path in {line.split()[-1] for line in lines if 'openblas' in line}:\n"
-            "    library = ctypes.CDLL(path)\n"
-            "    for kind in ('scipy_', ''):\n"
-            "        for end in ('64_', ''):\n"
-            "            name = kind + 'openblas_get_num_threads' + end\n"
-            "            if hasattr(library, name): print(getattr(library, name)())\n")
-    assert printed_by(code) == {"1"}
+    assert set(done.stdout.split()) == {"1"}

@@ -16,6 +16,15 @@ INSIDE = (0.008, 0.004, 0.134)
 ROUNDING = 1.0e-9
 
 
+@pytest.fixture
+def inside(drive):
+    """A driver whose robot is at a target."""
+    driver = drive()
+    driver.target(*INSIDE)
+    driver.tick(20)
+    return driver
+
+
 def run_once(driver):
     """Commands and last positions of one run from rest."""
     driver.outcomes.clear()
@@ -44,14 +53,18 @@ def spoil(monkeypatch, simulation, **fields):
     monkeypatch.setattr(simulation, "step", step)
 
 
+def assert_same_runs(*runs):
+    for one in runs[1:]:
+        assert np.array_equal(one[0], runs[0][0]) and np.array_equal(one[1], runs[0][1])
+
+
 def test_reset_gives_the_same_run_to_the_bit(drive):
     driver = drive()
-    first = run_once(driver)
+    runs = [run_once(driver)]
     for _ in range(2):
         assert return_to_rest(driver) <= RATE * STEP + ROUNDING
-        again = run_once(driver)
-        assert np.array_equal(first[0], again[0])
-        assert np.array_equal(first[1], again[1])
+        runs.append(run_once(driver))
+    assert_same_runs(*runs)
 
 
 def test_reset_after_a_failure_gives_the_same_run_to_the_bit(drive, monkeypatch):
@@ -61,9 +74,7 @@ def test_reset_after_a_failure_gives_the_same_run_to_the_bit(drive, monkeypatch)
     assert driver.tick(3).result.status.is_failure
     monkeypatch.undo()
     return_to_rest(driver)
-    again = run_once(driver)
-    assert np.array_equal(first[0], again[0])
-    assert np.array_equal(first[1], again[1])
+    assert_same_runs(first, run_once(driver))
 
 
 def test_a_reset_while_disabled_returns_within_the_limits_once_enabled(drive):
@@ -80,11 +91,8 @@ def test_a_reset_while_disabled_returns_within_the_limits_once_enabled(drive):
     assert driver.commands[-1] == pytest.approx(driver.loop.simulation.rest_setpoints, abs=1e-6)
 
 
-def test_a_return_continues_to_rest_when_the_model_fails(drive, monkeypatch):
-    driver = drive()
-    driver.target(*INSIDE)
-    driver.tick(20)
-    wound = driver.commands[-1]
+def test_a_return_continues_to_rest_when_the_model_fails(inside, monkeypatch):
+    driver, wound = inside, inside.commands[-1]
     rest = driver.loop.simulation.rest_setpoints
     assert np.abs(wound - rest).max() > 4 * RATE * STEP
     simulation = driver.loop.simulation
@@ -110,12 +118,9 @@ def test_a_return_continues_to_rest_when_the_model_fails(drive, monkeypatch):
     assert np.array_equal(driver.tick().command.setpoints, rest)
 
 
-def test_a_return_continues_while_elements_are_inverted(drive, monkeypatch):
+def test_a_return_continues_while_elements_are_inverted(inside, monkeypatch):
     """The Trunk was at rest one tick after a reset whose first step ended inverted."""
-    driver = drive()
-    driver.target(*INSIDE)
-    driver.tick(20)
-    wound = driver.commands[-1]
+    driver, wound = inside, inside.commands[-1]
     spoil(monkeypatch, driver.loop.simulation, status=Status.INVERTED)
     driver.loop.reset()
     driver.outcomes.clear()
@@ -165,11 +170,8 @@ def test_an_invalid_result_of_a_step_is_not_published(drive, monkeypatch, fields
     assert driver.largest_step <= RATE * STEP + ROUNDING
 
 
-def test_a_model_moved_from_outside_is_brought_back_before_a_command_is_released(drive):
-    driver = drive()
-    driver.target(*INSIDE)
-    driver.tick(20)
-    wound = driver.commands[-1]
+def test_a_model_moved_from_outside_is_brought_back_before_a_command_is_released(inside):
+    driver, wound = inside, inside.commands[-1]
     driver.loop.simulation.reset()
     outcome = driver.tick()
     assert outcome.activity is Activity.RESYNCHRONISING and outcome.command is None

@@ -23,7 +23,7 @@ from softrobot_twin.geometry.mesh_reading import read_solid_mesh
 from softrobot_twin.geometry.quality import radius_ratios
 from test.shapes import Sphere
 from softrobot_twin.geometry.tet_mesh import TetMesh
-from test.cad_parts import box, finger, joined, need_gmsh, write_step, write_stl
+from test.cad_parts import box, finger, gmsh_session, joined, need_gmsh, write_step, write_stl
 
 pytestmark = pytest.mark.libraries
 
@@ -201,11 +201,7 @@ def test_a_void_of_a_step_solid_is_a_cavity_and_its_unit_is_known(tmp_path):
 
 def tube(path):
     """A bar of 30 × 12 × 12 mm with a round chamber of 20 mm, written as STEP or STL."""
-    import gmsh
-
-    gmsh.initialize(["gmsh"], readConfigFiles=False, interruptible=False)
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
+    with gmsh_session() as gmsh:
         occ = gmsh.model.occ
         occ.cut([(3, occ.addBox(0, 0, 0, 30, 12, 12))], [(3, occ.addCylinder(5, 6, 6, 20, 0, 0, 3))])
         occ.synchronize()
@@ -213,8 +209,6 @@ def tube(path):
             gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", 40)
             gmsh.model.mesh.generate(2)
         gmsh.write(str(path))
-    finally:
-        gmsh.finalize()
     return path
 
 
@@ -234,11 +228,7 @@ def test_round_walls_of_chambers_are_refined_and_what_they_lose_is_told(suffix, 
 
 def test_small_fillets_of_a_chamber_are_refined_no_more_than_its_volume_needs(tmp_path):
     need_gmsh()
-    import gmsh
-
-    gmsh.initialize(["gmsh"], readConfigFiles=False, interruptible=False)
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
+    with gmsh_session() as gmsh:
         occ = gmsh.model.occ
         occ.addBox(10, 4, 4, 40, 8, 8)
         occ.synchronize()
@@ -247,8 +237,6 @@ def test_small_fillets_of_a_chamber_are_refined_no_more_than_its_volume_needs(tm
         occ.cut([(3, occ.addBox(0, 0, 0, 60, 16, 16))], hollow)
         occ.synchronize()
         gmsh.write(str(tmp_path / "box.step"))
-    finally:
-        gmsh.finalize()
     made = mesh_cad(tmp_path / "box.step", 4 * MM)
     assert made.mesh.node_count < 4000 and made.lost["cavity_1"] < 0.03
 

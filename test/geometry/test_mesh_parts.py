@@ -8,17 +8,14 @@ from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.mesh_reading import read_solid_mesh
 from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.geometry.surface import boundary_triangles
-from test.cad_parts import need_gmsh
+from test.cad_parts import gmsh_session, need_gmsh
+
+from .test_mesh_reading import FORMATS as MESH_FORMATS
 
 pytestmark = pytest.mark.libraries
 
-FORMATS = {
-    "msh 2.2 ascii": (".msh", {"file_format": "gmsh22", "binary": False}),
-    "msh 2.2 binary": (".msh", {"file_format": "gmsh22", "binary": True}),
-    "msh 4.1 ascii": (".msh", {"file_format": "gmsh", "binary": False}),
-    "msh 4.1 binary": (".msh", {"file_format": "gmsh", "binary": True}),
-    "inp": (".inp", {"file_format": "abaqus"}),
-}
+# Those that can name parts.
+FORMATS = {name: options for name, options in MESH_FORMATS.items() if options[0] in (".msh", ".inp")}
 NAMES = {"soft": (1, 3), "stiff": (2, 3), "foot": (3, 2), "rim": (4, 1)}
 
 
@@ -372,11 +369,7 @@ def test_all_blocks_of_abaqus_nodes_are_read(tmp_path):
 @pytest.mark.parametrize("binary", [0, 1])
 def test_gmsh_files_with_parameters_and_script_lines_are_read(version, binary, tmp_path):
     need_gmsh()
-    import gmsh
-
-    gmsh.initialize(["gmsh"], readConfigFiles=False, interruptible=False)
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
+    with gmsh_session() as gmsh:
         gmsh.model.occ.addCylinder(0, 0, 0, 6, 0, 0, 1)
         gmsh.model.occ.synchronize()
         gmsh.model.setPhysicalName(3, gmsh.model.addPhysicalGroup(3, [1], 5), "rod")
@@ -387,8 +380,6 @@ def test_gmsh_files_with_parameters_and_script_lines_are_read(version, binary, t
         for name, parametric in (("plain.msh", 0), ("parametric.msh", 1)):
             gmsh.option.setNumber("Mesh.SaveParametric", parametric)
             gmsh.write(str(tmp_path / name))
-    finally:
-        gmsh.finalize()
     script = (tmp_path / "plain.msh").read_bytes() + b'Show "*";\n//+\nHide "*";\n'
     (tmp_path / "script.msh").write_bytes(script)
     plain, *others = (read_solid_mesh(tmp_path / name)

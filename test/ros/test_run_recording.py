@@ -225,36 +225,24 @@ def test_without_mcap_the_package_to_install_is_named(make_twin, tmp_path, monke
 
 
 WITHOUT = """
-import sys, threading
+import sys
+sys.modules["mcap"] = None  # Its import fails.
 import rclpy
 from rclpy.parameter import Parameter
 from softrobot_twin.ros.twin_node import TwinNode
 rclpy.init()
 given = {"scene_file": sys.argv[1], "mesh_error": False}
 twin = TwinNode(parameter_overrides=[Parameter(name, value=value) for name, value in given.items()])
-for _ in range(3):
-    twin.tick()
-loaded = [name for name in sys.modules
-          if name.split(".")[0] == "mcap" or name.startswith("softrobot_twin.record")]
-taken = [name for name, value in vars(twin.loop).items()
-         if type(value).__module__.startswith("softrobot_twin.record")]
-print("RESULT", loaded, taken, [thread.name for thread in threading.enumerate()], twin.recording,
-      type(twin.cables).__name__)
+twin.tick()
+assert twin.failed_ticks == 0, twin.failure
 twin.destroy_node()
 """
 
 
 @pytest.mark.exhaustive
-def test_without_record_nothing_of_it_is_loaded_started_or_replaced(
-    small_scene_file, ros_domain_id, monkeypatch
-):
+def test_a_twin_that_records_nothing_runs_without_mcap(small_scene_file, ros_domain_id, monkeypatch):
     monkeypatch.setenv("ROS_DOMAIN_ID", str(ros_domain_id))
-    done = subprocess.run(
-        [sys.executable, "-c", WITHOUT, str(small_scene_file)], cwd=ROOT, capture_output=True,
-        text=True, timeout=120,
-    )  # fmt: skip
-    (line,) = [line for line in done.stdout.splitlines() if line.startswith("RESULT")]
-    assert line == "RESULT [] [] ['MainThread', 'claim', 'last command'] None Publisher", done.stderr
+    subprocess.run([sys.executable, "-c", WITHOUT, small_scene_file], cwd=ROOT, check=True, timeout=120)
 
 
 # --- definitions ---------------------------------------------------------------------------------

@@ -13,8 +13,6 @@ from softrobot_twin.ros.topics import (
     TWIN_SERVICES,
     TWIN_TOPICS,
     Direction,
-    open_publisher,
-    open_subscription,
 )
 
 pytestmark = pytest.mark.libraries
@@ -88,17 +86,7 @@ def test_the_twin_offers_the_services_of_its_table(world, make_twin):
         assert found[name] == [service.type_name.replace("/", "/srv/")]
 
 
-def test_every_topic_has_a_unit_and_a_meaning():
-    for topics in NODES.values():
-        for topic in topics.values():
-            assert len(topic.meaning) > 8 and "|" not in topic.meaning, topic.name
-            assert topic.unit or topic.type_name.startswith(
-                ("diagnostic_msgs/", "std_msgs/String")
-            ), topic.name
-
-
-def test_an_input_is_not_published_and_an_output_is_not_received(world):
-    with pytest.raises(ValueError, match="receives"):
-        open_publisher(world.probe, TWIN_TOPICS["~/markers"])
-    with pytest.raises(ValueError, match="publishes"):
-        open_subscription(world.probe, TWIN_TOPICS["~/cables"], print)
+def test_every_topic_has_a_unit():
+    topics = [topic for of_node in NODES.values() for topic in of_node.values()]
+    without = {topic.type_name for topic in topics if not topic.unit}
+    assert all(kind.startswith(("diagnostic_msgs/", "std_msgs/String")) for kind in without), without

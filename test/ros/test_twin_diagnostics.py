@@ -197,13 +197,16 @@ def test_a_rate_that_is_changed_again_and_again_does_not_stop_the_ticks(world, m
     world.until(lambda: twin.tick_clock.ticks > before + 5, timeout=8.0)
 
 
-@pytest.mark.exhaustive
-def test_the_error_of_the_mesh_is_reported_once_it_is_estimated(world, make_twin, diagnostics, monkeypatch):
+@pytest.fixture
+def impatient(monkeypatch):
+    """Estimating processes have the lowest priority and might never run on a busy machine; not these."""
     from softrobot_twin.control import idle_process
 
-    # The estimating process has the lowest priority and might never run on a busy machine.
-    program = idle_process.PROGRAM.replace("{yields}", "False")
-    monkeypatch.setattr(idle_process, "PROGRAM", program)
+    monkeypatch.setattr(idle_process, "PROGRAM", idle_process.PROGRAM.replace("{yields}", "False"))
+
+
+@pytest.mark.exhaustive
+def test_the_error_of_the_mesh_is_reported_once_it_is_estimated(world, make_twin, diagnostics, impatient):
     make_twin(mesh_error=True)
     world.until(lambda: diagnostics.messages, 30.0)
     solver = diagnostics(
@@ -215,11 +218,7 @@ def test_the_error_of_the_mesh_is_reported_once_it_is_estimated(world, make_twin
 
 
 @pytest.mark.exhaustive
-def test_the_errors_of_a_reduced_body_are_reported(world, make_twin, diagnostics, monkeypatch, half_trained):
-    from softrobot_twin.control import idle_process
-
-    program = idle_process.PROGRAM.replace("{yields}", "False")
-    monkeypatch.setattr(idle_process, "PROGRAM", program)
+def test_the_errors_of_a_reduced_body_are_reported(world, make_twin, diagnostics, impatient, half_trained):
     make_twin(scene_file=str(half_trained))
     world.until(lambda: diagnostics.messages, 60.0)
     solver = diagnostics("solver", lambda s: s.values["full_model"] == "compared", timeout=200.0).values

@@ -1,7 +1,7 @@
 """What a notebook shows of robots, results, matrices and tables of runs."""
 
 import sys
-from html.parser import HTMLParser
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -11,38 +11,14 @@ from softrobot_twin.scripting.notebook_html import effectors_html, table_html, t
 from softrobot_twin.view import ViewError
 
 
-class Page(HTMLParser):
-    """The tables, texts and images of a page; every tag must be closed in order."""
+class Page:
+    """The tables and texts of a page; every tag must be closed in order."""
 
     def __init__(self, html):
-        super().__init__()
-        self.tables, self.texts, self.images, self._open = [], [], [], []
-        self.feed(html)
-        self.close()
-        assert not self._open
-
-    def handle_starttag(self, tag, attrs):
-        if tag == "img":
-            self.images.append(dict(attrs))
-            return
-        self._open.append(tag)
-        if tag == "table":
-            self.tables.append([])
-        elif tag == "tr":
-            self.tables[-1].append([])
-        elif tag in ("th", "td"):
-            self.tables[-1][-1].append("")
-        else:
-            self.texts.append("")
-
-    def handle_endtag(self, tag):
-        assert self._open.pop() == tag
-
-    def handle_data(self, data):
-        if self._open[-1] in ("th", "td"):
-            self.tables[-1][-1][-1] += data
-        else:
-            self.texts[-1] += data
+        root = ElementTree.fromstring(f"<page>{html}</page>")
+        self.tables = [[["".join(cell.itertext()) for cell in row] for row in table.iter("tr")]
+                       for table in root.iter("table")]
+        self.texts = [each.text for each in root if each.tag != "table"]
 
 
 def test_texts_are_escaped():
