@@ -91,7 +91,7 @@ def end(outlet, timeout=10.0):
     outlet.join()
 
 
-def test_offering_returns_while_the_thread_is_blocked_and_afterwards_the_newest_frame_is_drawn(canvas, outlet):
+def test_offering_returns_while_the_thread_is_blocked_and_then_the_newest_frame_is_drawn(canvas, outlet):
     outlet.offer(0)
     wait_for_entry(canvas)
     for frame in range(1, 1000):
