@@ -100,27 +100,6 @@ def test_elapsed_time_never_decreases(seed):
         assert elapsed() == passed / NANOSECONDS
 
 
-class Clock:
-    def __init__(self):
-        self.time = 0.0
-
-    def __call__(self):
-        return self.time
-
-
-@pytest.fixture
-def clock():
-    return Clock()
-
-
-@pytest.fixture
-def collector(clock):
-    def collect():
-        clock.time += 0.002
-
-    return GarbageCollection(interval=1.0, longest_wait=10.0, clock=clock, collect=collect)
-
-
 def test_automatic_collection_is_off_inside_and_back_on_after():
     assert gc.isenabled()
     before = gc.get_freeze_count()

@@ -100,7 +100,7 @@ def test_a_direction_that_is_not_controlled_has_no_error(small_scene_mapping):
     assert measurement.errors(targets, PREDICTED, PREDICTED) == pytest.approx(0.005)
 
 
-STEP, GAIN, LIMIT = 0.05, 4.0, 0.005
+STEP, GAIN, LIMIT, FAULT = 0.05, 4.0, 0.005, 0.002
 LIMITED = tuple(status for status in Status if not status.is_success)
 
 
@@ -116,11 +116,10 @@ def update(correction, x, status=Status.OK):
 @pytest.mark.parametrize("delay", [0, 1, 2])
 def test_it_settles_although_measurements_are_old(delay):
     """A measurement shows a command of several measurements ago, with long intervals between."""
-    correction, fault = TargetCorrection(1), 0.002
-    past = [0.0] * (delay + 1)
+    correction, past = TargetCorrection(1), [0.0] * (delay + 1)
     for _ in range(200):
         past.append(correction.offsets[0, 0])
-        left = fault - past[-1 - delay]
+        left = FAULT - past[-1 - delay]
         correction.update(error(left), 10.0, Status.OK, GAIN, LIMIT)
     assert left == pytest.approx(0.0, abs=1e-6)
 
@@ -146,34 +145,36 @@ def misfit(x, seen=4):
     return EffectorMisfit(error(x), np.array([seen]))
 
 
+def settled(delay, factor, *options):
+    """What is left of a fault [m], and the corrections [m], of 1500 measurements that come late.
+
+    The robot moves `factor` times as far as the model; `options` are those of `follow`.
+    """
+    correction, past, left = TargetCorrection(1), [0.0] * (delay + 1), []
+    for _ in range(1500):
+        then = past[-1 - delay]
+        left.append(FAULT + factor * then)
+        correction.follow(misfit(left[-1] - then), *options)
+        past.append(correction.offsets[0, 0])
+    return np.array(left), past[delay + 1:]
+
+
 @pytest.mark.parametrize("delay", [0, 1, 3, 8, 12])
 @pytest.mark.parametrize("factor", [0.1, 0.5, 1.0, 1.5, 2.0])
 def test_the_misfit_settles_with_any_delay_and_a_robot_that_moves_more_or_less(delay, factor):
-    """The robot moves `factor` times as far as the model; a right model does not overshoot."""
-    correction, fault = TargetCorrection(1), 0.002
-    past, left = [0.0] * (delay + 1), []
-    for _ in range(1500):
-        then = past[-1 - delay]
-        left.append(fault + factor * then)
-        correction.follow(misfit(left[-1] - then), MISFIT_SHARE, 1.0)
-        past.append(correction.offsets[0, 0])
-    assert abs(left[-1]) < 1e-3 * fault
+    """A right model does not overshoot."""
+    left, _ = settled(delay, factor, MISFIT_SHARE, 1.0)
+    assert abs(left[-1]) < 1e-3 * FAULT
     assert factor > 1.0 or min(left) > -1e-9
 
 
 @pytest.mark.parametrize("delay", [0, 3, 12])
 @pytest.mark.parametrize("factor", [0.1, 1.0, 1.9, 2.0])
 def test_a_change_that_cannot_be_noise_is_followed_faster_and_settles_too(delay, factor):
-    correction, fault, noise = TargetCorrection(1), 0.002, 1e-6
-    past, left = [0.0] * (delay + 1), []
-    for _ in range(1500):
-        then = past[-1 - delay]
-        left.append(fault + factor * then)
-        correction.follow(misfit(left[-1] - then), 1.0, 1.0, noise)
-        past.append(correction.offsets[0, 0])
-    assert past[delay + 1] == pytest.approx(-SURE_SHARE * fault)
+    left, corrections = settled(delay, factor, 1.0, 1.0, 1e-6)
+    assert corrections[0] == pytest.approx(-SURE_SHARE * FAULT)
     # At twice the motion and a delay of 12 measurements it takes a thousand of them to halve.
-    assert np.abs(left[-50:]).max() < (1e-3 if factor < 2.0 else 0.5) * fault
+    assert np.abs(left[-50:]).max() < (1e-3 if factor < 2.0 else 0.5) * FAULT
 
 
 def test_a_change_that_may_be_noise_is_followed_slowly():

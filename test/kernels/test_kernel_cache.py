@@ -103,6 +103,14 @@ def run(package: Path, code: str = RUN) -> tuple[float, ...]:
     return tuple(map(float, done.stdout.split()))
 
 
+def begun(package: Path, code: str = RUN, arguments=("wait",), told: str = "begun") -> subprocess.Popen:
+    """A process that has told where it is, and goes on when its input ends."""
+    process = subprocess.Popen([sys.executable, "-c", code, *arguments], env=environment(package),
+                               cwd=package.parent, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    assert process.stdout.readline() == f"{told}\n"
+    return process
+
+
 def entries(package: Path) -> set[Path]:
     return set((package.parents[1] / "softrobot_twin/kernels").glob("*.nbc"))
 
@@ -140,14 +148,7 @@ def test_another_checkout_of_the_same_sources_compiles_nothing(small_package):
 
 @pytest.mark.exhaustive
 def test_of_processes_that_need_a_kernel_at_once_one_compiles_it(small_package):
-    processes = [
-        subprocess.Popen([sys.executable, "-c", RUN, "wait"], env=environment(small_package),
-                         cwd=small_package.parent, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-                         text=True)
-        for _ in range(3)
-    ]  # fmt: skip
-    for process in processes:
-        assert process.stdout.readline() == "begun\n"
+    processes = [begun(small_package) for _ in range(3)]
     for process in processes:
         process.stdin.close()
     results = sorted(process.stdout.read().split() for process in processes)
@@ -167,13 +168,7 @@ except Exception:
     print("failed", flush=True)
 sys.stdin.read()
 print(1.0""")
-    processes = []
-    for _ in range(2):
-        processes.append(subprocess.Popen(
-            [sys.executable, "-c", code], env=environment(small_package), cwd=small_package.parent,
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True))  # fmt: skip
-        assert processes[-1].stdout.readline() == "failed\n"
-    for process in processes:
+    for process in [begun(small_package, code, (), "failed") for _ in range(2)]:
         process.communicate()
 
 
@@ -229,10 +224,7 @@ def test_the_list_by_which_processes_compile_ahead_is_of_these_sources():
 
 @pytest.mark.exhaustive
 def test_a_source_that_changes_in_a_run_is_not_that_of_its_kernels(small_package):
-    process = subprocess.Popen([sys.executable, "-c", RUN, "wait"], cwd=small_package.parent,
-                               env=environment(small_package), stdin=subprocess.PIPE,
-                               stdout=subprocess.PIPE, text=True)  # fmt: skip
-    assert process.stdout.readline() == "begun\n"
+    process = begun(small_package)
     size = small_package / "size.py"
     size.write_text(size.read_text().replace("2.0", "5.0"))
     assert process.communicate()[0].split() == ["16.0", "1"]

@@ -13,8 +13,6 @@ from softrobot_twin.simulation.runs.input_tables import Axes, AxesError, TableFi
 
 from .conftest import MESH, ROOT, Live
 
-FRAME = {"marker_frame.position": [0.01, 0.0, 0.02]}
-
 
 @pytest.fixture(scope="module")
 def simulation():

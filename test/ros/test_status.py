@@ -1,6 +1,7 @@
 """The latched status: who comes late receives it, and it is sent only when it changes."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -61,23 +62,14 @@ def test_a_twin_of_a_device_begins_disabled_and_tells_why(world, make_twin):
     assert not answer.success
 
 
-class Recorded:
-    """Stands where the publisher is."""
-
-    def __init__(self):
-        self.messages = []
-
-    def publish(self, message):
-        self.messages.append(message)
-
-
 @pytest.fixture
 def twin(make_twin):
     """A twin that has ticked and is stopped; what its status publishes is recorded."""
     twin = make_twin()
     twin.stop()
     twin.tick()
-    twin.status.publisher = Recorded()
+    messages = []
+    twin.status.publisher = SimpleNamespace(messages=messages, publish=messages.append)
     return twin
 
 

@@ -234,15 +234,19 @@ LEVELS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("status", Status)
-def test_every_status_has_its_level_and_a_residual_above_the_tolerance_is_reported(make_twin, status):
-    twin = make_twin()
+def judged(twin, status=None, **report):
+    """The parts of the diagnostics after a tick of a status, with changes of its report, by name."""
     outcome = twin.loop.tick(0.0, 0)
-    report = replace(outcome.result.report, residual=0.0125, active_limits=("east.shortening_max",))
-    result = replace(outcome.result, status=status, report=report)
+    result = replace(outcome.result, report=replace(outcome.result.report, **report))
+    result = result if status is None else replace(result, status=status)
     twin.window.clear()
     twin.window.add(outcome._replace(result=result))
-    parts = {part.name.split(": ")[-1]: part for part in twin.diagnostics.statuses(0.0)}
+    return {part.name.split(": ")[-1]: part for part in twin.diagnostics.statuses(0.0)}
+
+
+@pytest.mark.parametrize("status", Status)
+def test_every_status_has_its_level_and_a_residual_above_the_tolerance_is_reported(make_twin, status):
+    parts = judged(make_twin(), status, residual=0.0125, active_limits=("east.shortening_max",))
     solver, limits = parts["solver"], parts["limits"]
     assert solver.level == LEVELS[status]
     assert solver.message.startswith(status.value)
@@ -258,12 +262,7 @@ def test_every_status_has_its_level_and_a_residual_above_the_tolerance_is_report
 
 @pytest.mark.parametrize("late", [False, True])
 def test_a_deadline_without_time_for_a_linearization_is_a_warning(make_twin, late):
-    twin = make_twin()
-    outcome = twin.loop.tick(0.0, 0)
-    report = replace(outcome.result.report, is_late=late, factor_age=0 if late else 3)
-    twin.window.clear()
-    twin.window.add(outcome._replace(result=replace(outcome.result, report=report)))
-    solver = next(part for part in twin.diagnostics.statuses(0.0) if part.name.endswith("solver"))
+    solver = judged(make_twin(), is_late=late, factor_age=0 if late else 3)["solver"]
     values = {value.key: value.value for value in solver.values}
     assert solver.level == DiagnosticStatus.WARN and "overload" in solver.message
     assert values["overloaded"] == "1" and values["late"] == str(int(late))

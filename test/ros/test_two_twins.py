@@ -43,17 +43,6 @@ def test_a_twin_with_device_is_not_enabled_beside_one_that_commands(world, make_
     assert first.loop.is_enabled
 
 
-def test_the_later_one_may_be_enabled_once_the_first_has_ended(world, make_twin):
-    first = make_twin()
-    world.run(0.3)
-    second = make_twin()
-    assert not second.loop.is_enabled
-    first.claim.close()  # As a crash does: its publishers stay in the graph.
-    time.sleep(LIFE_TIME + 0.2)
-    assert second.claim.is_alone
-    assert second.enable(SetBool.Request(data=True), SetBool.Response()).success
-
-
 def test_a_twin_starts_beside_the_ghost_of_one_that_crashed(world, make_twin):
     make_twin().claim.close()
     world.run(LIFE_TIME + 0.2)

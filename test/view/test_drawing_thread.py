@@ -48,21 +48,18 @@ def test_frames_are_drawn_at_once_after_the_clock_was_set_back():
 
 
 class FrameDrawing:
-    """A drawing that a test can block and let fail."""
+    """A drawing that a test can block, and whose end can fail."""
 
     def __init__(self):
         self.drawn = []
         self.entered = threading.Semaphore(0)
         self.let = threading.Semaphore(0)
-        self.failing = set()
         self.close_fails = False
         self.closed = False
 
     def log(self, frame):
         self.entered.release()
         assert self.let.acquire(timeout=10.0)
-        if frame in self.failing:
-            raise ValueError(f"no {frame}")
         self.drawn.append(frame)
 
     def close(self, timeout):
@@ -79,74 +76,52 @@ def canvas():
         canvas.let.release()
 
 
+@pytest.fixture
+def outlet(canvas):
+    """The thread that draws every frame on the canvas."""
+    return DrawingThread("test", canvas, every_nth(1))
+
+
 def wait_for_entry(canvas):
     assert canvas.entered.acquire(timeout=10.0)
 
 
-def test_offering_a_frame_returns_while_the_drawing_thread_is_blocked(canvas):
-    outlet = DrawingThread("test", canvas, every_nth(1))
+def end(outlet, timeout=10.0):
+    outlet.end(timeout)
+    outlet.join()
+
+
+def test_offering_returns_while_the_thread_is_blocked_and_then_the_newest_frame_is_drawn(canvas, outlet):
     outlet.offer(0)
     wait_for_entry(canvas)
     for frame in range(1, 1000):
         outlet.offer(frame)
-    assert canvas.drawn == []
-    assert outlet.dropped_count == 998
-
-
-def test_after_a_block_the_newest_frame_is_drawn(canvas):
-    outlet = DrawingThread("test", canvas, every_nth(1))
-    outlet.offer(0)
-    wait_for_entry(canvas)
-    for frame in (1, 2, 3):
-        outlet.offer(frame)
+    assert canvas.drawn == [] and outlet.dropped_count == 998
     canvas.let.release()
     wait_for_entry(canvas)
     canvas.let.release()
-    outlet.end(10.0)
-    outlet.join()
-    assert canvas.drawn == [0, 3]
-    assert (outlet.logged_count, outlet.dropped_count, outlet.failure) == (2, 2, None)
+    end(outlet)
+    assert canvas.drawn == [0, 999]
+    assert (outlet.logged_count, outlet.dropped_count, outlet.failure) == (2, 998, None)
 
 
-def test_a_failed_frame_is_reported_and_the_next_one_is_drawn(canvas):
-    outlet = DrawingThread("test", canvas, every_nth(1))
-    canvas.failing = {0}
-    for frame in (0, 1):
-        outlet.offer(frame)
-        wait_for_entry(canvas)
-        canvas.let.release()
-        if frame == 0:
-            canvas.let.release()
-    outlet.end(10.0)
-    outlet.join()
-    assert canvas.drawn == [1]
-    assert (outlet.logged_count, outlet.failed_count) == (1, 1)
-    assert outlet.failure == "test: ValueError: no 0"
-
-
-def test_the_last_frame_is_drawn_before_the_end(canvas):
-    outlet = DrawingThread("test", canvas, every_nth(1))
+def test_the_last_frame_is_drawn_before_the_end(canvas, outlet):
     canvas.let.release()
     outlet.offer(7)
-    outlet.end(10.0)
-    outlet.join()
+    end(outlet)
     outlet.offer(8)
     assert canvas.drawn == [7]
     assert canvas.closed
 
 
-def test_closing_waits_for_a_blocked_thread_no_longer_than_its_timeout(canvas):
-    outlet = DrawingThread("test", canvas, every_nth(1))
+def test_closing_waits_for_a_blocked_thread_no_longer_than_its_timeout(canvas, outlet):
     outlet.offer(0)
     wait_for_entry(canvas)
-    outlet.end(0.05)
-    outlet.join()
+    end(outlet, 0.05)
     assert "not finished in time" in outlet.failure
 
 
-def test_a_failed_finish_is_reported(canvas):
-    outlet = DrawingThread("test", canvas, every_nth(1))
+def test_a_failed_finish_is_reported(canvas, outlet):
     canvas.close_fails = True
-    outlet.end(10.0)
-    outlet.join()
+    end(outlet)
     assert outlet.failure == "test: RuntimeError: not flushed"
