@@ -38,16 +38,15 @@ from softrobot_twin.solvers.contact_problem import ContactProblem, ContactSoluti
 # A step reuses the factors of the last one where this many such steps are expected to suffice:
 # they take as long as another factorization.
 MOST_REPEATS = 5.0
-# Newton steps in one phase at most. A step that leaves more than this share of the least residual
-# so far does not help; a phase ends after so many of them: the first phase, and one after pivoting.
-MOST_STEPS, SLOW, PATIENCE, PATIENCE_AFTER_PIVOTING = 10, 0.7, 0, 1
+# Newton steps in one round at most. A step that leaves more than this share of the least residual so
+# far does not help; a round ends where more than so many in succession do not.
+MOST_STEPS, SLOW, PATIENCE = 10, 0.7, 1
 # Newton's method begins at once where the residual is below this share of the largest force.
 NEAR = 3.0e-3
-# Sweeps before the first step, after each pivoting, and before the next round, there as many more
-# in each round.
+# Sweeps before the first step, after each pivoting, and before it, there as many more in each round.
 SWEEPS = 5
-# Rounds; problems with held directions in each.
-MOST_ROUNDS, HELD_PROBLEMS = 6, 3
+# Rounds of Newton steps, all but the first one after pivoting.
+MOST_ROUNDS = 4
 # Pivots of one problem at most; those that may be made without fewer infeasible rows before rows
 # are changed one by one; what counts as zero, as a share of the largest force.
 MOST_PIVOTS, MOST_BLOCK_PIVOTS, PIVOT_ROUND_OFF = 40, 3, 1.0e-12
@@ -107,7 +106,7 @@ class ContactContinuation:
             other: Others, used where their residual is smaller [N], shape (n,).
 
         Returns:
-            The solution; the best that was found, not converged, if the residual did not fall. If
+            The solution; what the last round found, not converged, if no round converged. If
             the problem or a guess is not finite the other guess, with infinite residuals.
         """
         W = np.ascontiguousarray(problem.W)
@@ -116,23 +115,18 @@ class ContactContinuation:
         if not all(np.isfinite(part).all() for part in given):
             return ContactSolution(other, np.inf, np.inf, 0, False)
         problem = problem._replace(W=W)
-        best, made, round_ = self._nearer(problem, guess, other), 0, 0
+        best = self._nearer(problem, guess, other)
         if not self._is_solved(best):
             best = self._swept(problem, best, SWEEPS)
-        if self._is_near(best):
-            best, made = self._newton_steps(problem, best, PATIENCE)
-            round_ = 1
-        while not self._is_solved(best) and round_ < MOST_ROUNDS:
-            start = self._swept(problem, best, SWEEPS * round_)
-            for _ in range(HELD_PROBLEMS):
-                start = self._pivoted(problem, start)
-                made += 1
-                if round_ == 0 and self._is_near(start):
-                    break
-            found, more = self._newton_steps(problem, start, PATIENCE_AFTER_PIVOTING)
-            made, round_ = made + more, round_ + 1
-            if found.newtons < best.newtons or round_ <= 2:
-                best = found
+        made, asked = 0, NEAR * np.abs(best.force).max(initial=0.0)
+        if best.newtons <= asked:
+            best, made = self._newton_steps(problem, best)
+        for round_ in range(1, MOST_ROUNDS):
+            if self._is_solved(best):
+                break
+            start = self._pivoted(problem, self._swept(problem, best, SWEEPS * round_))
+            best, more = self._newton_steps(problem, start)
+            made += more + 1
         if not np.isfinite(best.force).all():
             return ContactSolution(other, np.inf, np.inf, made, False)
         return ContactSolution(
@@ -152,9 +146,7 @@ class ContactContinuation:
     def _swept(self, problem: ContactProblem, start: _Forces, count: int) -> _Forces:
         return _judged(problem, *sweep(*_given(problem), start.force, count))
 
-    def _newton_steps(
-        self, problem: ContactProblem, start: _Forces, patience: int
-    ) -> tuple[_Forces, int]:
+    def _newton_steps(self, problem: ContactProblem, start: _Forces) -> tuple[_Forces, int]:
         """Newton steps as long as they help; the forces with the least residual, and steps made."""
         W, violation, *bounds = _given(problem)
         n = len(W)
@@ -191,12 +183,12 @@ class ContactContinuation:
             failed = 0 if now.newtons <= SLOW * best.newtons else failed + 1
             if now.newtons < best.newtons or self._is_solved(now):
                 best = now
-            if failed > patience:
+            if failed > PATIENCE:
                 break
         return best, made
 
     def _pivoted(self, problem: ContactProblem, start: _Forces) -> _Forces:
-        """Forces by pivoting with held directions, and some gauss_seidel."""
+        """Forces by pivoting with held directions, and some sweeps."""
         try:
             force = solve_with_held_directions(*_given(problem), start.force, start.delta, PROXIMAL)
         except np.linalg.LinAlgError:
@@ -206,10 +198,6 @@ class ContactContinuation:
     def _is_solved(self, found: _Forces) -> bool:
         asked = self.force_share * np.abs(found.force).max(initial=0.0)
         return bool(found.gap <= self.tolerance and found.newtons <= asked)
-
-    @staticmethod
-    def _is_near(found: _Forces) -> bool:
-        return bool(found.newtons <= NEAR * np.abs(found.force).max(initial=0.0))
 
     def _square(self, count: int) -> np.ndarray:
         """Buffer for a system, shape (count, count)."""
