@@ -69,7 +69,7 @@ def test_another_robot_on_cables_is_found_to_its_noise(seed):
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("seed", [101, 102])
 def test_another_emio_is_found_to_its_noise(seed):
-    """Of twenty such robots, seeds 101 to 120, the worst was found to 1.12 of its noise."""
+    """Of thirty such robots, seeds 350923 to 350942 and 59100 to 59109, the worst was found to 1.10 of its noise."""
     rng, scene = np.random.default_rng(seed), load_scene(SCENE)
     error, inside = error_and_share_inside(
         scene, another(scene, EMIO, rng), lambda n: rng.uniform(-0.6, 0.9, (n, 4)), rng)
