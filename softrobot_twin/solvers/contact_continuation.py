@@ -1,7 +1,7 @@
 """Newton's method from forces that are nearly known, for many contacts whose W has full rank.
 
-Blocks that rub on 50 points or more need it: without it, contacts take 3 to 5 times as long. Without
-its pivoting they take twice as long, and the slowest steps up to ten times.
+Blocks that rub on 90 points or more need it: without it, contacts take 3 to 5 times as long. Without
+its pivoting they take up to twice as long, and the slowest steps up to nine times.
 
 From step to step most contacts stay open, sticking or sliding, and forces change little and
 smoothly. Extrapolated from the last two steps, they are so near the solution that a few

@@ -1,7 +1,7 @@
 """Actuators and contacts by a proximal semismooth Newton method.
 
-Rigid bodies on many points need it, a soft body with more than a hundred rows without friction (a
-fourteenth of the time of sweeps on Hertz's problem), and what other solvers do not solve.
+Rigid bodies on many points need it, a soft body with more than a hundred rows without friction (an
+eighth of the time of sweeps on Hertz's problem, or less), and what other solvers do not solve.
 
 With the law λ(δ) of `contact_law` around a centre λ̄, the equation
 

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from softrobot_twin.constraints.effector import EffectorPoints, Effectors
+from softrobot_twin.constraints.point_forces import cross_matrices
 from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.observed_loads import ObservedLoads, ObservedPlace
@@ -148,7 +149,7 @@ class ObservedRows:
         for place in self.places:
             if place.is_wrench:
                 arms = points[first : first + 4] - points[first]
-                sums = np.hstack([np.vstack([np.eye(3), _cross(arm)]) for arm in arms])
+                sums = np.hstack([np.vstack([np.eye(3), cross_matrices(arm)]) for arm in arms])
                 blocks.append(np.linalg.pinv(sums))
             else:
                 blocks.append(np.eye(3))
@@ -181,12 +182,6 @@ def _point(points: BarycentricMapping, index: int) -> BarycentricMapping:
     """One of some points."""
     one = slice(index, index + 1)
     return BarycentricMapping(points.nodes[one], points.barycentric_weights[one])
-
-
-def _cross(arm: np.ndarray) -> np.ndarray:
-    """The matrix of a × b by b, shape (3, 3)."""
-    x, y, z = arm
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def numbers_of(places: tuple[ObservedPlace, ...], wrenches: np.ndarray) -> np.ndarray:

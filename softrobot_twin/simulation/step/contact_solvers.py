@@ -6,11 +6,13 @@ Times are those of `tools/contact_growth.py` and of the shipped robots. Which pr
   of W, 0.2 ms for 225 points.
 - Few rows with friction: sweeps with a Newton step between them; without that step the contacts of
   the Grasper and of the Octoleg take 2.5 times as long.
-- More rows with friction: the continuation; without it a block that rubs on 50 to 200 points takes
+- More rows with friction: the continuation; without it a block that rubs on 90 to 200 points takes
   3 to 5 times as long.
 - Few rows without friction: the active set; see `contact_active_set`.
-- More rows without friction, and what the others leave: the proximal Newton method by the matrix. It
-  solves nearly all problems, and from the start it takes 2 to 10 times as long as the others.
+- More rows without friction: sweeps, then the proximal Newton method by the matrix; a thousand sweeps
+  take eight times as long on Hertz's problem, or more.
+- What the others leave: the same method. It solves nearly all problems; from the start it takes 1.6 to
+  10 times as long as the others.
 """
 
 from __future__ import annotations
