@@ -62,7 +62,7 @@ setup(
         # Only for `workspace --scheduler`.
         "cluster": ["dask>=2024.2.1", "distributed>=2024.2.1"],
         # Only for comparisons by tools/compare_solvers.py; pypardiso installs the proprietary MKL.
-        "compare": ["pypardiso>=0.4.6", "qdldl>=0.1.7"],
+        "compare": ["osqp>=1.0.5", "pypardiso>=0.4.6", "qdldl>=0.1.7"],
         # Builds docs/ as a site: make docs.
         "docs": ["latex2mathml>=3.77", "mkdocs>=1.6", "mkdocs-material>=9.5.24"],
         # The gymnasium environment.

@@ -28,7 +28,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.sparse import coo_array, csr_array, diags_array
+from scipy.sparse import coo_array, csr_array, diags
 from scipy.sparse.linalg import splu
 
 from softrobot_twin.geometry.cell_mesh import CellBlock
@@ -458,8 +458,8 @@ class ConsistentInertia(RememberedNodes, InertiaTerm):
             # Axes along which the same nodes are free have the same factor.
             self._mass_factors = []
             for free in np.unique(free_axes, axis=1).T:
-                axes, D = np.flatnonzero((free_axes == free[:, None]).all(axis=0)), diags_array(free)
-                self._mass_factors.append((axes, splu((D @ M @ D + diags_array(1.0 - free)).tocsc())))
+                axes, D = np.flatnonzero((free_axes == free[:, None]).all(axis=0)), diags(free)
+                self._mass_factors.append((axes, splu((D @ M @ D + diags(1.0 - free)).tocsc())))
         for axes, factor in self._mass_factors:
             own = np.ix_(self._unknowns, axes)
             accelerations[own] += factor.solve(forces[own])
