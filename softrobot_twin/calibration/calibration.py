@@ -669,16 +669,18 @@ def _polished(
 ) -> tuple[np.ndarray, dict[str, float], float]:
     """The minimum of a model near z that is linear with what is predicted there, with the noise that follows
     from its residuals, and how many points are alike."""
-    count, origin = len(z), here.values - here.jacobian @ z - measured.values
+    count, taken, origin = len(z), float(len(z)), here.values - here.jacobian @ z - measured.values
     low, high = np.maximum(z - radius, -MOST), np.minimum(z + radius, MOST)
     for _ in range(_REWEIGHTED):
         off = origin + here.jacobian @ z
-        before, noise = noise, _noise(off, measured, count)
+        before, noise = noise, _noise(off, measured, taken)
         alike = measured.alike(np.clip(off / _scales(measured.kinds, noise, 1.0), -SOFT, SOFT))
         per = _scales(measured.kinds, noise, alike)
         root = (1.0 + (off / per / SOFT) ** 2) ** -0.25
         A = np.concatenate([here.jacobian * (root / per)[:, None], np.eye(count)])
         b = A @ z - np.concatenate([root * off / per, z])
+        # Of points that are alike a number takes up several; what is known of it may take its place.
+        taken = max(float(count), alike * (count - np.trace(np.linalg.inv(A.T @ A))))
         moved, z = z, np.linalg.lstsq(A, b, rcond=None)[0]
         if np.any((z < low) | (z > high)):
             from scipy.optimize import lsq_linear  # it loads slowly
@@ -710,9 +712,9 @@ class _Scaled:
         return found
 
 
-def _noise(residuals: np.ndarray, measured: Measurements, count: int) -> dict[str, float]:
-    """Standard deviation of the residuals of each kind, of which some may be outliers."""
-    freedom = np.sqrt(len(residuals) / max(1, len(residuals) - count))
+def _noise(residuals: np.ndarray, measured: Measurements, taken: float) -> dict[str, float]:
+    """Standard deviation of the residuals of each kind, of which some may be outliers and a fit took up some."""
+    freedom = np.sqrt(len(residuals) / max(1.0, len(residuals) - taken))
     found = {}
     for kind, is_own in measured.by_kind.items():
         own = residuals[is_own]

@@ -702,9 +702,8 @@ class Simulation(Readouts):
         """
         if not done.residual <= self.model.scene.solver.residual_tolerance:
             return False
-        if self._is_small(done, TELLING_LOAD):
-            return True
-        return self.newton.longest_left() <= TELLING_MOVE * self.model.nodes.size
+        is_small = self._is_small(done, TELLING_LOAD)
+        return is_small or self.newton.longest_left() <= TELLING_MOVE * self.model.nodes.size
 
     def _is_small(self, done: Correction, share: float) -> bool:
         """Whether the residual is at most a share of the forces at rest, of actuators, contacts and parts."""

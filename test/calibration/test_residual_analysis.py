@@ -60,7 +60,7 @@ def test_a_block_of_rows_is_faulty_and_a_wrong_model_is_not():
 def test_a_point_that_is_always_further_off_than_others_is_no_fault(drawn_rng):
     # Of normal noise one value in 27,000 counts as faulty.
     off = drawn_rng.uniform(-1e-4, 1e-4, size=(60, 8, 3))
-    off[:, :2] *= 4.0
+    off[:, :2] *= 3.0
     assert not faulty(off).any()
 
 
