@@ -226,7 +226,7 @@ def follow(robot: Robot) -> tuple[st.Robot, Finding]:
     greatest = np.linalg.norm([weights.max() for weights in robot.weights.values()])
     return twin, Finding(
         result.status.value, result.active_limits, ours, ours, late_move, frozenset(words.union(late)),
-        max(greatest, 1.0) * twin.simulation.scene.solver.reach_tolerance,
+        max(greatest, 1.0) * twin.simulation.model.reach_tolerance,
     )  # fmt: skip
 
 

@@ -77,6 +77,7 @@ class Correction(NamedTuple):
         still: What they do when all actuators stay; None likewise.
         share: Share of the move that was made; zero where it was not finite.
         residual: Largest force out of balance on a node after it [N].
+        is_balanced: Whether that is within its tolerance, and tells of balance.
     """
 
     linear: Linearized
@@ -85,6 +86,7 @@ class Correction(NamedTuple):
     still: Actuation | None
     share: float
     residual: float
+    is_balanced: bool
 
 
 class Kept(NamedTuple):
@@ -618,7 +620,7 @@ class Simulation(Readouts):
         else:
             is_judged = is_judged and not goal.follows
             share, residual, actuation = self._move_and_settle(positions, actuation, clock, is_judged)
-        return Correction(linear, actuation, held, still, share, residual)
+        return Correction(linear, actuation, held, still, share, residual, self._is_in_balance(actuation, residual))
 
     def _rows_of_parts(
         self, positions: np.ndarray, efforts: np.ndarray, goal: Goal, clock: StageClock
@@ -672,10 +674,9 @@ class Simulation(Readouts):
             budget: Time for the step [s], or None.
             asks_again: Whether a prescribed move asks for one more linearization.
         """
-        solver = self.model.scene.solver
-        if done.share == 1.0 and not asks_again and self._is_within_tolerance(done):
+        if done.share == 1.0 and not asks_again and done.is_balanced:
             return True
-        most = max(solver.newton_iterations, MOST_SHARES if asks_again else 1)
+        most = max(self.model.scene.solver.newton_iterations, MOST_SHARES if asks_again else 1)
         if self.model.is_dynamic and self.newton.asks_for_more_moves(done.share):
             most = max(most, self._most_shares)
         return not self._time_budget.has_time(iterations, elapsed, budget, most)
@@ -688,29 +689,29 @@ class Simulation(Readouts):
         """
         if done.share != 1.0 or not done.actuation.is_exact:
             return Balance.MISSED
-        if self._is_within_tolerance(done):
+        if done.is_balanced:
             return Balance.REACHED
         if budget is None and self.model.scene.solver.newton_iterations != 1:
             return Balance.MISSED
-        return Balance.NEAR if self._is_small(done, NEAR_BALANCE) else Balance.MISSED
+        return Balance.NEAR if self._is_small(done.actuation, done.residual, NEAR_BALANCE) else Balance.MISSED
 
-    def _is_within_tolerance(self, done: Correction) -> bool:
+    def _is_in_balance(self, actuation: Actuation, residual: float) -> bool:
         """Whether the residual is within its tolerance, and tells of balance.
 
         Of a body that bears less than the tolerance every residual is within it: a thin fibre far
         from its balance, too.
         """
-        if not done.residual <= self.model.scene.solver.residual_tolerance:
+        if not residual <= self.model.scene.solver.residual_tolerance:
             return False
-        is_small = self._is_small(done, TELLING_LOAD)
+        is_small = self._is_small(actuation, residual, TELLING_LOAD)
         return is_small or self.newton.longest_left() <= TELLING_MOVE * self.model.nodes.size
 
-    def _is_small(self, done: Correction, share: float) -> bool:
-        """Whether the residual is at most a share of the forces at rest, of actuators, contacts and parts."""
-        load, actuation = self.newton.balance.constant_load, done.actuation
-        if done.residual > share * load:
+    def _is_small(self, actuation: Actuation, residual: float, share: float) -> bool:
+        """Whether a residual is at most a share of the forces at rest, of actuators, contacts and parts."""
+        load = self.newton.balance.constant_load
+        if residual > share * load:
             load += self.actuators.load(actuation.efforts) + actuation.contact.load + self._load_of_parts()
-        return done.residual <= share * load
+        return residual <= share * load
 
     def _move(
         self, positions: np.ndarray, actuation: Actuation, clock: StageClock,
