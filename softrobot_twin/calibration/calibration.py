@@ -1253,8 +1253,8 @@ def forecast(model: RestModel, joint: Estimate, at: np.ndarray, reach: Reach | N
     noise = np.array([joint.noise.get(kind, np.nan) for kind in model.measured.kinds])
     if reach is not None and len(model.poses):
         noise *= reach.factors(np.array([pose.setpoints for pose in model.poses]))[model.measured.poses]
-        is_other = np.isin(model.measured.kinds, POINTS) & ~np.isin(_sessions(model.poses), reach.sessions)[model.measured.poses]
-        noise = np.hypot(noise, reach.further * is_other)
+        is_seen = np.isin(_sessions(model.poses), reach.sessions)[model.measured.poses]
+        noise = np.hypot(noise, reach.further * (np.isin(model.measured.kinds, POINTS) & ~is_seen))
     by_known = found.jacobian * [
         one.known * (value if one.is_relative else 1.0) for one, value in zip(joint.unknowns, at)]
     spread = np.einsum("ki,ij,kj->k", by_known, joint.covariance, by_known)

@@ -137,7 +137,8 @@ def selected(linear: Linear, always: Sequence[int] = (), shown: np.ndarray | Non
     while left(chosen) > LEFT:
         chosen.append(min((k for k in range(count) if k not in chosen), key=lambda k: left([*chosen, k])))
     folds, own = linear.folds(), slice(None) if shown is None else shown
-    errors = [float(np.sqrt(np.mean(linear.held_back(chosen[:count], folds)[own] ** 2))) for count in range(len(chosen) + 1)]
+    held_back = (linear.held_back(chosen[:k], folds)[own] for k in range(len(chosen) + 1))
+    errors = [float(np.sqrt(np.mean(residuals**2))) for residuals in held_back]
     return [Step(*one) for one in zip(chosen, errors, errors[1:])]
 
 

@@ -604,7 +604,8 @@ def train_once(training: Training) -> tuple[Trained, States]:
     states = training.states(f"{training.scene.name}: states of the full model",
                              training.training_samples(options.snapshots or SNAPSHOTS), *fresh)[0]  # fmt: skip
     with terminal_status("modes and sampled points"):
-        return train(body, rest_stiffness(body), states, options.modes, options, options.tolerance, training.vibrations), states
+        K = rest_stiffness(body)
+        return train(body, K, states, options.modes, options, options.tolerance, training.vibrations), states
 
 
 def reduce(path: Path, options: TrainingOptions) -> int:

@@ -136,8 +136,7 @@ def joint_changes(
     found = dict[str, float]()
     for one, value in zip(numbers, values, strict=True):
         for key, number in one.changes(float(value)).items():
-            other = found.get(key)
-            found[key] = number if other is None else other + number - float(value_at(scene, key))
+            found[key] = found[key] + number - float(value_at(scene, key)) if key in found else number
     return found
 
 
@@ -343,7 +342,7 @@ def _own_steps(scene: Scene, place: tuple, value: Any, steps: tuple, given: Any,
     """What the next part of a key means in a section or a list; nothing where a name fits none of a pattern."""
     step = steps[0]
     if not isinstance(value, tuple):
-        names = list(type(value).model_fields) if isinstance(value, Entry) else list(value if isinstance(value, Mapping) else ())
+        names = getattr(type(value), "model_fields", value if isinstance(value, Mapping) else ())
         if isinstance(step, int) or "*" not in step:
             return [step]
         return [name for name in names if fnmatchcase(name, step)]

@@ -60,12 +60,8 @@ class ContactSolvers:
             entry: The contact section of the scene.
         """
         self.tolerance, self._clearance = entry.tolerance, 0.0
-        self._short = ContactGaussSeidel(
-            entry.tolerance, min(SWEEPS_BEFORE_ACTIVE_SET, entry.most_sweeps)
-        )
-        self.sweeps = ContactGaussSeidel(
-            entry.tolerance, min(FEW_SWEEPS, entry.most_sweeps), FORCE_SHARE
-        )
+        self._short = ContactGaussSeidel(entry.tolerance, min(SWEEPS_BEFORE_ACTIVE_SET, entry.most_sweeps))
+        self.sweeps = ContactGaussSeidel(entry.tolerance, min(FEW_SWEEPS, entry.most_sweeps), FORCE_SHARE)
         self._may_go_on = entry.most_sweeps > FEW_SWEEPS
         self.newton = ContactProximalNewton(entry.tolerance, FORCE_SHARE)
         self.continuation = ContactContinuation(entry.tolerance, FORCE_SHARE)
