@@ -69,7 +69,8 @@ def late(monkeypatch):
     found, compiled = [], Dispatcher.compile
 
     def note(self, signature):
-        found.append(self.py_func.__qualname__)
+        # Numba asks again for what it has where only the strides of an array are new.
+        found.extend([self.py_func.__qualname__] if signature not in self.overloads else [])
         return compiled(self, signature)
 
     monkeypatch.setattr(Dispatcher, "compile", note)
