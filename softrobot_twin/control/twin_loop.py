@@ -552,8 +552,8 @@ class TwinLoop:
         most = OUTSIDE_SCALES * limits.effort_scale
         self._engagement.gate.start_from(setpoints, np.clip(efforts, -most, most))
         for name, pose in found.items():
-            turn = pose.quaternion / np.linalg.norm(pose.quaternion)
-            self._guidance.sent[name] = pose._replace(quaternion=turn)
+            turn = pose.quaternion / np.abs(pose.quaternion).max()
+            self._guidance.sent[name] = pose._replace(quaternion=turn / np.linalg.norm(turn))
         return ""
 
     def give_up(self, reason: str) -> None:

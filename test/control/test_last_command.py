@@ -102,4 +102,5 @@ def test_a_guided_body_was_not_sent_beyond_all_bounds(grasper, pose):
     assert loop.continue_from(rest - 0.001, 0.0 * rest, {"palm": pose}).startswith("palm: ")
     assert np.array_equal(loop.last_command.setpoints, rest)
     assert np.array_equal(loop.tick(0.01, 10**7).guided_poses["palm"].position, before.position)
-    assert not loop.continue_from(rest, 0.0 * rest, {"palm": ((0.0, 0.0, 1.1), (0.0, 0.0, 0.0, 2.0))})
+    assert not loop.continue_from(rest, 0.0 * rest, {"palm": ((0.0, 0.0, 1.1), (0.0, 0.0, 0.0, 1e300))})
+    assert loop.tick(0.02, 2 * 10**7).guided_poses["palm"].quaternion[3] == 1.0
