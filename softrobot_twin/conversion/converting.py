@@ -202,7 +202,7 @@ def write(conversion: Conversion, file: Path, replace: bool) -> None:
         for name in conversion.files:
             (folder / name).unlink(missing_ok=True)
         raise
-    can_move = any(map(conversion.scene.get, (*TABLE["actuators"], "hinge_motors")))
+    can_move = any(map(conversion.scene.get, (*TABLE["actuators"], "stiffeners")))
     for name, (kind, columns) in tables.items():
         if columns and (can_move if kind == "targets" else any(columns.values())):
             with output_file(folder / name) as part:

@@ -276,7 +276,9 @@ class Force(OnBody, ActuatorEntry):
     one_of_words: ClassVar[str] = "a force acts at exactly one of {}"
 
     points: Annotated[tuple[Vector, ...] | None, Field(min_length=1)] = None
-    """Places at rest, which share it alike."""
+    """Places at rest."""
+    shares: tuple[Annotated[float, Field(gt=0.0)], ...] | None = None
+    """Share of each point, by any scale; by default all are alike."""
     box: BoxRegion | None = None
     """The surface of a deformable body in it shares the force by area."""
     sphere: SphereRegion | None = None
@@ -295,7 +297,9 @@ class Force(OnBody, ActuatorEntry):
     """Greatest change of the command per second."""
 
     def check(self) -> None:
-        """Refuse displacements along a direction that turns: they depend on the way."""
+        """Refuse shares of other points, and displacements along a direction that turns: they depend on the way."""
+        if self.shares is not None and len(self.shares) != len(self.points or ()):
+            raise refusal("shares", list(self.shares), "needs a number for each of points")
         for key, usual in (("control", "force"), ("displacement", NO_LIMITS)):
             if self.turns_with_body and getattr(self, key) != usual:
                 raise refusal(key, getattr(self, key),

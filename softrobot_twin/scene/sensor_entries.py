@@ -21,13 +21,15 @@ class Sensor(NamedEntry):
         "hinge of {hinge}", "volume of {volume}", "volume in {walls:#wall}",
         "pressure of {pressure}", "force of {spring}", "weight {weight:=}", "noise {noise}",
     )  # fmt: skip
-    placed: ClassVar[dict[str, str]] = {"string": "point", "bend": "point", "axis": "direction"}
+    placed: ClassVar[dict[str, str]] = {"string": "point", "pull_point": "point", "bend": "point", "axis": "direction"}
     one_of: ClassVar[tuple[str, ...]] = ("string", "cable", "bend", "hinge", "volume", "walls", "pressure", "spring")
 
     on: Name | None = None
     """Body of the points of a string or of a bend sensor."""
-    string: Annotated[tuple[Vector, ...], Field(min_length=2)] | None = None
+    string: Annotated[tuple[Vector, ...], Field(min_length=1)] | None = None
     """A thin string through these places: its length [m]."""
+    pull_point: Vector | None = None
+    """Place in the world where a string begins; by default at its first place."""
     cable: Name | None = None
     """A cable: the length of its path [m]."""
     bend: Annotated[tuple[Vector, ...], Field(min_length=3)] | None = None
@@ -59,3 +61,7 @@ class Sensor(NamedEntry):
                 raise refusal(key, getattr(self, key), f"goes with {other}: give both or neither")
         if self.on is not None and self.string is None and self.bend is None:
             raise refusal("on", self.on, "is the body of a string or of a bend sensor")
+        if self.pull_point is not None and self.string is None:
+            raise refusal("pull_point", list(self.pull_point), "is where a string begins")
+        if self.string is not None and len(self.string) < 2 and self.pull_point is None:
+            raise refusal("string", self.string, "needs two places, or a pull_point before one")

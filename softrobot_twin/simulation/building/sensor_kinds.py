@@ -55,7 +55,8 @@ def _of_paths(layout: Layout, paths: list[CablePath]) -> SensedTerm:
 def _strings(layout: Layout, entries: Keyed, notes: list[str]) -> SensedTerm:
     """Lengths of strings through bodies."""
     return _of_paths(layout, [
-        CablePath(one.name, layout.carried(one.on, one.string, f"{key}.string", notes), None)
+        CablePath(one.name, layout.carried(one.on, one.string, f"{key}.string", notes),
+                  None if one.pull_point is None else np.array(one.pull_point))
         for key, one in entries])  # fmt: skip
 
 

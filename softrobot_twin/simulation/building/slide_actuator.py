@@ -103,13 +103,17 @@ class Slides:
             layout: The bodies.
 
         Raises:
-            SceneError: A body on a slide is also held elsewhere, or the scene is dynamic.
+            SceneError: A body on a slide is also held elsewhere or on another slide, or the scene is dynamic.
         """
         scene = layout.scene
         if scene.integration != "quasi_static":
             raise scene.error("slides", scene.slides[0].name,
                               "slides are built for quasi_static scenes only; in others guide the "
                               "body by poses")
+        moved = [slide.body for slide in scene.slides]
+        twice = next((slide for place, slide in enumerate(scene.slides) if slide.body in moved[:place]), None)
+        if twice is not None:
+            raise scene.error("slides", twice.name, f"moves {twice.body}, which another slide moves: give each a body")
         self.count = len(scene.slides)
         axes = np.array([slide.axis for slide in scene.slides], float)
         self.axes = axes / np.linalg.norm(axes, axis=1, keepdims=True)
