@@ -13,6 +13,10 @@ from typing import ClassVar, Literal, Protocol
 import numpy as np
 
 from softrobot_twin.mechanics.force_term import DenseRows
+from softrobot_twin.mechanics.kinematics import Nodes
+
+# Entries of a row below this share of it are round-off.
+ROUND_OFF = 1.0e-12
 
 Group = Literal["actuators", "effectors", "contacts"]
 """What the rows of a term are for in the condensed problem."""
@@ -266,3 +270,22 @@ class VaryingTerm(ConstraintTerm, Protocol):
 
     def forget(self) -> None:
         """Clear all stored solutions."""
+
+
+def rows_that_move_nothing(term: ConstraintTerm, nodes: Nodes) -> np.ndarray:
+    """Rows that act at rest on nodes that are fixed, or only along axes that are held.
+
+    Args:
+        term: The term.
+        nodes: The nodes.
+
+    Returns:
+        Their indices.
+    """
+    sizes, (blocks, _) = np.zeros((2, term.row_count)), term.rows_at(nodes.rest_positions)
+    np.add.at(sizes[0], term.entry_rows, np.abs(blocks).sum(axis=1))
+    if nodes.free_axes is not None:
+        own = np.flatnonzero(term.entry_nodes < nodes.free_node_count)
+        blocks[own] *= nodes.free_axes[term.entry_nodes[own]]
+    np.add.at(sizes[1], term.entry_rows, np.abs(blocks).sum(axis=1))
+    return np.flatnonzero(sizes[1] <= ROUND_OFF * sizes[0])

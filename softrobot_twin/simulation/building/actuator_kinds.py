@@ -111,6 +111,7 @@ class ActuatorKind(Protocol):
         is_effort_driven: Whether its setpoint is an effort, as where a regulator holds the pressure
             of a cavity; else the setpoint is a displacement from its value at rest.
         least_setpoint: Least possible setpoint, such as 0 for a length.
+        acts_at_rest: Whether an effort moves the shape at rest.
 
     A kind whose actuator stops where the bodies hold it, when its effort is at a limit, has one
     attribute more: `stalls`, True. Actuators of other kinds reach the set displacement even then: a
@@ -131,6 +132,7 @@ class ActuatorKind(Protocol):
     takes_efforts: bool = True
     is_effort_driven: bool = False
     least_setpoint: float = -np.inf
+    acts_at_rest: bool = True
 
     def build(self, layout: Layout, entries: tuple[ActuatorEntry, ...], notes: list[str]) -> ActuatorGroup:
         """The actuators of a scene.
@@ -209,7 +211,7 @@ def group_of(
         "names": tuple(entry.name for entry in owners), "moves": None, "rest_setpoints": np.zeros(count),
         "displacement_bounds": np.tile([-np.inf, np.inf], (count, 1)), "rates": numbers_of(owners, "rate"),
         "kinds": (kind,) * count, "limit_names": ((f"{word}_min", f"{word}_max"),) * count,
-        "flows": np.full(count, np.inf), "effort_zeros": np.zeros(count), "effort_gains": np.ones(count),
+        "entries": tuple(owners), "flows": np.full(count, np.inf), "effort_zeros": np.zeros(count), "effort_gains": np.ones(count),
     }  # fmt: skip
     fields = {"rest_extents": others.get("rest_setpoints", np.zeros(count))} | usual | others
     return ActuatorGroup(

@@ -13,7 +13,7 @@ import numpy as np
 
 from softrobot_twin.constraints.cable import CablePath
 from softrobot_twin.constraints.cavity import Cavities
-from softrobot_twin.constraints.constraint_term import ConstraintTerm
+from softrobot_twin.constraints.constraint_term import ConstraintTerm, rows_that_move_nothing
 from softrobot_twin.constraints.hinge_angle import HingeAngles
 from softrobot_twin.constraints.sensors import Bends, GasPressures, SensedTerm, Sensors
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
@@ -212,4 +212,8 @@ def sensor_term(layout: Layout, notes: list[str], wanted: bool = False) -> Senso
         if own:
             parts.append(kind.build(layout, own, notes))
     weights = [one.weight if one.weight is not None else 1.0 for _, one in chosen]
-    return Sensors(parts, np.array(weights)) if parts else None
+    term = Sensors(parts, np.array(weights)) if parts else None
+    for index in rows_that_move_nothing(term, layout.nodes) if term is not None and wanted else ():
+        key, entry = chosen[index]
+        raise scene.error(f"{key}.weight", entry.weight, "lies wholly in what is fixed: no target moves it")
+    return term
