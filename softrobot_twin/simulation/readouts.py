@@ -143,7 +143,8 @@ class Readouts:
         self.tet_count, self.hexahedron_count = (
             sum(mesh.cell_counts.get(kind, 0) for mesh in meshes) for kind in ("tets", "hexahedra"))
         self.beam_element_count = sum(len(beam.lengths) for beam in model.beams)
-        self.dof_count = 3 * model.nodes.free_node_count
+        free_axes = model.nodes.free_axes
+        self.dof_count = 3 * model.nodes.free_node_count if free_axes is None else int(free_axes.sum())
         self.has_reduced_bodies = bool(reduced_bodies(model))
 
     def _find_surface(self) -> None:

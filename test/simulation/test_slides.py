@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from softrobot_twin.errors import SceneError
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Status
 from softrobot_twin.simulation.step.time_budget import StageClock
 from test.builder import builder
@@ -45,6 +46,11 @@ def slid_to(simulation, position, steps=20, time_step=1.0):
 
 def in_way(mapping, rod):
     rod(mapping, x=0.03, z=0.08)
+
+
+def test_two_slides_of_one_body_are_refused(sliding):
+    with pytest.raises(SceneError, match="moves cart, which another slide moves"):
+        sliding(lambda mapping: mapping["slides"].append({**SLIDE, "name": "other", "axis": [0, 1, 0]}))
 
 
 def test_a_slide_moves_all_attached_bodies_by_the_same_displacement(sliding):

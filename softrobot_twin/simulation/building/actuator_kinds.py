@@ -111,14 +111,14 @@ class ActuatorKind(Protocol):
         is_effort_driven: Whether its setpoint is an effort, as where a regulator holds the pressure
             of a cavity; else the setpoint is a displacement from its value at rest.
         least_setpoint: Least possible setpoint, such as 0 for a length.
-        acts_at_rest: Whether an effort moves the shape at rest.
 
     A kind whose actuator stops where the bodies hold it, when its effort is at a limit, has one
     attribute more: `stalls`, True. Actuators of other kinds reach the set displacement even then: a
     cable at its greatest tension slips.
 
     A kind that is effort-driven has one more: `extent`, the quantity that the displacement changes,
-    such as a volume. Of other kinds it is the setpoint.
+    such as a volume. Of other kinds it is the setpoint. One whose effort moves nothing at rest, such as
+    a modulus, has `acts_at_rest`, False.
     """
 
     section: str
@@ -132,7 +132,6 @@ class ActuatorKind(Protocol):
     takes_efforts: bool = True
     is_effort_driven: bool = False
     least_setpoint: float = -np.inf
-    acts_at_rest: bool = True
 
     def build(self, layout: Layout, entries: tuple[ActuatorEntry, ...], notes: list[str]) -> ActuatorGroup:
         """The actuators of a scene.

@@ -321,7 +321,7 @@ def build_groups(layout: Layout, notes: list[str]) -> list[ActuatorGroup]:
     kinds = [kind for kind in actuator_kinds() if entries[kind.section]]
     groups = [kind.build(layout, entries[kind.section], notes) for kind in kinds]
     for kind, group in zip(kinds, groups, strict=True):
-        if kind.acts_at_rest and group.term is not None:
+        if getattr(kind, "acts_at_rest", True) and group.term is not None:
             for index in rows_that_move_nothing(group.term, layout.nodes):
                 owner = (group.entries or entries[kind.section])[index]
                 key = next(key for key, entry in layout.scene.keyed(kind.section) if entry is owner)

@@ -99,6 +99,18 @@ def test_accelerations_follow_from_poses_and_noise_is_limited():
     assert not track.motion.acceleration.any()
 
 
+def test_a_turn_from_one_pose_to_the_next_accelerates_the_robot_no_more_than_a_shift(carried):
+    robot, h, turned = carried(), 0.01, quaternion_from_rotation(rotation_from_vector(np.array([0.0, 0.0, 3.0])))
+    size, most = robot.model.nodes.size, robot.scene.moving_base.most_acceleration
+    for count, pose in enumerate((UPRIGHT, UPRIGHT, turned)):
+        robot.move_base(np.zeros(3), pose, h * count)
+    told = robot.step(Hold(h)).state.memory
+    assert size * np.linalg.norm(told["base.angular_acceleration"]) == pytest.approx(most)
+    assert size * np.linalg.norm(told["base.angular_velocity"]) ** 2 == pytest.approx(most)
+    with pytest.raises(CommandError, match="not finite"):
+        robot.move_base(np.array([np.nan, 0.0, 0.0]), UPRIGHT, 1.0)
+
+
 def test_a_saved_state_goes_on_under_the_same_load(carried):
     robot = carried()
     robot.move_base(np.zeros(3), quaternion_from_rotation(rotation_from_vector(np.array([0.5, 0, 0]))), 0.0)
