@@ -19,10 +19,10 @@ class Sensor(NamedEntry):
     told: ClassVar[tuple[str, ...]] = (
         "string of {string:#point}", "path of {cable}", "bend of {bend:#point}",
         "hinge of {hinge}", "volume of {volume}", "volume in {walls:#wall}",
-        "pressure of {pressure}", "force of {spring}", "weight {weight:=}", "noise {noise}",
+        "pressure of {pressure}", "force of {spring}", "contact of {contact}", "weight {weight:=}", "noise {noise}",
     )  # fmt: skip
     placed: ClassVar[dict[str, str]] = {"string": "point", "pull_point": "point", "bend": "point", "axis": "direction"}
-    one_of: ClassVar[tuple[str, ...]] = ("string", "cable", "bend", "hinge", "volume", "walls", "pressure", "spring")
+    one_of: ClassVar[tuple[str, ...]] = ("string", "cable", "bend", "hinge", "volume", "walls", "pressure", "spring", "contact")
 
     on: Name | None = None
     """Body of the points of a string or of a bend sensor."""
@@ -48,6 +48,10 @@ class Sensor(NamedEntry):
     """A sealed cavity: its gauge pressure [Pa]."""
     spring: Name | None = None
     """A spring: its force [N], positive where it pulls."""
+    contact: tuple[Name, Name] | None = None
+    """A pair of `contact`: the sum of its normal forces [N]."""
+    full_scale: Annotated[float | None, unit("N", gt=0.0)] = None
+    """The force that counts as the robot's size, as a target."""
     weight: Annotated[float | None, unit("", gt=0.0)] = None
     """Weight as a target; by default none."""
 
@@ -56,7 +60,7 @@ class Sensor(NamedEntry):
 
     def check(self) -> None:
         """Refuse an axis or a point where none is needed, and none where one is."""
-        for key, other in (("axis", "bend"), ("at", "hinge")):
+        for key, other in (("axis", "bend"), ("at", "hinge"), ("full_scale", "contact")):
             if (getattr(self, key) is None) != (getattr(self, other) is None):
                 raise refusal(key, getattr(self, key), f"goes with {other}: give both or neither")
         if self.on is not None and self.string is None and self.bend is None:
