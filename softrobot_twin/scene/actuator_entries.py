@@ -277,8 +277,8 @@ class Force(OnBody, ActuatorEntry):
 
     points: Annotated[tuple[Vector, ...] | None, Field(min_length=1)] = None
     """Places at rest."""
-    shares: tuple[Annotated[float, Field(gt=0.0)], ...] | None = None
-    """Share of each point, by any scale; by default all are alike."""
+    shares: tuple[Annotated[float, unit("", gt=0.0)], ...] | None = None
+    """Share of each point; by default alike."""
     box: BoxRegion | None = None
     """The surface of a deformable body in it shares the force by area."""
     sphere: SphereRegion | None = None

@@ -29,7 +29,7 @@ class Sensor(NamedEntry):
     string: Annotated[tuple[Vector, ...], Field(min_length=1)] | None = None
     """A thin string through these places: its length [m]."""
     pull_point: Vector | None = None
-    """Place in the world where a string begins; by default at its first place."""
+    """Where a string begins in the world."""
     cable: Name | None = None
     """A cable: the length of its path [m]."""
     bend: Annotated[tuple[Vector, ...], Field(min_length=3)] | None = None
@@ -49,9 +49,9 @@ class Sensor(NamedEntry):
     spring: Name | None = None
     """A spring: its force [N], positive where it pulls."""
     contact: tuple[Name, Name] | None = None
-    """A pair of `contact`: the sum of its normal forces [N]."""
+    """A pair of `contact`: its normal force [N]."""
     full_scale: Annotated[float | None, unit("N", gt=0.0)] = None
-    """The force that counts as the robot's size, as a target."""
+    """Force that counts as the robot's size."""
     weight: Annotated[float | None, unit("", gt=0.0)] = None
     """Weight as a target; by default none."""
 
