@@ -166,9 +166,7 @@ class ConstraintTerm(Protocol):
     def clear_dense_rows(self) -> None:
         """Have no dense rows until stiffness is added again; see `ForceTerm.clear_dense_rows`."""
 
-    def add_row_stiffness(
-        self, positions: np.ndarray, stiffness: np.ndarray, storage: np.ndarray
-    ) -> DenseRows | None:
+    def add_row_stiffness(self, positions: np.ndarray, stiffness: np.ndarray, storage: np.ndarray) -> DenseRows | None:
         """Add Hᵀ ρ H, with as much more as makes it fit into the blocks of the stiffness.
 
         Only of terms that hold displacements beside which a tangent is augmented.

@@ -91,9 +91,7 @@ class RowStack:
         last = RowGroups._fields[-1]
         if any(term.group != last for term in self._varying):
             raise ValueError(f"only terms of the last group, {last}, may have rows that vary")
-        reached = np.concatenate(
-            [np.empty(0, np.int64), *(term.reached_nodes for term in self.terms)]
-        )
+        reached = np.concatenate([np.empty(0, np.int64), *(term.reached_nodes for term in self.terms)])
         self._carried = self._elsewhere = None
         if points is not None and (reached >= points.free_count).any():
             self._carried = CarriedRows(points, self._entry_room)

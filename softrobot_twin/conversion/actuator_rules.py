@@ -19,7 +19,7 @@ from softrobot_twin.conversion.computed_values import (
     value_of,
     whole_of,
 )
-from softrobot_twin.conversion.mesh_entries import surface_file, surface_of, with_quads
+from softrobot_twin.conversion.mesh_entries import normal_of, surface_file, surface_of, with_quads
 from softrobot_twin.conversion.rules import ACTUATORS, BodyRecord, Conversion, rounded, rule
 from softrobot_twin.conversion.scene_tree import (
     KINDS,
@@ -39,8 +39,7 @@ _TABLE: dict[str, dict[str, Any]] = TABLE["actuators"]
 
 def _name_of(conversion: Conversion, component: SceneComponent) -> str:
     """Name of an entry: the component's own, or that of its node where another one has the same."""
-    same = {id(one.node) for one in conversion.components
-            if (one.kind, one.name) == (component.kind, component.name)}  # fmt: skip
+    same = {id(one.node) for one in conversion.components if (one.kind, one.name) == (component.kind, component.name)}
     is_usual = component.name == component.kind or len(same) > 1
     return conversion.name(component.node.name if is_usual else component.name, component.node.name)
 
@@ -99,9 +98,7 @@ def cable_length(conversion: Conversion, component: SceneComponent) -> str | Non
                    "desiredLength", "metre", "length_m") + f" on {carrier}: {len(path)} points"  # fmt: skip
 
 
-def _sensor(
-    conversion: Conversion, component: SceneComponent, entry: dict, wanted: str, unit: str, column: str
-) -> str:
+def _sensor(conversion: Conversion, component: SceneComponent, entry: dict, wanted: str, unit: str, column: str) -> str:
     """Adds a sensor; that of an effector has a weight, and a target from its field `wanted`."""
     if component.kind.endswith("Effector"):
         entry["weight"] = 1.0
@@ -192,26 +189,24 @@ def surface_forces(conversion: Conversion, component: SceneComponent) -> str | N
     record, mesh = _surface(conversion, component)
     centres = array_of(component, 3, "centers", otherwise=np.empty((0, 3)))
     radii = array_of(component, 1, "radii", otherwise=[1.0])
-    radii = radii if len(radii) == len(centres) else np.full(len(centres), radii[0])
+    radii = radii if len(radii) == len(centres) else radii[:1]
+    shares = 1.0 - np.linalg.norm(mesh.points - centres[:, None], axis=2) / radii[:, None]
+    if not len(shares) or shares.max(axis=1).min() <= 0.0:
+        raise NotConverted("no point of its surface is in one of its spheres")
     given = array_of(component, 3, "directions", otherwise=np.empty((0, 3)))
     base, follows = _name_of(conversion, component), is_true(component, "updateNormals", False)
     told = []
-    for index, (centre, radius) in enumerate(zip(centres, radii, strict=True)):
-        shares = 1.0 - np.linalg.norm(mesh.points - centre, axis=1) / radius
-        inside = np.flatnonzero(shares > 0.0)
-        if not len(inside):
-            raise NotConverted(f"no point of its surface is in the sphere about {centre.tolist()}")
+    for index, own in enumerate(shares):
+        inside = np.flatnonzero(own > 0.0)
         name = base if len(centres) == 1 else conversion.name(f"{base}_{index + 1}")
         entry = {"name": name, "body": record.name, "points": conversion.length(mesh.points[inside]),
-                 "shares": rounded(shares[inside])}  # fmt: skip
+                 "shares": rounded(own[inside])}  # fmt: skip
         if len(given) == len(centres):
             entry["direction"] = rounded(given[index])
         else:
-            corners = mesh.points[mesh.triangles[np.isin(mesh.triangles, inside).any(axis=1)]]
-            sides = corners[:, 1:] - corners[:, :1]
-            normal = np.cross(sides[:, 0], sides[:, 1]).sum(axis=0)
+            normal = normal_of(mesh, np.isin(mesh.triangles, inside).any(axis=1))
             entry |= {"direction": rounded(normal)} | ({"turns_with_body": True} if follows else {})
-        limits = add_actuator(conversion, component, "forces", entry, shares[inside].sum())
+        limits = add_actuator(conversion, component, "forces", entry, own[inside].sum())
         told.append(f"force {name} on {record.name}: {len(inside)} point{'s'[:len(inside) > 1]}{limits}")
     return "; ".join(told)
 
@@ -278,9 +273,7 @@ def modulus(conversion: Conversion, component: SceneComponent) -> str | None:
     return f"stiffener {entry['name']} of {record.name}, E {1e-3 * limits[0]:.4g} to {1e-3 * limits[1]:.4g} kPa"
 
 
-def add_actuator(
-    conversion: Conversion, component: SceneComponent, kind: str, entry: dict, count: float = 1.0
-) -> str:
+def add_actuator(conversion: Conversion, component: SceneComponent, kind: str, entry: dict, count: float = 1.0) -> str:
     """Adds an entry with limits by the table of its kind, and the value to the commands.
 
     Args:

@@ -186,9 +186,7 @@ def _body_mesh(state: SceneComponent, fields: list[SceneComponent]) -> LoadedMes
     return mesh._replace(tets=tets, hexahedra=hexahedra, file=mesh.file if same else None)
 
 
-def _elastic(
-    conversion: Conversion, component: SceneComponent, state: SceneComponent, cells: np.ndarray
-) -> _Elastic:
+def _elastic(conversion: Conversion, component: SceneComponent, state: SceneComponent, cells: np.ndarray) -> _Elastic:
     """The law of a force field, and the cells of the body that it acts on."""
     covers = np.ones(len(cells), bool)
     topology = used_topology(component)

@@ -58,8 +58,7 @@ class _Touching(NamedTuple):
         Args:
             other: The other; itself for two surfaces of it.
         """
-        return any(not one & two for one in self.groups for two in other.groups
-                   if other is not self or one != two)  # fmt: skip
+        return any(not one & two for one in self.groups for two in other.groups if other is not self or one != two)
 
 
 @rule(CONTACTS, *KINDS["intersections"])

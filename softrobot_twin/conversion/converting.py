@@ -118,8 +118,7 @@ def _recorded(file: Path, seconds: float) -> dict[str, Any]:
     """What `scene_process` writes; foreign code, in a process of its own, with a time limit."""
     with tempfile.TemporaryDirectory(prefix="softrobot_twin_convert_") as folder:
         tree = Path(folder, "tree.json")
-        command = [sys.executable, "-m", "softrobot_twin.conversion.scene_process",
-                   str(file.resolve()), str(tree)]  # fmt: skip
+        command = [sys.executable, "-m", "softrobot_twin.conversion.scene_process", str(file.resolve()), str(tree)]
         package = str(Path(__file__).resolve().parents[2])
         paths = os.pathsep.join(filter(None, (package, os.environ.get("PYTHONPATH"))))
         environment = {**os.environ, "PYTHONPATH": paths, "PYTHONDONTWRITEBYTECODE": "1"}

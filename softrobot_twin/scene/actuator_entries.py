@@ -121,8 +121,7 @@ class Cable(OnBody, ActuatorEntry):
     def check(self) -> None:
         """Refuse presliding without friction, and what is not built around obstacles."""
         if self.wraps and self.axial_stiffness is not None:
-            raise refusal("axial_stiffness", self.axial_stiffness,
-                          "is not built for a cable that wraps obstacles")
+            raise refusal("axial_stiffness", self.axial_stiffness, "is not built for a cable that wraps obstacles")
         if self.presliding is not None and not self.friction:
             raise refusal("presliding", self.presliding,
                           "is how friction builds up, but the cable has none: give friction")
@@ -149,8 +148,7 @@ class CavityWall(Entry):
         if (self.part is None) == (self.file is None):
             raise ValueError("a wall of a cavity is either a part of its body's mesh or a file")
         if self.also_on and self.file is None:
-            raise refusal("also_on", list(self.also_on),
-                          "a part of one body's mesh lies on that body; give a file")
+            raise refusal("also_on", list(self.also_on), "a part of one body's mesh lies on that body; give a file")
 
 
 class WalledEntry(NamedEntry):
@@ -190,8 +188,7 @@ class Cavity(WalledEntry, ActuatorEntry):
     def check(self) -> None:
         """Refuse a flow where the volume is commanded."""
         if self.flow is not None and self.control == "volume":
-            raise refusal("flow", self.flow,
-                          "the volume is commanded: give its greatest change per second as rate")
+            raise refusal("flow", self.flow, "the volume is commanded: give its greatest change per second as rate")
 
 
 class SealedCavity(WalledEntry):
@@ -269,9 +266,7 @@ class Force(OnBody, ActuatorEntry):
     """A force on a body: of a magnet, a thruster, a tendon outside the model, a person."""
 
     noun: ClassVar[str] = "force"
-    placed: ClassVar[dict[str, str]] = {
-        "points": "point", "box": "box", "sphere": "inside", "direction": "direction",
-    }  # fmt: skip
+    placed: ClassVar[dict[str, str]] = {"points": "point", "box": "box", "sphere": "inside", "direction": "direction"}
     one_of: ClassVar[tuple[str, ...]] = ("points", "box", "sphere")
     one_of_words: ClassVar[str] = "a force acts at exactly one of {}"
 

@@ -221,9 +221,7 @@ def _is_dense(layout: Layout) -> bool:
     return 3 * layout.nodes.free_node_count <= MOST_DENSE
 
 
-def bound_factorization(
-    made_by: type, stiff: Sequence, free_node_count: int, is_dense: bool = False
-) -> Factorization:
+def bound_factorization(made_by: type, stiff: Sequence, free_node_count: int, is_dense: bool = False) -> Factorization:
     """Lay out A for the pattern of the terms that add to it, or for all pairs, and bind the terms.
 
     Args:

@@ -33,8 +33,7 @@ def bellows(simulate, hollow, /, sensors, kind="cavities", **entries):
     chambers = {kind: [chamber]} if chamber else {}
     springs = [one for one in SPRINGS if one["name"] in {sensor.get("spring") for sensor in sensors}]
     entries = {"springs": springs, **entries} if springs else entries
-    return simulate(body=soft, sensors=sensors, cables=cables, gravity=[0.0, 0.0, 0.0],
-                    **chambers, **entries)  # fmt: skip
+    return simulate(body=soft, sensors=sensors, cables=cables, gravity=[0.0, 0.0, 0.0], **chambers, **entries)
 
 
 def bent(robot):

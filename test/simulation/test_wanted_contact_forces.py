@@ -60,17 +60,11 @@ def test_what_a_linearization_says_of_the_force_is_its_slope(finger):
     np.testing.assert_allclose(found, -np.diff(ends, axis=1)[:, 0] / 2e-6, rtol=1e-5)
 
 
-def test_a_wanted_force_is_reached_and_changed_while_bodies_touch(finger):
-    robot = finger()
-    bend(robot)
-    for force in (0.05, 0.2, 0.1):
-        status, found = follow(robot, force, steps=4)
-        assert status == "ok" and found == pytest.approx(force, abs=1e-5)
-
-
-def test_files_name_the_force_and_its_target(finger, tmp_path):
+def test_a_wanted_force_is_reached_and_changed_while_bodies_touch_and_named_in_files(finger, tmp_path):
     robot, path = finger(), tmp_path / "targets.csv"
     bend(robot)
+    for force in (0.05, 0.2):
+        assert follow(robot, force, steps=4) == ("ok", pytest.approx(force, abs=1e-5))
     path.write_text("time_s,touch_force_N\n0,0.1\n5,0.1\n")
     table = read_targets(path, robot)
     columns = columns_of(robot, table)
@@ -81,8 +75,7 @@ def test_files_name_the_force_and_its_target(finger, tmp_path):
 def test_a_place_leads_to_the_touch_and_a_force_of_more_weight_decides_there(finger):
     robot = finger(effector={"weight": 0.01})
     for force in (0.05, 0.2):
-        status, found = follow(robot, force, x=0.0085)
-        assert status == "unreachable" and found == pytest.approx(force, abs=2e-4)
+        assert follow(robot, force, x=0.0085) == ("unreachable", pytest.approx(force, abs=2e-4))
     # Apart, no command changes the force.
     assert follow(finger(), 0.1)[1] == 0.0
 

@@ -334,9 +334,7 @@ def _straining_work(layout: Layout) -> float:
     """Work that strains all bodies and springs by one, and lifts them by their size [J]."""
     scene, size = layout.scene, layout.nodes.size
     size = size if np.isfinite(size) else 0.0
-    work = sum(
-        part.young_modulus * part.volume for body in layout.bodies for part in body.materials
-    )
+    work = sum(part.young_modulus * part.volume for body in layout.bodies for part in body.materials)
     work += sum(spring.stiffness for spring in (*scene.springs, *scene.mass_springs)) * size**2
     work += sum(tube.axial_stiffness for tube in scene.tubes) * size
     work += sum(fibre.stiffness for fibre in scene.fibres) * size

@@ -143,9 +143,7 @@ def cables_along(paths: tuple[CablePath, ...], *places) -> Cables:
     return (WrappedCables if any(path.wraps for path in paths) else Cables)(paths, *places)
 
 
-def _friction_term(
-    layout: Layout, paths: tuple[CablePath, ...], entries: tuple[Cable, ...]
-) -> FrictionCables:
+def _friction_term(layout: Layout, paths: tuple[CablePath, ...], entries: tuple[Cable, ...]) -> FrictionCables:
     """The term of cables of which some have friction along their paths.
 
     Raises:
@@ -202,10 +200,7 @@ def _path(layout: Layout, key: str, cable: Cable, notes: list[str]) -> CablePath
     path = cable_path(layout, key, cable, notes)
     for fold in folds(path.positions(layout.nodes.rest_positions)):
         where = "pull_point" if fold == 0 else f"points[{fold - 1}]"
-        notes.append(
-            f"{key} ({cable.name}) folds back on itself at {where}: "
-            "are its points in the right order?"
-        )
+        notes.append(f"{key} ({cable.name}) folds back on itself at {where}: are its points in the right order?")
     return path
 
 
@@ -277,8 +272,7 @@ def _crossings(model, group: ActuatorGroup) -> Iterator[str]:
 
 def _straight_path(layout: Layout, key: str, cable: Cable, notes: list[str]) -> CablePath:
     """A cable's path between its points."""
-    places, pull_point = (layout.in_world(cable.body, cable.frame, one)
-                          for one in (cable.points, [cable.pull_point]))  # fmt: skip
+    places, pull_point = (layout.in_world(cable.body, cable.frame, one) for one in (cable.points, [cable.pull_point]))
     points = layout.carried_along(cable, places, f"{key}.points", notes, cable.hold_radius)
     if cable.pull_point_on == "world":
         return CablePath(cable.name, points, pull_point[0])

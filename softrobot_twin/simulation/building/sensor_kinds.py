@@ -201,9 +201,7 @@ def in_order(scene: Scene) -> list[tuple[str, Sensor]]:
     return sorted(scene.keyed("sensors"), key=lambda keyed: order.index(kind_of(keyed[1])))
 
 
-def sensor_term(
-    layout: Layout, notes: list[str], contacts: Contacts | None, wanted: bool = False
-) -> Sensors | None:
+def sensor_term(layout: Layout, notes: list[str], contacts: Contacts | None, wanted: bool = False) -> Sensors | None:
     """The rows of the sensors of a scene, or of those that may have targets.
 
     Args:

@@ -111,9 +111,8 @@ class Slides:
                               "slides are built for quasi_static scenes only; in others guide the "
                               "body by poses")
         moved = [slide.body for slide in scene.slides]
-        twice = next((slide for place, slide in enumerate(scene.slides) if slide.body in moved[:place]), None)
-        if twice is not None:
-            raise scene.error("slides", twice.name, f"moves {twice.body}, which another slide moves: give each a body")
+        for place in (place for place, name in enumerate(moved) if name in moved[:place]):
+            raise scene.error("slides", scene.slides[place].name, f"moves {moved[place]}, which another slide moves")
         self.count = len(scene.slides)
         axes = np.array([slide.axis for slide in scene.slides], float)
         self.axes = axes / np.linalg.norm(axes, axis=1, keepdims=True)
@@ -241,8 +240,7 @@ def _check_rides_whole(layout: Layout, body, slide) -> None:
     held_elsewhere = len(body.entry.fixed) or set(body.riding) != {slide.body}
     own = [cable for cable in scene.cables if body in layout.bodies_of(cable)]
     pulled = [c.name for c in own if c.pull_point_on not in ("body", slide.body) or c.also_on]
-    sprung = [spring.name for spring in scene.springs
-              if body.name in {end.on for end in spring.ends}]  # fmt: skip
+    sprung = [spring.name for spring in scene.springs if body.name in {end.on for end in spring.ends}]
     if held_elsewhere or pulled or sprung:
         by = "fixed nodes" if held_elsewhere else ", ".join(pulled or sprung)
         raise scene.error("slides", slide.name,

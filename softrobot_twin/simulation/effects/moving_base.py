@@ -102,9 +102,9 @@ class BaseTrack:
         if last[3] is not None:
             acceleration, spin = (velocity - last[3]) / h, (turning - last[4]) / h
         self._last = time, place, R, velocity, turning
-        self.motion = BaseMotion(
-            R, R.T @ _shortened(acceleration, self._most), R.T @ _shortened(turning, np.sqrt(self._most_spin)),
-            R.T @ _shortened(spin, self._most_spin))  # fmt: skip
+        limits = self._most, np.sqrt(self._most_spin), self._most_spin
+        felt = map(_shortened, (acceleration, turning, spin), limits)
+        self.motion = BaseMotion(R, *(R.T @ one for one in felt))
 
 
 def _shortened(vector: np.ndarray, most: float) -> np.ndarray:

@@ -347,15 +347,11 @@ class Linearized:
         """
         return self._displacements(self.groups.actuators, efforts, contact)
 
-    def _displacements(
-        self, rows: slice, efforts: np.ndarray, contact: np.ndarray
-    ) -> np.ndarray:
+    def _displacements(self, rows: slice, efforts: np.ndarray, contact: np.ndarray) -> np.ndarray:
         """δ of some condensed rows under multipliers; see `actuator_displacements`."""
         a = self.groups.actuators
         if not self._has_contacts:
-            return row_motion(
-                self.compliance.W, rows.start, rows.stop, efforts[a], self.violation
-            )
+            return row_motion(self.compliance.W, rows.start, rows.stop, efforts[a], self.violation)
         multipliers = np.zeros(len(self.violation))
         multipliers[a] = efforts[a]
         multipliers[self.groups.contacts] = contact[self.contact_rows]

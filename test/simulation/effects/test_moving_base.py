@@ -62,8 +62,7 @@ def test_a_spinning_base_throws_outwards_as_its_masses_say(carried):
     masses, x = body.node_masses(), before[: body.mesh.node_count]
     moving = ~body.fixed
     outwards = (masses[:, None] * spin**2 * x * [1.0, 1.0, 0.0])[moving].sum(axis=0)
-    np.testing.assert_allclose(result.state.memory["reactions.wrenches"][0, :3], -outwards, rtol=1e-6,
-                               atol=1e-9)  # fmt: skip
+    np.testing.assert_allclose(result.state.memory["reactions.wrenches"][0, :3], -outwards, rtol=1e-6, atol=1e-9)
 
 
 def test_in_motion_it_is_a_body_on_a_guided_platform_seen_from_there(carried, simulate, body_of, block):
