@@ -10,7 +10,7 @@ from softrobot_twin.study.offline_run import columns_of, run
 from test.builder import builder
 from test.scene_changes import built, repeat_step
 
-TOUCH = {"name": "touch", "contact": ["finger", "wall"], "full_scale": 1.0, "weight": 1.0}
+TOUCH = {"name": "touch", "contact": ["wall", "finger"], "full_scale": 1.0, "weight": 1.0}
 BENT = np.array([0.004, 0.001])
 
 

@@ -162,13 +162,14 @@ def _forces(layout: Layout, entries: Keyed, notes: list[str]) -> SensedTerm:
 
 def _contacts(layout: Layout, entries: Keyed, notes: list[str], contacts: Contacts | None) -> SensedTerm:
     """Sums of normal forces of pairs."""
-    for key, one in entries:
-        known = () if contacts is None else contacts.pair_names
-        if one.contact not in known:
+    known = () if contacts is None else contacts.pair_names
+    pairs = [next((pair for pair in known if set(pair) == set(one.contact)), None) for _, one in entries]
+    for (key, one), pair in zip(entries, pairs, strict=True):
+        if contacts is None or pair is None:
             raise layout.scene.error(f"{key}.contact", list(one.contact), "is no pair of contact.between, which has "
                                      f"{', '.join(map(' with '.join, known)) or 'none'}")  # fmt: skip
     spans = np.array([one.full_scale for _, one in entries])
-    return SensedTerm(PressingForces(contacts, [one.contact for _, one in entries]), np.zeros(len(entries)), 1.0,
+    return SensedTerm(PressingForces(contacts, pairs), np.zeros(len(entries)), 1.0,
                       layout.nodes.finite_size / spans, spans)  # fmt: skip
 
 
