@@ -309,7 +309,8 @@ def add_actuator(conversion: Conversion, component: SceneComponent, kind: str, e
         entry["rate"] = rounded(count * rate * _in_si(conversion, row["unit"]) / conversion.time_step)
     conversion.add(table.get("section", kind), component, entry)
     if component.kind.endswith("Actuator"):
-        given = {key: number_of(component, one["initial"], otherwise=0.0) for key, one in table["values"].items()}
+        given = {key: number_of(component, one["initial"], otherwise=0.0)
+                 for key, one in table["values"].items() if "initial" in one}  # fmt: skip
         given = {key: value for key, value in given.items() if value}
     else:
         values, index = array_of(component, 1, "value", otherwise=[0.0]), whole_of(component, "valueIndex")
@@ -324,7 +325,7 @@ def add_actuator(conversion: Conversion, component: SceneComponent, kind: str, e
 def _in_si(conversion: Conversion, unit: str, is_used: bool = True) -> float:
     """The factor of a unit; in motion in time SOFA's efforts are impulses, effort times step."""
     factor = getattr(conversion.units, unit)
-    if unit not in ("force", "pressure") or conversion.is_static:
+    if unit not in ("force", "pressure", "torque") or conversion.is_static:
         return factor
     note = ("efforts (forces of cables, pressures) are divided by the step, "
             f"{conversion.time_step:g} s: in motion in time SOFA's are impulses")  # fmt: skip

@@ -179,13 +179,21 @@ def test_unequal_factors_of_scale_are_written_into_a_mesh(convert):
     assert convert("bar.scn").scene.deformables[0].mesh.file.name == "bar_bar.msh"
 
 
-def test_a_servo_of_a_hinge_is_a_motor_on_a_stiff_arm(convert):
+def test_a_servo_of_a_hinge_is_a_motor_on_a_stiff_arm(convert, folder):
     scene = convert("articulated.py").scene
     (arm,), (motor,) = scene.beams, scene.hinge_motors
     assert arm.points == ((0.0, 0.0, 0.0), (0.045, 0.0, 0.0))
     assert (arm.joined[0].to, arm.joined[0].by, arm.joined[0].axis) == ("world", "hinge", (0.0, 0.0, 1.0))
     assert (motor.beam, motor.angle, motor.rate) == ("elbow", (-1.0, 1.0), 1.0)
     assert scene.effectors[0].body == "elbow"
+    joint = 'JointConstraint", name="elbow", index=0, maxDisplacement=1.0, minDisplacement=-1.0, maxForce=40, value={}'
+    given = 'JointActuator", name="elbow", index=0, maxAngle=1.0, minAngle=-1.0, maxAngleVariation=0.01'
+    text = (folder / "articulated.py").read_text()
+    for value, column, told in (("0.3", "angle_rad", "0.3"), ('[20.0], valueType="force"', "torque_Nm", "0.002")):
+        motor, = convert("joint.py", text.replace(given, joint.format(value))).scene.hinge_motors
+        assert (motor.angle, motor.torque) == ((-1.0, 1.0), (-np.inf, 0.004))
+        rows = (folder / "joint_commands.csv").read_text().splitlines()
+        assert (rows[0], rows[-1]) == (f"time_s,elbow_motor_{column}", f"0.2,{told}")
 
 
 def test_forces_on_a_surface_act_on_its_points_in_each_sphere(convert):
