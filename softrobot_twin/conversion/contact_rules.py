@@ -92,7 +92,7 @@ def contact(conversion: Conversion, component: SceneComponent) -> str | None:
     friction = _friction(conversion)
     conversion.scene["contact"] = {
         **({"friction": friction} if friction else {}), "alarm_distance": conversion.length(alarm),
-        "contact_distance": conversion.length(least), "between": [{"pair": pair} for pair in pairs], "points": []}  # fmt: skip
+        "contact_distance": conversion.length(least), "between": [{"pair": pair} for pair in pairs]}  # fmt: skip
     return f"contact of {len(pairs)} pair{'s'[:len(pairs) > 1]}, friction {friction:g}"
 
 
@@ -174,9 +174,9 @@ def _friction(conversion: Conversion) -> float:
 # --- planes ---------------------------------------------------------------------------------------
 
 
-def _present(conversion: Conversion) -> dict[str, Any]:
-    """The section of contact, which other rules may have filled."""
-    return conversion.scene.setdefault("contact", {"between": [], "points": []})
+def _touch(conversion: Conversion, key: str, entry: dict[str, Any]) -> None:
+    """Adds to a list of the section of contact, which other rules may have filled."""
+    conversion.scene.setdefault("contact", {}).setdefault(key, []).append(entry)
 
 
 @rule(PLANES, "PlaneForceField")
@@ -193,15 +193,16 @@ def plane(conversion: Conversion, component: SceneComponent) -> str | None:
         raise NotConverted("holds origins of frames: an obstacle touches surfaces")
     if is_true(component, "bilateral", False):
         raise NotConverted("holds from both sides: an obstacle does not pull")
-    _add_contact_surface(conversion, conversion.record_of(carrier), state)
-    contact = _present(conversion)
+    if surface_of(state) is not None:
+        _add_contact_surface(conversion, conversion.record_of(carrier), state)
+    contact = conversion.scene.get("contact", {})
     normal = array_of(component, 3, "normal", otherwise=[[0.0, 1.0, 0.0]])[0]
     size = np.linalg.norm(normal)
     away = number_of(component, "d", otherwise=0.0) / size * conversion.units.metre - contact.get("contact_distance", 0.0)
     name = conversion.name(f"{component.node.name}_plane" if component.name == component.kind else component.name)
     conversion.add("obstacles", component, {
         "name": name, "plane": {"point": rounded(away * normal / size), "normal": rounded(normal / size)}})  # fmt: skip
-    contact["between"].append({"pair": [carrier, name]} | ({"friction": 0.0} if "friction" in contact else {}))
+    _touch(conversion, "between", {"pair": [carrier, name]} | ({"friction": 0.0} if "friction" in contact else {}))
     component.read |= {"stiffness", "damping"}
     conversion.notes.append(f"plane {name} yields to what presses on it in the file; here it is rigid")
     return f"obstacle {name} below {carrier}"
@@ -226,7 +227,7 @@ def point_before_triangle(conversion: Conversion, component: SceneComponent) -> 
     normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
     if normal @ (point - corners[0]) * (-1.0 if is_true(component, "flipNormal", False) else 1.0) <= 0.0:
         raise NotConverted("its point is not before the plane of the others")
-    _present(conversion)["points"].append({
+    _touch(conversion, "points", {
         SOURCE: [source_of(component)], "on": record.name, "point": rounded(point),
         "against": rounded(np.mean(corners, axis=0))})  # fmt: skip
     return f"contact of a point with a triangle of {record.name}, those of its surface that are nearest"

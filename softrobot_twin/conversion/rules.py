@@ -196,7 +196,7 @@ class Conversion:
             return False
         holder = self.scene["contact"] if found[1] else self.scene
         entry = holder[found[2]].pop(int(found[3]))
-        if found[1] and not holder["between"] + holder["points"]:
+        if found[1] and not (holder.get("between") or holder["points"]):
             del self.scene["contact"]
         component = next(one for one in self.components if source_of(one) == entry[SOURCE][0])
         self.missing.append((component, f"cannot be built here: {reason}"))
