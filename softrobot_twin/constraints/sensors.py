@@ -129,9 +129,7 @@ class Bends(ConstraintTerm):
     def evaluate(self, positions: np.ndarray, blocks: np.ndarray, values: np.ndarray) -> None:
         """Write H [rad/m] and the angles [rad]; see `ConstraintTerm.evaluate`."""
         first = 0
-        for row, (line, axis, (points, weights)) in enumerate(
-            zip(self._lines, self._axes, self._entries, strict=True)
-        ):
+        for row, (line, axis, (points, weights)) in enumerate(zip(self._lines, self._axes, self._entries, strict=True)):
             places = line.positions(positions)
             u, v = places[1] - places[0], places[3] - places[2]
             u, v = u - (axis @ u) * axis, v - (axis @ v) * axis

@@ -153,9 +153,7 @@ class Slides:
             effectors: The term of the effectors.
         """
         columns = np.zeros((effectors.row_count, self.count))
-        for row, (index, axis) in enumerate(
-            zip(effectors.row_effector, effectors.row_axis, strict=True)
-        ):
+        for row, (index, axis) in enumerate(zip(effectors.row_effector, effectors.row_axis, strict=True)):
             slide = self._slide_of_node[effectors.effectors[index].points.nodes[0, 0]]
             # A slide turns nothing.
             if slide != NOWHERE and axis < 3:
