@@ -13,6 +13,10 @@ from typing import ClassVar, Literal, Protocol
 import numpy as np
 
 from softrobot_twin.mechanics.force_term import DenseRows
+from softrobot_twin.mechanics.kinematics import Nodes
+
+# Entries of a row below this share of it are round-off.
+ROUND_OFF = 1.0e-12
 
 Group = Literal["actuators", "effectors", "contacts"]
 """What the rows of a term are for in the condensed problem."""
@@ -40,6 +44,9 @@ class ConstraintTerm(Protocol):
             Then a force term holds the forces of its efforts, and its rows only what a change of them
             adds. Where friction makes ∂δ/∂q another matrix than H, it has a method
             `displacement_entries` that gives its entries: their rows, unknowns and blocks.
+        shows_contacts: Whether rows of it, of effectors, are sums of contact forces, and no change of the
+            unknowns alone changes them. Then its method `by_contacts` gives these rows, a slice, and their
+            change by λ of the contacts detected last; its values are those of the last solution.
         compliance: C = ∂δ/∂λ at held unknowns, at the state evaluated last and the told efforts
             [unit of δ / unit of λ], shape (k, k), symmetric; of terms that yield diagonal, so that C λ
             is exact. Only terms that yield or take efforts have it.
@@ -61,6 +68,7 @@ class ConstraintTerm(Protocol):
     loss: ClassVar[str] = ""
     yields: ClassVar[bool] = False
     takes_efforts: ClassVar[bool] = False
+    shows_contacts: bool = False
     compliance: np.ndarray
     dense_rows: DenseRows | None = None
     memory_name: ClassVar[str] = ""
@@ -158,9 +166,7 @@ class ConstraintTerm(Protocol):
     def clear_dense_rows(self) -> None:
         """Have no dense rows until stiffness is added again; see `ForceTerm.clear_dense_rows`."""
 
-    def add_row_stiffness(
-        self, positions: np.ndarray, stiffness: np.ndarray, storage: np.ndarray
-    ) -> DenseRows | None:
+    def add_row_stiffness(self, positions: np.ndarray, stiffness: np.ndarray, storage: np.ndarray) -> DenseRows | None:
         """Add Hᵀ ρ H, with as much more as makes it fit into the blocks of the stiffness.
 
         Only of terms that hold displacements beside which a tangent is augmented.
@@ -266,3 +272,25 @@ class VaryingTerm(ConstraintTerm, Protocol):
 
     def forget(self) -> None:
         """Clear all stored solutions."""
+
+
+def rows_that_move_nothing(term: ConstraintTerm, nodes: Nodes) -> np.ndarray:
+    """Rows that act at rest on nodes that are fixed, or only along axes that are held.
+
+    Args:
+        term: The term.
+        nodes: The nodes.
+
+    Returns:
+        Their indices.
+    """
+    sizes, (blocks, _) = np.zeros((2, term.row_count)), term.rows_at(nodes.rest_positions)
+    np.add.at(sizes[0], term.entry_rows, np.abs(blocks).sum(axis=1))
+    if nodes.free_axes is not None:
+        own = np.flatnonzero(term.entry_nodes < nodes.free_node_count)
+        blocks[own] *= nodes.free_axes[term.entry_nodes[own]]
+    np.add.at(sizes[1], term.entry_rows, np.abs(blocks).sum(axis=1))
+    idle = sizes[1] <= ROUND_OFF * sizes[0]
+    if getattr(term, "shows_contacts", False):
+        idle[term.by_contacts()[0]] = False
+    return np.flatnonzero(idle)

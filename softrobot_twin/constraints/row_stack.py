@@ -91,9 +91,7 @@ class RowStack:
         last = RowGroups._fields[-1]
         if any(term.group != last for term in self._varying):
             raise ValueError(f"only terms of the last group, {last}, may have rows that vary")
-        reached = np.concatenate(
-            [np.empty(0, np.int64), *(term.reached_nodes for term in self.terms)]
-        )
+        reached = np.concatenate([np.empty(0, np.int64), *(term.reached_nodes for term in self.terms)])
         self._carried = self._elsewhere = None
         if points is not None and (reached >= points.free_count).any():
             self._carried = CarriedRows(points, self._entry_room)
@@ -103,6 +101,7 @@ class RowStack:
         self._make_room()
         self.constant_terms = constant = [(term, rows) for term, _, rows in self._constant_parts]
         self._told_parts = [(term, rows) for term, rows in constant if term.takes_efforts]
+        self._showing = next((one for one in constant if getattr(one[0], "shows_contacts", False)), None)
         self._yielding = [(term, rows) for term, rows in constant if term.yields]
         self.told = self.is_told = None
         # Rows that follow from the positions alone are evaluated once at a state.
@@ -322,6 +321,13 @@ class RowStack:
         for term, rows in parts:
             compliance[rows, rows] = term.compliance
         return compliance
+
+    def by_contacts(self) -> tuple[slice, np.ndarray] | None:
+        """Rows that show contact forces, and their change by those; see `ConstraintTerm`. None without any."""
+        if self._showing is None:
+            return None
+        (term, rows), (own, columns) = self._showing, self._showing[0].by_contacts()
+        return slice(rows.start + own.start, rows.start + own.stop), columns
 
     def stretch_compliance(self) -> np.ndarray | None:
         """Compliance of each actuator row of a term that yields, zero for the others.

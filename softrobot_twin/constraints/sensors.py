@@ -6,11 +6,12 @@ inverse problem, in metres as those of effectors: ℓ m, with a length ℓ per u
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from softrobot_twin.constraints.constraint_term import ConstraintTerm
+from softrobot_twin.constraints.contact import Contacts
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 
 
@@ -59,6 +60,9 @@ class Sensors(ConstraintTerm):
             self._places.append((rows, entries))
             first, entry = rows.stop, entries.stop
         self.row_count, self.row_weights = first, np.asarray(weights, float)
+        self._showing: list[tuple[slice, Any]] = [
+            (rows, part.term) for part, (rows, _) in zip(parts, self._places) if part.term.shows_contacts]
+        self.shows_contacts = bool(self._showing)
         self.entry_rows = np.concatenate(
             [part.term.entry_rows + rows.start for part, (rows, _) in zip(parts, self._places)])
         self.entry_nodes = np.concatenate([part.term.entry_nodes for part in parts])
@@ -74,6 +78,11 @@ class Sensors(ConstraintTerm):
             blocks[entries] *= np.broadcast_to(part.sign, len(part.zeros))[part.term.entry_rows, None]
         blocks *= self.lengths[self.entry_rows, None]
         values *= self.lengths
+
+    def by_contacts(self) -> tuple[slice, np.ndarray]:
+        """See `ConstraintTerm` [m/N]."""
+        rows, term = self._showing[0]
+        return rows, term.by_contacts()[1] * self.lengths[rows, None]
 
     def readings(self, positions: np.ndarray) -> np.ndarray:
         """What the sensors show, each in its unit, shape (row_count,).
@@ -120,9 +129,7 @@ class Bends(ConstraintTerm):
     def evaluate(self, positions: np.ndarray, blocks: np.ndarray, values: np.ndarray) -> None:
         """Write H [rad/m] and the angles [rad]; see `ConstraintTerm.evaluate`."""
         first = 0
-        for row, (line, axis, (points, weights)) in enumerate(
-            zip(self._lines, self._axes, self._entries, strict=True)
-        ):
+        for row, (line, axis, (points, weights)) in enumerate(zip(self._lines, self._axes, self._entries, strict=True)):
             places = line.positions(positions)
             u, v = places[1] - places[0], places[3] - places[2]
             u, v = u - (axis @ u) * axis, v - (axis @ v) * axis
@@ -161,3 +168,34 @@ class GasPressures(ConstraintTerm):
         volumes = values + self._rest
         blocks *= -(self._work / volumes**2)[self.entry_rows, None]
         values[:] = self._work / volumes - self._ambient
+
+
+class PressingForces(ConstraintTerm):
+    """Rows of the sums of normal forces of pairs: they follow from the forces, not from the positions."""
+
+    name = "pressing forces"
+    group = "effectors"
+    shows_contacts = True
+
+    def __init__(self, contacts: Contacts, pairs: list[tuple[str, str]]):
+        """Take the pairs.
+
+        Args:
+            contacts: The contacts of the scene.
+            pairs: Names of both bodies of each.
+        """
+        self._contacts, self._pairs, self.row_count = contacts, contacts.pairs_named(pairs), len(pairs)
+        self.entry_rows = self.entry_nodes = np.empty(0, np.int64)
+        self.scales = np.ones(self.row_count)
+
+    def evaluate(self, positions: np.ndarray, blocks: np.ndarray, values: np.ndarray) -> None:
+        """Write the forces of the last solution [N]; see `ConstraintTerm.evaluate`."""
+        memory = self._contacts.memory
+        values[:] = self._pairs @ np.bincount(memory.pairs, memory.forces[:, 0], self._pairs.shape[1])
+
+    def by_contacts(self) -> tuple[slice, np.ndarray]:
+        """See `ConstraintTerm`; shape (row_count, contact_row_count)."""
+        contacts = self._contacts
+        columns = np.zeros((self.row_count, contacts.row_count))
+        columns[:, contacts.row_starts[:-1]] = self._pairs[:, contacts.pair[: contacts.count]]
+        return slice(0, self.row_count), columns

@@ -144,7 +144,8 @@ def body(conversion: Conversion, component: SceneComponent) -> str | None:
     named = [(f"part_{index + 1}", *one) for index, one in enumerate(parts)]
     name = conversion.name(state.node.name)
     entry: dict[str, Any] = {SOURCE: [source_of(component)], "name": name}
-    record = conversion.bodies[id(state)] = BodyRecord(name, entry, state, mesh)
+    acting = {id(one): law.cells for one, law in zip(fields, laws, strict=True)}
+    record = conversion.bodies[id(state)] = BodyRecord(name, entry, state, mesh, acting, groups)
     entry["mesh"] = _mesh_entry(conversion, record, [(part, chosen) for part, _, chosen in named])
     entry["element"] = "hexahedral" if len(mesh.hexahedra) else "linear"
     entry["material"] = dict(base)
@@ -185,9 +186,7 @@ def _body_mesh(state: SceneComponent, fields: list[SceneComponent]) -> LoadedMes
     return mesh._replace(tets=tets, hexahedra=hexahedra, file=mesh.file if same else None)
 
 
-def _elastic(
-    conversion: Conversion, component: SceneComponent, state: SceneComponent, cells: np.ndarray
-) -> _Elastic:
+def _elastic(conversion: Conversion, component: SceneComponent, state: SceneComponent, cells: np.ndarray) -> _Elastic:
     """The law of a force field, and the cells of the body that it acts on."""
     covers = np.ones(len(cells), bool)
     topology = used_topology(component)
@@ -441,21 +440,26 @@ def _directions(component: SceneComponent) -> np.ndarray:
 
 def _fix_frames(conversion: Conversion, component: SceneComponent, names: list[str]) -> str:
     """Rigid bodies that do not move, or ends of a beam."""
+    motion = "fixed"
     if not _directions(component).all():
-        raise NotConverted("frames that are fixed along or about some axes only are not built here")
+        if not conversion.is_static or not _acting_on(conversion.state(component), ("SlidingActuator",)):
+            raise NotConverted("frames that are fixed along or about some axes only are not built here")
+        motion = "guided"  # by a slide
     chosen = indices_of(component, "indices", "points", otherwise=[0])
     beams, rigids = ({one["name"]: one for one in conversion.scene.get(section, ())}
                      for section in ("beams", "rigid_bodies"))  # fmt: skip
     told = {names[min(index, len(names) - 1)]: index for index in chosen}
     for name, index in told.items():
+        if name in beams and motion == "guided":
+            raise NotConverted("the slide of a beam is not built: join its end to a rigid body")
         if name in beams and index not in (0, len(names) - 1):
             raise NotConverted(f"point {index} is inside the beam {name}: ends can be fixed")
         if name in beams:
             beams[name].setdefault("fixed", []).append("end" if index else "start")
         elif name:  # others are frames of the world
-            rigids[name]["motion"] = "fixed"
+            rigids[name]["motion"] = motion
             rigids[name].pop("mass", None)
-    return f"{', '.join(filter(None, told)) or 'a frame of the world'}: fixed"
+    return f"{', '.join(filter(None, told)) or 'a frame of the world'}: {motion}"
 
 
 def _regions(

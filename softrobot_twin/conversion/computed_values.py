@@ -314,8 +314,7 @@ def _read_gid(file: Path) -> LoadedMesh:
     """A mesh of GiD: coordinates and tetrahedra between words, numbered from 1."""
     text = file.read_text(errors="replace").lower()
     sections = dict(re.findall(r"(?ms)^\s*(coordinates|elements)\s*\n(.*?)^\s*end", text))
-    nodes, cells = (np.loadtxt(sections.get(word, "").splitlines(), ndmin=2)
-                    for word in ("coordinates", "elements"))  # fmt: skip
+    nodes, cells = (np.loadtxt(sections.get(word, "").splitlines(), ndmin=2) for word in ("coordinates", "elements"))
     order = {number: index for index, number in enumerate(nodes[:, 0])}
     tets = np.array([[order[number] for number in cell[1:5]] for cell in cells], np.int64)
     return LoadedMesh(nodes[:, 1:4], tets).with_boundary()
@@ -439,8 +438,7 @@ def _source_of(component: SceneComponent) -> LoadedMesh | None:
             if isinstance(owner, SceneComponent) and owner.kind in KINDS["meshes"]:
                 found = mesh_of(owner)
                 # Only of a source are the cells taken too.
-                return found if name == "src" else LoadedMesh(
-                    found.points, file=found.file, placement=found.placement)  # fmt: skip
+                return found if name == "src" else LoadedMesh(found.points, file=found.file, placement=found.placement)
     return None
 
 
@@ -508,8 +506,7 @@ def state_mesh(state: SceneComponent) -> LoadedMesh:
     # A rotation after unequal factors has no counterpart in a scene: the file is not named then.
     can_join = placement.is_uniform and mesh.file is not None
     joined = placement.after(mesh.placement) if can_join else UNMOVED
-    return mesh._replace(points=placement.place(mesh.points), placement=joined,
-                         file=mesh.file if can_join else None)  # fmt: skip
+    return mesh._replace(points=placement.place(mesh.points), placement=joined, file=mesh.file if can_join else None)
 
 
 def _has(component: SceneComponent, *names: str) -> bool:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import re
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from softrobot_twin.conversion.computed_values import (
+    array_of,
     indices_of,
     is_rigid,
     is_true,
@@ -16,10 +19,14 @@ from softrobot_twin.conversion.computed_values import (
 from softrobot_twin.conversion.mesh_entries import shape_entry, surface_file, surface_of
 from softrobot_twin.conversion.rules import (
     CONTACTS,
+    PLANES,
     BodyRecord,
     Conversion,
+    rounded,
     rule,
+    source_of,
 )
+from softrobot_twin.conversion.scene_text import SOURCE
 from softrobot_twin.conversion.scene_tree import (
     KINDS,
     NotConverted,
@@ -51,8 +58,7 @@ class _Touching(NamedTuple):
         Args:
             other: The other; itself for two surfaces of it.
         """
-        return any(not one & two for one in self.groups for two in other.groups
-                   if other is not self or one != two)  # fmt: skip
+        return any(not one & two for one in self.groups for two in other.groups if other is not self or one != two)
 
 
 @rule(CONTACTS, *KINDS["intersections"])
@@ -104,15 +110,15 @@ def _touching(conversion: Conversion, model: SceneComponent) -> _Touching | None
         if is_free and first(state.node, KINDS["masses"]) is None:
             return None  # a goal that the mouse moves
         return _Touching(_obstacle(conversion, model, state), chosen, False, False)
-    record = conversion.record_of(carrier)
-    if record is not None and state is not record.state:
-        _add_contact_surface(conversion, record, state)
+    _add_contact_surface(conversion, conversion.record_of(carrier), state)
     fixed = {one["name"] for one in conversion.scene.get("rigid_bodies", ()) if one.get("motion") == "fixed"}
     return _Touching(carrier, chosen, carrier not in fixed, itself)
 
 
-def _add_contact_surface(conversion: Conversion, record: BodyRecord, state: SceneComponent) -> None:
+def _add_contact_surface(conversion: Conversion, record: BodyRecord | None, state: SceneComponent) -> None:
     """A body's surface for contact, in place of that of its mesh."""
+    if record is None or state is record.state:
+        return
     mesh = surface_of(state)
     if mesh is None:
         triangles = [kind for kind in KINDS["collision_models"] if "Triangle" in kind]
@@ -163,3 +169,65 @@ def _friction(conversion: Conversion) -> float:
         found = re.search(r"mu=([\d.eE+-]+)", str(value_of(component, "responseParams") or ""))
         return float(found[1]) if found else 0.0
     return 0.0
+
+
+# --- planes ---------------------------------------------------------------------------------------
+
+
+def _touch(conversion: Conversion, key: str, entry: dict[str, Any]) -> None:
+    """Adds to a list of the section of contact, which other rules may have filled."""
+    conversion.scene.setdefault("contact", {}).setdefault(key, []).append(entry)
+
+
+@rule(PLANES, "PlaneForceField")
+def plane(conversion: Conversion, component: SceneComponent) -> str | None:
+    """A plane that pushes a surface back: an obstacle.
+
+    Args:
+        conversion: The conversion.
+        component: The force field.
+    """
+    state = conversion.state(component)
+    carrier = conversion.needed_carrier(state)
+    if is_rigid(state):
+        raise NotConverted("holds origins of frames: an obstacle touches surfaces")
+    if is_true(component, "bilateral", False):
+        raise NotConverted("holds from both sides: an obstacle does not pull")
+    if surface_of(state) is not None:
+        _add_contact_surface(conversion, conversion.record_of(carrier), state)
+    contact = conversion.scene.get("contact", {})
+    normal = array_of(component, 3, "normal", otherwise=[[0.0, 1.0, 0.0]])[0]
+    size = np.linalg.norm(normal)
+    away = number_of(component, "d", otherwise=0.0) / size * conversion.units.metre - contact.get("contact_distance", 0.0)
+    name = conversion.name(f"{component.node.name}_plane" if component.name == component.kind else component.name)
+    conversion.add("obstacles", component, {
+        "name": name, "plane": {"point": rounded(away * normal / size), "normal": rounded(normal / size)}})  # fmt: skip
+    _touch(conversion, "between", {"pair": [carrier, name]} | ({"friction": 0.0} if "friction" in contact else {}))
+    component.read |= {"stiffness", "damping"}
+    conversion.notes.append(f"plane {name} yields to what presses on it in the file; here it is rigid")
+    return f"obstacle {name} below {carrier}"
+
+
+@rule(PLANES, "UnilateralPlaneConstraint")
+def point_before_triangle(conversion: Conversion, component: SceneComponent) -> str | None:
+    """A point that stays on the outer side of three others of the same body.
+
+    Args:
+        conversion: The conversion.
+        component: The constraint.
+    """
+    state = conversion.state(component)
+    record = conversion.record_of(conversion.carrier(state))
+    if record is None or len(mapped_from(state)) > 1:
+        raise NotConverted("its points are not all on one deformable body that is converted")
+    places = conversion.points(state)[indices_of(component, "indices", otherwise=[])[:4]]
+    if len(places) < 4:
+        raise NotConverted("needs four points")
+    point, *corners = places
+    normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+    if normal @ (point - corners[0]) * (-1.0 if is_true(component, "flipNormal", False) else 1.0) <= 0.0:
+        raise NotConverted("its point is not before the plane of the others")
+    _touch(conversion, "points", {
+        SOURCE: [source_of(component)], "on": record.name, "point": rounded(point),
+        "against": rounded(np.mean(corners, axis=0))})  # fmt: skip
+    return f"contact of a point with a triangle of {record.name}, those of its surface that are nearest"

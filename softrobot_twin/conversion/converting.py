@@ -118,8 +118,7 @@ def _recorded(file: Path, seconds: float) -> dict[str, Any]:
     """What `scene_process` writes; foreign code, in a process of its own, with a time limit."""
     with tempfile.TemporaryDirectory(prefix="softrobot_twin_convert_") as folder:
         tree = Path(folder, "tree.json")
-        command = [sys.executable, "-m", "softrobot_twin.conversion.scene_process",
-                   str(file.resolve()), str(tree)]  # fmt: skip
+        command = [sys.executable, "-m", "softrobot_twin.conversion.scene_process", str(file.resolve()), str(tree)]
         package = str(Path(__file__).resolve().parents[2])
         paths = os.pathsep.join(filter(None, (package, os.environ.get("PYTHONPATH"))))
         environment = {**os.environ, "PYTHONPATH": paths, "PYTHONDONTWRITEBYTECODE": "1"}
@@ -202,7 +201,7 @@ def write(conversion: Conversion, file: Path, replace: bool) -> None:
         for name in conversion.files:
             (folder / name).unlink(missing_ok=True)
         raise
-    can_move = any(map(conversion.scene.get, (*TABLE["actuators"], "hinge_motors")))
+    can_move = any(map(conversion.scene.get, (*TABLE["actuators"], "stiffeners")))
     for name, (kind, columns) in tables.items():
         if columns and (can_move if kind == "targets" else any(columns.values())):
             with output_file(folder / name) as part:

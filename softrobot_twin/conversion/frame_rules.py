@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from softrobot_twin.conversion.actuator_rules import add_actuator
 from softrobot_twin.conversion.body_rules import MASSLESS, damping_of, mass_of, parts_of
 from softrobot_twin.conversion.computed_values import (
     array_of,
@@ -230,9 +231,6 @@ def joint(conversion: Conversion, component: SceneComponent) -> str | None:
     length = float(np.linalg.norm(places[child, :3] - pivot))
     if length < 1e-9:
         raise NotConverted("its moved frame lies in the hinge: no arm is between them")
-    limits = [number_of(component, word) for word in ("minAngle", "maxAngle")]
-    if None in limits:
-        raise NotConverted("a motor of a hinge needs minAngle and maxAngle")
     names = conversion.frames.setdefault(id(state), [""] * len(places))
     name = conversion.name(component.node.name if component.name == component.kind else component.name)
     axis = turn.apply(array_of(link, 3, "rotationAxis", otherwise=[[1.0, 0.0, 0.0]])[0])
@@ -240,6 +238,8 @@ def joint(conversion: Conversion, component: SceneComponent) -> str | None:
     radius = ARM_RADIUS * length
     mass = (mass_of(state, len(places))[1] or 0.0) * conversion.units.kilogram or LEAST_MASS
     density = mass / (np.pi * radius**2 * length * conversion.units.volume)
+    motor = {"name": conversion.name(f"{name}_motor"), "beam": name, "at": "start"}
+    told = add_actuator(conversion, component, "hinge_motors", motor)
     conversion.add("beams", component, {
         "name": name, "points": conversion.length([pivot, places[child, :3]]), "elements": 1,
         "section": {"circle": {"radius": conversion.length(radius)}},
@@ -247,12 +247,7 @@ def joint(conversion: Conversion, component: SceneComponent) -> str | None:
         "joined": [{"at": "start", **to, "by": "hinge", "axis": rounded(axis)}],
     }, "a stiff arm stands for the frame that it moves")  # fmt: skip
     names[child] = name
-    motor = {"name": conversion.name(f"{name}_motor"), "beam": name, "at": "start", "angle": rounded(limits)}
-    rate = number_of(component, "maxAngleVariation")
-    if rate is not None:
-        motor["rate"] = rounded(rate / conversion.time_step)
-    conversion.add("hinge_motors", component, motor)
-    return f"hinge motor {motor['name']}: {limits[0]:g} to {limits[1]:g} rad"
+    return f"hinge motor {motor['name']}{told}"
 
 
 @rule(FIXING, "Articulation", "ArticulationCenter")

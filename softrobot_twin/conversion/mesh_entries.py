@@ -101,6 +101,18 @@ def surface_of(state: SceneComponent) -> LoadedMesh | None:
     return mesh if len(mesh.triangles) else None
 
 
+def normal_of(mesh: LoadedMesh, chosen: np.ndarray | slice = slice(None)) -> np.ndarray:
+    """Mean normal of triangles by area, of length one, shape (3,).
+
+    Args:
+        mesh: The mesh.
+        chosen: Which of its triangles count.
+    """
+    corners = mesh.points[mesh.triangles[chosen]]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).sum(axis=0)
+    return normal / np.linalg.norm(normal)
+
+
 def shape_entry(conversion: Conversion, mesh: LoadedMesh, name: str) -> dict[str, Any]:
     """The shape of a surface: a plane if it is flat, itself if it is closed, else its hull.
 
@@ -113,10 +125,7 @@ def shape_entry(conversion: Conversion, mesh: LoadedMesh, name: str) -> dict[str
     middle = used.mean(axis=0)
     spread = np.linalg.svd(used - middle, compute_uv=False)
     if spread[2] <= 1e-6 * spread[0]:
-        sides = mesh.points[mesh.triangles[:, 1:]] - mesh.points[mesh.triangles[:, :1]]
-        normal = np.cross(sides[:, 0], sides[:, 1]).sum(axis=0)
-        normal = rounded(normal / np.linalg.norm(normal))
-        return {"plane": {"point": conversion.length(middle), "normal": normal}}
+        return {"plane": {"point": conversion.length(middle), "normal": rounded(normal_of(mesh))}}
     # Coincident points are one.
     _, place = np.unique(np.round(mesh.points, 9), axis=0, return_inverse=True)
     _, _, _, counts = half_edges(np.ravel(place)[mesh.triangles])

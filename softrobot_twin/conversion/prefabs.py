@@ -118,9 +118,7 @@ def oriented_box_roi(
     return parent.addObject("BoxROI", name=name, orientedBox=[*turned.ravel(), scale[2]], **more)
 
 
-def rigidify(
-    targetObject: Node, sourceObject: Node, groupIndices: Any, frames: Any = None, name: Any = None
-) -> Node:
+def rigidify(targetObject: Node, sourceObject: Node, groupIndices: Any, frames: Any = None, name: Any = None) -> Node:
     """Makes groups of a body's points rigid.
 
     Args:

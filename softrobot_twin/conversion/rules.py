@@ -56,7 +56,7 @@ class Rule(NamedTuple):
 
 RULES: dict[str, Rule] = {}
 """The rule of each kind of component."""
-SETTINGS, BODIES, PARTS, FIXING, ACTUATORS, CONTACTS = range(6)
+SETTINGS, BODIES, PARTS, FIXING, ACTUATORS, CONTACTS, PLANES = range(7)
 """Stages of rules."""
 
 
@@ -84,12 +84,16 @@ class BodyRecord:
         entry: Its entry in the scene.
         state: Its state.
         mesh: Its points and cells, in the unit of the file.
+        acting: Cells that each of its force fields acts on, by the identity of the field.
+        materials: Its materials, each with its cells; the first is of all other cells.
     """
 
     name: str
     entry: dict[str, Any]
     state: SceneComponent
     mesh: LoadedMesh
+    acting: dict[int, np.ndarray] = field(default_factory=dict)
+    materials: list[tuple[dict[str, Any], np.ndarray]] = field(default_factory=list)
 
 
 @dataclass(eq=False)
@@ -136,6 +140,11 @@ class Conversion:
         return float(np.ravel(given)[0]) if given is not None else 0.01
 
     @property
+    def is_static(self) -> bool:
+        """Whether the scene has no motion in time."""
+        return self.scene.get("integration") == "quasi_static"
+
+    @property
     def components(self) -> list[SceneComponent]:
         """All components, in the order of the tree."""
         return [one for node in walk(self.root) for one in node.components]
@@ -176,21 +185,24 @@ class Conversion:
         """Takes out an entry that cannot be built, and lists its component.
 
         Args:
-            key: What is wrong, such as ``cables[0].points``.
+            key: What is wrong, such as ``cables[0].points`` or ``contact.points[0]``.
             reason: Why.
 
         Returns:
             Whether there is such an entry, which no other one may need.
         """
-        found = re.match(r"(\w+)\[(\d+)\]", key)
-        if found is None or found[1] not in TABLE["unneeded"]:
+        found = re.match(r"(contact\.)?(\w+)\[(\d+)\]", key)
+        if found is None or found[2] not in TABLE["unneeded"]:
             return False
-        entry = self.scene[found[1]].pop(int(found[2]))
+        holder = self.scene["contact"] if found[1] else self.scene
+        entry = holder[found[2]].pop(int(found[3]))
+        if found[1] and not (holder.get("between") or holder["points"]):
+            del self.scene["contact"]
         component = next(one for one in self.components if source_of(one) == entry[SOURCE][0])
         self.missing.append((component, f"cannot be built here: {reason}"))
         self.told = [one for one in self.told if one[0] is not component]
         for columns in (self.commands, self.targets):
-            for column in [one for one in columns if one.startswith(f"{entry['name']}_")]:
+            for column in [one for one in columns if one.startswith(f"{entry.get('name')}_")]:
                 del columns[column]
         return True
 
@@ -291,7 +303,7 @@ class Conversion:
                 continue
             is_known = component.kind in RULES or any(component.kind in kinds for kinds in KINDS.values())
             if not is_known and not _NOT_PHYSICAL.fullmatch(component.kind):
-                self.missing.append((component, "has no counterpart here"))
+                self.missing.append((component, TABLE["reasons"].get(component.kind, "has no counterpart here")))
 
     def _is_by_keys(self, controller: SceneComponent) -> bool:
         """Whether a controller of Python only listens to keys; then a note tells of teleoperation."""

@@ -32,8 +32,7 @@ def read_xml(path: Path) -> SceneNode:
     except OSError as error:
         raise ConversionError(path, error.strerror or str(error)) from error
     except expat.ExpatError as error:
-        raise ConversionError(path, f"is no XML: {expat.errors.messages[error.code]}",
-                              error.lineno) from error  # fmt: skip
+        raise ConversionError(path, f"is no XML: {expat.errors.messages[error.code]}", error.lineno) from error
     return reader.root
 
 

@@ -34,6 +34,10 @@ class Units(NamedTuple):
     """Newtons in its unit of force."""
     pressure = property(lambda self: self.kilogram / self.metre)
     """Pascals in its unit of pressure."""
+    torque = property(lambda self: self.kilogram * self.metre**2)
+    """Newton metres in its unit of torque."""
+    radian = property(lambda self: 1.0)
+    """Radians in its unit of angle."""
     volume = property(lambda self: self.metre**3)
     """Cubic metres in its unit of volume."""
     density = property(lambda self: self.kilogram / self.metre**3)

@@ -121,8 +121,7 @@ class Cable(OnBody, ActuatorEntry):
     def check(self) -> None:
         """Refuse presliding without friction, and what is not built around obstacles."""
         if self.wraps and self.axial_stiffness is not None:
-            raise refusal("axial_stiffness", self.axial_stiffness,
-                          "is not built for a cable that wraps obstacles")
+            raise refusal("axial_stiffness", self.axial_stiffness, "is not built for a cable that wraps obstacles")
         if self.presliding is not None and not self.friction:
             raise refusal("presliding", self.presliding,
                           "is how friction builds up, but the cable has none: give friction")
@@ -149,8 +148,7 @@ class CavityWall(Entry):
         if (self.part is None) == (self.file is None):
             raise ValueError("a wall of a cavity is either a part of its body's mesh or a file")
         if self.also_on and self.file is None:
-            raise refusal("also_on", list(self.also_on),
-                          "a part of one body's mesh lies on that body; give a file")
+            raise refusal("also_on", list(self.also_on), "a part of one body's mesh lies on that body; give a file")
 
 
 class WalledEntry(NamedEntry):
@@ -190,8 +188,7 @@ class Cavity(WalledEntry, ActuatorEntry):
     def check(self) -> None:
         """Refuse a flow where the volume is commanded."""
         if self.flow is not None and self.control == "volume":
-            raise refusal("flow", self.flow,
-                          "the volume is commanded: give its greatest change per second as rate")
+            raise refusal("flow", self.flow, "the volume is commanded: give its greatest change per second as rate")
 
 
 class SealedCavity(WalledEntry):
@@ -269,14 +266,14 @@ class Force(OnBody, ActuatorEntry):
     """A force on a body: of a magnet, a thruster, a tendon outside the model, a person."""
 
     noun: ClassVar[str] = "force"
-    placed: ClassVar[dict[str, str]] = {
-        "points": "point", "box": "box", "sphere": "inside", "direction": "direction",
-    }  # fmt: skip
+    placed: ClassVar[dict[str, str]] = {"points": "point", "box": "box", "sphere": "inside", "direction": "direction"}
     one_of: ClassVar[tuple[str, ...]] = ("points", "box", "sphere")
     one_of_words: ClassVar[str] = "a force acts at exactly one of {}"
 
     points: Annotated[tuple[Vector, ...] | None, Field(min_length=1)] = None
-    """Places at rest, which share it alike."""
+    """Places at rest."""
+    shares: tuple[Annotated[float, unit("", gt=0.0)], ...] | None = None
+    """Share of each point; by default alike."""
     box: BoxRegion | None = None
     """The surface of a deformable body in it shares the force by area."""
     sphere: SphereRegion | None = None
@@ -295,7 +292,9 @@ class Force(OnBody, ActuatorEntry):
     """Greatest change of the command per second."""
 
     def check(self) -> None:
-        """Refuse displacements along a direction that turns: they depend on the way."""
+        """Refuse shares of other points, and displacements along a direction that turns: they depend on the way."""
+        if self.shares is not None and len(self.shares) != len(self.points or ()):
+            raise refusal("shares", list(self.shares), "needs a number for each of points")
         for key, usual in (("control", "force"), ("displacement", NO_LIMITS)):
             if self.turns_with_body and getattr(self, key) != usual:
                 raise refusal(key, getattr(self, key),

@@ -198,12 +198,12 @@ def _terms(layout: Layout, notes: list[str]) -> Terms:
     scene, carried = layout.scene, layout.nodes.carried
     forces = tuple(on_unknowns(term, carried) for term in force_terms(layout, notes))
     actuators = build_actuators(layout, notes)
-    sensors = sensor_term(layout, notes) if scene.sensors else None
-    wanted = sensor_term(layout, [], True) if scene.sensors else None
+    contacts = contact_term(layout, notes) if scene.contact is not None else None
+    sensors = sensor_term(layout, notes, contacts) if scene.sensors else None
+    wanted = sensor_term(layout, [], contacts, True) if scene.sensors else None
     return Terms(
         layout, forces + actuators.held_forces + _held_axes(layout), actuators, effector_term(layout, notes),
-        marker_mapping(layout, notes),
-        contact_term(layout, notes) if scene.contact is not None else None, notes, sensors, wanted,
+        marker_mapping(layout, notes), contacts, notes, sensors, wanted,
     )  # fmt: skip
 
 
@@ -221,9 +221,7 @@ def _is_dense(layout: Layout) -> bool:
     return 3 * layout.nodes.free_node_count <= MOST_DENSE
 
 
-def bound_factorization(
-    made_by: type, stiff: Sequence, free_node_count: int, is_dense: bool = False
-) -> Factorization:
+def bound_factorization(made_by: type, stiff: Sequence, free_node_count: int, is_dense: bool = False) -> Factorization:
     """Lay out A for the pattern of the terms that add to it, or for all pairs, and bind the terms.
 
     Args:

@@ -136,14 +136,14 @@ class Readouts:
         self.observed_with_torque = tuple(place.is_wrench for place in places)
         self.rigid_names = tuple(part.name for part in model.rigid)
         sliding = {slide.body for slide in self.scene.slides}
-        self.guided_names = tuple(part.name for part in model.rigid
-                                  if part.is_guided and part.name not in sliding)  # fmt: skip
+        self.guided_names = tuple(part.name for part in model.rigid if part.is_guided and part.name not in sliding)
         meshes = [body.mesh for body in model.bodies]
         self.node_count = sum(mesh.node_count for mesh in meshes)
         self.tet_count, self.hexahedron_count = (
             sum(mesh.cell_counts.get(kind, 0) for mesh in meshes) for kind in ("tets", "hexahedra"))
         self.beam_element_count = sum(len(beam.lengths) for beam in model.beams)
-        self.dof_count = 3 * model.nodes.free_node_count
+        free_axes = model.nodes.free_axes
+        self.dof_count = 3 * model.nodes.free_node_count if free_axes is None else int(free_axes.sum())
         self.has_reduced_bodies = bool(reduced_bodies(model))
 
     def _find_surface(self) -> None:
@@ -178,10 +178,7 @@ class Readouts:
             with_errors: Whether errors of bodies in the coordinates of a basis are estimated, which
                 takes the time of a step with the spare modes; else they are NaN.
         """
-        states = {
-            name: reduction_state(self.model, name, self.state.positions)
-            for name in self.model.superelements
-        }
+        states = {name: reduction_state(self.model, name, self.state.positions) for name in self.model.superelements}
         if self.has_reduced_bodies:
             errors = self.reduction_errors() if with_errors else None
             states |= reduced_states(self.model, self.state, errors)

@@ -141,9 +141,7 @@ def build_inverse_problem(
     return QPCC(P, g, lower, upper, A, least, most, C, system.gaps, force_max)
 
 
-def with_effort_rows(
-    problem: QPCC, stiffness: np.ndarray, reference: np.ndarray, free: np.ndarray
-) -> QPCC:
+def with_effort_rows(problem: QPCC, stiffness: np.ndarray, reference: np.ndarray, free: np.ndarray) -> QPCC:
     """Bound efforts where the unknowns are λ̂ = λ + ρ (δ_a - δ_ref), by rows in place of bounds.
 
     Args:
@@ -167,9 +165,7 @@ def with_effort_rows(
 
 
 @njit(**KERNEL)
-def tracking_and_energy(
-    motion, W, is_move, effectors, weights, energy_weight, proximal_weight, centre
-):  # fmt: skip
+def tracking_and_energy(motion, W, is_move, effectors, weights, energy_weight, proximal_weight, centre):
     """Hessian and gradient of ½ ‖Q^½ δ_e‖² / s + ½ ε (‖z‖²_W + p ‖z - z̄‖²_W).
 
     The unit of a multiplier is the one that stores one joule, 1/√W_ii [√(N/m)]; the unit of a move
@@ -231,6 +227,10 @@ def tracking_and_energy(
             energy[i, i] = 1.0
     if not s > 0.0:
         s = moves
+    if not s > 0.0:
+        # Targets of contact forces alone.
+        for i in range(actuators, n):
+            s += P[i, i] / own[i] / (n - actuators)
     if not s > 0.0:
         # Nothing to track: the energy alone decides.
         s, energy_weight, proximal_weight = 1.0, 1.0, 0.0

@@ -15,6 +15,7 @@ SCENES = {
     "rubber.py": (0, 0.01), "prefabs.py": (0, 0.01), "rigid_end.py": (0, 0.01), "beam.py": (0, 0.01),
     "centre.py": (0, 0.05), "foreign.py": (3, 0.01), "bar.scn": (0, 0.01), "mapped_grids.py": (3, 0.01), "sparse.scn": (0, 0.01),
     "gid.py": (0, 0.01), "articulated.py": (0, 0.01), "layers.scn": (0, 0.01), "grids.scn": (0, 0.01), "volume.scn": (0, 0.01),
+    "patches.scn": (0, 0.01), "planes.scn": (0, 0.01), "slide.scn": (0, 1.0),
 }  # fmt: skip
 
 
@@ -178,13 +179,67 @@ def test_unequal_factors_of_scale_are_written_into_a_mesh(convert):
     assert convert("bar.scn").scene.deformables[0].mesh.file.name == "bar_bar.msh"
 
 
-def test_a_servo_of_a_hinge_is_a_motor_on_a_stiff_arm(convert):
+def test_a_servo_of_a_hinge_is_a_motor_on_a_stiff_arm(convert, folder):
     scene = convert("articulated.py").scene
     (arm,), (motor,) = scene.beams, scene.hinge_motors
     assert arm.points == ((0.0, 0.0, 0.0), (0.045, 0.0, 0.0))
     assert (arm.joined[0].to, arm.joined[0].by, arm.joined[0].axis) == ("world", "hinge", (0.0, 0.0, 1.0))
     assert (motor.beam, motor.angle, motor.rate) == ("elbow", (-1.0, 1.0), 1.0)
     assert scene.effectors[0].body == "elbow"
+    joint = 'JointConstraint", name="elbow", index=0, maxDisplacement=1.0, minDisplacement=-1.0, maxForce=40, value={}'
+    given = 'JointActuator", name="elbow", index=0, maxAngle=1.0, minAngle=-1.0, maxAngleVariation=0.01'
+    text = (folder / "articulated.py").read_text()
+    for value, column, told in (("0.3", "angle_rad", "0.3"), ('[20.0], valueType="force"', "torque_Nm", "0.002")):
+        motor, = convert("joint.py", text.replace(given, joint.format(value))).scene.hinge_motors
+        assert (motor.angle, motor.torque) == ((-1.0, 1.0), (-np.inf, 0.004))
+        rows = (folder / "joint_commands.csv").read_text().splitlines()
+        assert (rows[0], rows[-1]) == (f"time_s,elbow_motor_{column}", f"0.2,{told}")
+
+
+def test_forces_on_a_surface_act_on_its_points_in_each_sphere(convert):
+    """A point at the centre bears λ, one at a fifth of the radius from the border a fifth; λ is an impulse."""
+    near, far, _ = convert("patches.scn").scene.forces
+    assert near.points == ((0.06, 0.02, 0.02), (0.06, 0.04, 0.02), (0.06, 0.02, 0.04))
+    np.testing.assert_allclose(near.shares, [1.0, 0.2, 0.2])
+    np.testing.assert_allclose(near.force, 1.4 * np.array([-1.0, 0.5]))
+    np.testing.assert_allclose(far.shares, 1.0 - np.sqrt(0.5), rtol=1e-9)
+    assert near.direction[0] > 0.0 > far.direction[0] and near.turns_with_body
+
+
+def test_points_that_slide_are_moved_by_a_force_and_a_frame_by_a_slide(convert, folder):
+    pusher = convert("patches.scn").scene.forces[2]
+    assert (pusher.control, pusher.displacement, pusher.force) == ("displacement", (-0.002, 0.004), (-np.inf, 8.0))
+    assert pusher.rate == 0.05 and pusher.direction == (0.0, 0.0, -3.0)
+    assert (folder / "patches_commands.csv").read_text().splitlines()[::2][:2] == ["time_s,pusher_displacement_m", "0.01,0.001"]
+    scene = convert("slide.scn").scene
+    (rail,), (carriage,) = scene.slides, scene.rigid_bodies
+    assert (rail.body, rail.travel, rail.rate, carriage.motion) == ("carriage", (-0.005, 0.02), 0.003, "guided")
+    assert "rail_length_m" in (folder / "slide_commands.csv").read_text()
+
+
+def test_a_modulus_changes_beside_that_of_other_fields_on_the_cells(convert):
+    scene = convert("patches.scn").scene
+    (jam,), (layer,) = scene.stiffeners, scene.deformables[0].materials
+    assert (jam.region, layer.young_modulus) == (layer.region, 150e3)
+    assert (jam.young_modulus, jam.rate) == ((120e3, 500e3), 500e3)
+
+
+def test_lengths_of_cables_and_volumes_are_sensors_and_those_of_effectors_are_wanted(convert, folder):
+    span, wire, gauge = convert("patches.scn").scene.sensors
+    assert (len(span.string), span.weight, span.pull_point) == (2, 1.0, None)
+    assert (wire.string, wire.weight, wire.pull_point) == (((0.04, 0.04, 0.06),), None, (0.04, 0.04, 0.09))
+    assert gauge.walls and gauge.weight is None
+    assert (folder / "patches_targets.csv").read_text().splitlines()[1] == "0,0.029"
+
+
+def test_a_plane_holds_a_body_and_a_triangle_a_point(convert, run_alone):
+    scene = convert("planes.scn").scene
+    plane = scene.obstacles[0].plane
+    assert (plane.point, plane.normal) == ((0.0, 0.0, -0.0003), (0.0, 0.0, 1.0))
+    (point,) = scene.contact.points
+    assert point.point == (0.06, 0.0, 0.02) and point.against == pytest.approx((0.17 / 3.0, 0.01 / 3.0, 0.01))
+    least = [run_alone(one, 0.01)[0].state.positions[:, 2].min() for one in (scene, scene.changed(contact=None))]
+    assert least[0] > -0.00031 and least[1] < -0.0004
 
 
 def test_a_list_of_moduli_makes_parts_and_springs_hold_at_other_places(convert):
@@ -215,7 +270,7 @@ def test_what_has_no_counterpart_is_listed_by_component_and_line(convert):
                             ("ConstantForceField", 15, "no counterpart"),
                             ("ForcePointActuator", 19, "no direction"),
                             ("IndexValueMapper", 21, "no counterpart"),
-                            ("UnilateralPlaneConstraint", 22, "no counterpart")):
+                            ("UnilateralPlaneConstraint", 22, "not before the plane")):
         assert re.search(rf"{kind} +foreign.py:{line} .*{why}", converted.told)
         assert re.search(rf"# Not converted: {kind}", converted.path.read_text())
     assert not converted.scene.cables and "GridTopology" not in converted.told
@@ -261,6 +316,26 @@ def test_a_file_that_is_no_scene_gives_a_reason_and_exit_code_two(convert, name,
     converted = convert(name, text)
     assert converted.code == 2 and re.search(reason, converted.told)
     assert not converted.path.exists()
+
+
+@pytest.mark.parametrize("scene, field, other, reason", [
+    ("slide.scn", "<StaticSolver/>", "<EulerImplicitSolver/>", "SlidingActuator +.*motion in time"),
+    ("slide.scn", 'direction="2 0 0 0 0 0"', 'direction="0 0 0 0 0 1"', "SlidingActuator +.*turns a frame"),
+    ("slide.scn", 'fixedDirections="0 1 1 1 1 1"', '', "SlidingActuator +.*nothing holds"),
+    ("slide.scn", 'maxPositiveDisp="20"', "", "SlidingActuator +.*both limits of its travel"),
+    ("articulated.py", "maxAngle=1.0, ", "", "JointActuator +.*both limits of its angle"),
+    ("patches.scn", 'youngModulus="50" poissonRatio="0.3"', 'youngModulus="50" poissonRatio="0.4"', "YoungModulusActuator +.*Poisson's"),
+    ("patches.scn", 'minYoung="20"', 'minYoung="60"', "YoungModulusActuator +.*must lie within the limits"),
+    ("patches.scn", 'radii="25 20"', 'radii="25 2"', "ForceSurfaceActuator +.*no point of its surface"),
+    ("patches.scn", "<CableEffector", "<CableEquality", "CableEquality +.*an equality"),
+    ("planes.scn", '<PlaneForceField normal="0 0 2"', '<PlaneForceField bilateral="1"', "PlaneForceField +.*both sides"),
+    ("planes.scn", "60 0 20  50 0 10", "60 0 11  50 0 10", "UnilateralPlaneConstraint +.*corner of its triangle"),
+])  # fmt: skip
+def test_what_an_actuator_or_a_plane_has_not_here_is_refused_by_its_line(convert, folder, scene, field, other, reason):
+    text = (folder / scene).read_text()
+    assert field in text
+    converted = convert(f"refused_{scene}", text.replace(field, other))
+    assert converted.code in (2, 3) and re.search(reason, converted.told), converted.told
 
 
 @pytest.mark.parametrize("field, reason", [

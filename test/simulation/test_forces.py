@@ -95,6 +95,14 @@ def test_a_patch_shares_a_force_by_area(column):
     np.testing.assert_allclose(blocks.sum(axis=0), [1.0, 0.0, 0.0], atol=1e-12)
 
 
+def test_points_bear_their_shares_of_a_force(column):
+    given, repeated = (column(force(points=points, **shares)).model.actuators.terms[0]
+                       for points, shares in ((TOP[:2], {"shares": [1.5, 0.5]}), ([*3 * TOP[:1], TOP[1]], {})))
+    x = column().state.positions
+    for one, other in zip(given.rows_at(x), repeated.rows_at(x), strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-15)
+
+
 def test_a_commanded_displacement_needs_the_force_that_leads_there(column):
     asked = hold(column(), 4e-3)
     other = hold(column(force(control="displacement")), asked.displacements[0])

@@ -145,10 +145,18 @@ ACROSS = {"name": "across", "pull_point": [-0.01, 0.01, 0.02], "points": [[0.0, 
     ({"reduced": {"file": "a.npz"}}, {}, "reduced bodies"),
     ({"attached": [{"to": "plate", "nodes": [1]}]}, {"rigid_bodies": [PLATE]}, "a node is held or attached"),
     ({}, {"cables": [ACROSS]}, "it moves nothing"),
+    ({}, {"forces": [{"name": "press", "points": [[0.01, 0.01, 0.0]], "direction": [0, 0, 1]}]}, "it moves nothing"),
+    ({}, {"sensors": [{"name": "gap", "string": [[0.01, 0.01, 0.0]], "pull_point": [0.01, 0.01, -0.01],
+                       "weight": 1.0}]}, "no target moves it"),
 ])  # fmt: skip
 def test_what_is_not_built_is_refused(box, body, entries, reason):
     with pytest.raises(SceneError, match=reason):
         box([PLANES[0], *PLANES], body=body, **entries)
+
+
+def test_held_axes_are_no_unknowns(box):
+    free, held = (box([*PLANES, *more]) for more in ([], [near(0, SIZE[0])]))
+    assert free.dof_count == 3 * 60 - 15 - 20 - 12 and held.dof_count == free.dof_count - 15
 
 
 def test_a_body_held_along_some_axes_gets_no_basis(box):

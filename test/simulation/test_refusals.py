@@ -60,7 +60,7 @@ REFUSED = {
         ({"body.fixed": LEFT_OUT}, "body.fixed", "not held"),
         ({"body.fixed": [{"box": ALL}]}, "body.fixed", "nothing in the scene can move"),
         # Cables, their pulleys, stretch and friction.
-        ({"cables.0.points": [[0, 0, 0], [0.01, 0.01, 0]]}, "cables[0].points", "moves nothing"),
+        ({"cables.0.points": [[0, 0, 0], [0.01, 0.01, 0]]}, "cables[0]", "moves nothing"),
         *(({f"cables.0.pulley.{key}": value, "cables.0.pulley.radius": radius},
            f"cables[0].pulley{place}", why) for key, value, radius, place, why in (
               ("winds", "positive", 0.0, ".radius", " m"),

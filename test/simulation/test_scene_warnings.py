@@ -72,7 +72,7 @@ def test_duplicate_tetrahedra_do_not_change_the_weight(column):
 @pytest.mark.parametrize("entries, key, words", [
     ({"body": {"fixed": {"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, 1]}}}}, "body.fixed",
      "nothing in the scene can move"),
-    ({"cable": {"points": [[0, 0, 0], [0.01, 0.01, 0]]}}, "cables[0].points", "moves nothing"),
+    ({"cable": {"points": [[0, 0, 0], [0.01, 0.01, 0]]}}, "cables[0]", "moves nothing"),
     ({"body": {"mesh": "none.vtk"}}, "body.mesh.file", "there is no such file"),
     ({"body": {"mesh": "."}}, "body.mesh.file", "is a folder"),
     ({"body": {"visual": "none.stl"}}, "body.visual.file", "there is no such file"),

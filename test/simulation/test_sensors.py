@@ -33,8 +33,7 @@ def bellows(simulate, hollow, /, sensors, kind="cavities", **entries):
     chambers = {kind: [chamber]} if chamber else {}
     springs = [one for one in SPRINGS if one["name"] in {sensor.get("spring") for sensor in sensors}]
     entries = {"springs": springs, **entries} if springs else entries
-    return simulate(body=soft, sensors=sensors, cables=cables, gravity=[0.0, 0.0, 0.0],
-                    **chambers, **entries)  # fmt: skip
+    return simulate(body=soft, sensors=sensors, cables=cables, gravity=[0.0, 0.0, 0.0], **chambers, **entries)
 
 
 def bent(robot):
@@ -49,7 +48,8 @@ def bent(robot):
 
 
 SEALED = {"name": "tank", "pressure": "air"}
-EVERY = [SPINE, {"name": "rope", "cable": "left"}, FLEX, BELLY, {"name": "inside", "walls": True}, SEALED,
+WIRE = {"name": "wire", "string": [[0.01, 0.003, 0.055]], "pull_point": [0.01, 0.043, 0.025]}
+EVERY = [SPINE, WIRE, {"name": "rope", "cable": "left"}, FLEX, BELLY, {"name": "inside", "walls": True}, SEALED,
          {"name": "load", "spring": "coil"}, {"name": "both", "spring": "brace"}]
 SPRINGS = [{"name": name, "stiffness": 200.0, "rest_length": 0.02, "damping": damping, "ends": [
     {"on": "hollow", "point": [0.01, 0.003, 0.04]}, {"on": on, "point": [0.01, 0.003, 0.055]}]}
@@ -77,9 +77,9 @@ def test_rows_are_finite_differences_of_what_is_shown(bellows, sensor):
 
 
 def test_they_show_what_geometry_says(bellows):
-    robot = bellows([SPINE, FLEX, BELLY, {"name": "inside", "walls": True}, {"name": "rope", "cable": "left"}])
+    robot = bellows([SPINE, WIRE, FLEX, BELLY, {"name": "inside", "walls": True}, {"name": "rope", "cable": "left"}])
     memory = robot.state.memory
-    assert memory["sensors.length"].ravel() == pytest.approx([0.05, 0.065], abs=1e-12)
+    assert memory["sensors.length"].ravel() == pytest.approx([0.05, 0.05, 0.065], abs=1e-12)
     assert memory["sensors.angle"] == pytest.approx(0.0, abs=1e-12)
     assert memory["sensors.volume"].ravel() == pytest.approx(2 * [0.01 * 0.01 * 0.04], rel=1e-9)
     wound = robot.rest_setpoints - [0.006, 0.0, 0.0]
@@ -194,7 +194,8 @@ def test_sensors_without_a_weight_add_no_rows_and_take_no_targets(bellows, tmp_p
 
 
 @pytest.mark.parametrize("sensor, words", [
-    ({"name": "s", "string": [[0, 0, 0.01]]}, "string"),
+    ({"name": "s", "string": [[0, 0, 0.01]]}, "needs two places"),
+    ({"name": "s", "cable": "left", "pull_point": [0, 0, 0]}, "is where a string begins"),
     ({"name": "s", "bend": LINE}, "axis.*goes with bend"),
     ({"name": "s", "bend": LINE, "axis": [0, 0, 1]}, "is along an end of the line"),
     ({"name": "s", "volume": "aia"}, "is air meant"),

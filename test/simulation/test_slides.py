@@ -7,16 +7,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from softrobot_twin.errors import SceneError
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Status
 from softrobot_twin.simulation.step.time_budget import StageClock
 from test.builder import builder
 from test.scene_changes import LEFT_OUT, change_scene, changed, repeat_step, solved
 
 AXIS = np.array([0.6, 0.0, 0.8])
-SLIDE = {"name": "lift", "body": "cart", "axis": AXIS.tolist(), "travel": [-0.01, 0.03],
-         "rate": 0.05}  # fmt: skip
-CART = {"name": "cart", "motion": "guided", "box": {"size": [0.04, 0.04, 0.01]},
-        "position": [0.01, 0.01, -0.005]}  # fmt: skip
+SLIDE = {"name": "lift", "body": "cart", "axis": AXIS.tolist(), "travel": [-0.01, 0.03], "rate": 0.05}
+CART = {"name": "cart", "motion": "guided", "box": {"size": [0.04, 0.04, 0.01]}, "position": [0.01, 0.01, -0.005]}
 FOOT = {"minimum": [-1, -1, -1e-6], "maximum": [1, 1, 1e-6]}
 FAR = np.array([[0.3, 0.01, 0.5]])
 
@@ -45,6 +44,11 @@ def slid_to(simulation, position, steps=20, time_step=1.0):
 
 def in_way(mapping, rod):
     rod(mapping, x=0.03, z=0.08)
+
+
+def test_two_slides_of_one_body_are_refused(sliding):
+    with pytest.raises(SceneError, match="moves cart, which another slide moves"):
+        sliding(lambda mapping: mapping["slides"].append({**SLIDE, "name": "other", "axis": [0, 1, 0]}))
 
 
 def test_a_slide_moves_all_attached_bodies_by_the_same_displacement(sliding):
@@ -192,9 +196,7 @@ def curled(simulation, radius):
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_seen_from_the_base_no_step_raises_the_energy_however_the_slide_moves(
-    sliding, energies, seed
-):
+def test_seen_from_the_base_no_step_raises_the_energy_however_the_slide_moves(sliding, energies, seed):
     print(f"seed {seed}")
     random, simulation = np.random.default_rng(seed), sliding(without_cables)
     slides, merit = simulation.model.slides, simulation.newton.merit
@@ -227,9 +229,7 @@ def test_a_jump_of_the_slide_changes_nothing_seen_from_it(sliding, jump):
     for _ in range(30):
         there = standing.step(CommandSetpoints(wound, 1.0))
         here = moved.step(CommandSetpoints(wound + [0.0, 0.0, 0.0, 0.0, jump], 1.0))
-        np.testing.assert_allclose(
-            here.state.positions, there.state.positions + jump * AXIS, atol=1e-8
-        )
+        np.testing.assert_allclose(here.state.positions, there.state.positions + jump * AXIS, atol=1e-8)
     assert here.status is there.status and here.report.residual < 1e-9
 
 
@@ -244,9 +244,7 @@ def test_a_jump_of_the_slide_against_a_rod_settles_where_small_steps_lead(slidin
     np.testing.assert_allclose(result.state.positions, end.state.positions, atol=1e-6)
 
 
-def test_the_change_of_its_merit_is_that_of_the_energy_by_finite_differences(
-    sliding, rod, energies
-):
+def test_the_change_of_its_merit_is_that_of_the_energy_by_finite_differences(sliding, rod, energies):
     simulation = sliding(changed(lambda m: in_way(m, rod), {"solver.newton_iterations": 1}))
     for position in np.linspace(0.0, 0.02, 21):
         result = slid_to(simulation, position, 1)

@@ -117,7 +117,8 @@ class ActuatorKind(Protocol):
     cable at its greatest tension slips.
 
     A kind that is effort-driven has one more: `extent`, the quantity that the displacement changes,
-    such as a volume. Of other kinds it is the setpoint.
+    such as a volume. Of other kinds it is the setpoint. One whose effort moves nothing at rest, such as
+    a modulus, has `acts_at_rest`, False.
     """
 
     section: str
@@ -209,7 +210,7 @@ def group_of(
         "names": tuple(entry.name for entry in owners), "moves": None, "rest_setpoints": np.zeros(count),
         "displacement_bounds": np.tile([-np.inf, np.inf], (count, 1)), "rates": numbers_of(owners, "rate"),
         "kinds": (kind,) * count, "limit_names": ((f"{word}_min", f"{word}_max"),) * count,
-        "flows": np.full(count, np.inf), "effort_zeros": np.zeros(count), "effort_gains": np.ones(count),
+        "entries": tuple(owners), "flows": np.full(count, np.inf), "effort_zeros": np.zeros(count), "effort_gains": np.ones(count),
     }  # fmt: skip
     fields = {"rest_extents": others.get("rest_setpoints", np.zeros(count))} | usual | others
     return ActuatorGroup(

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from softrobot_twin.constraints.constraint_term import rows_that_move_nothing
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.building.actuator_kinds import (
     ActuatorGroup,
@@ -317,20 +318,23 @@ def build_actuators(layout: Layout, notes: list[str]) -> Actuators:
 def build_groups(layout: Layout, notes: list[str]) -> list[ActuatorGroup]:
     """The actuators of each kind that a scene names; see `build_actuators`."""
     entries = layout.scene.actuator_entries
-    return [
-        kind.build(layout, entries[kind.section], notes)
-        for kind in actuator_kinds()
-        if entries[kind.section]
-    ]
+    kinds = [kind for kind in actuator_kinds() if entries[kind.section]]
+    groups = [kind.build(layout, entries[kind.section], notes) for kind in kinds]
+    for kind, group in zip(kinds, groups, strict=True):
+        if getattr(kind, "acts_at_rest", True) and group.term is not None:
+            for index in rows_that_move_nothing(group.term, layout.nodes):
+                owner = (group.entries or entries[kind.section])[index]
+                key = next(key for key, entry in layout.scene.keyed(kind.section) if entry is owner)
+                raise layout.scene.error(key, group.names[index], "lies wholly in what is fixed: it moves nothing")
+    return groups
+
 
 
 def _straining_work(layout: Layout) -> float:
     """Work that strains all bodies and springs by one, and lifts them by their size [J]."""
     scene, size = layout.scene, layout.nodes.size
     size = size if np.isfinite(size) else 0.0
-    work = sum(
-        part.young_modulus * part.volume for body in layout.bodies for part in body.materials
-    )
+    work = sum(part.young_modulus * part.volume for body in layout.bodies for part in body.materials)
     work += sum(spring.stiffness for spring in (*scene.springs, *scene.mass_springs)) * size**2
     work += sum(tube.axial_stiffness for tube in scene.tubes) * size
     work += sum(fibre.stiffness for fibre in scene.fibres) * size

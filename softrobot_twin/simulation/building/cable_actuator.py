@@ -66,7 +66,6 @@ class CableActuator(ActuatorKind):
         rest = layout.nodes.rest_positions
         paths = [_path(layout, *keyed, notes) for keyed in layout.scene.keyed("cables")]
         cables = _term(layout, tuple(paths), entries)
-        _check_cables_move(cables, layout)
         ranges, rates = numbers_of(entries, "shortening"), numbers_of(entries, "rate")
         names = _limit_by_pulleys(entries, pulley_of_cable(layout.scene), ranges, rates)
         ranges[:, 1] = np.where(np.isinf(ranges[:, 1]), cables.rest_lengths, ranges[:, 1])
@@ -144,9 +143,7 @@ def cables_along(paths: tuple[CablePath, ...], *places) -> Cables:
     return (WrappedCables if any(path.wraps for path in paths) else Cables)(paths, *places)
 
 
-def _friction_term(
-    layout: Layout, paths: tuple[CablePath, ...], entries: tuple[Cable, ...]
-) -> FrictionCables:
+def _friction_term(layout: Layout, paths: tuple[CablePath, ...], entries: tuple[Cable, ...]) -> FrictionCables:
     """The term of cables of which some have friction along their paths.
 
     Raises:
@@ -203,10 +200,7 @@ def _path(layout: Layout, key: str, cable: Cable, notes: list[str]) -> CablePath
     path = cable_path(layout, key, cable, notes)
     for fold in folds(path.positions(layout.nodes.rest_positions)):
         where = "pull_point" if fold == 0 else f"points[{fold - 1}]"
-        notes.append(
-            f"{key} ({cable.name}) folds back on itself at {where}: "
-            "are its points in the right order?"
-        )
+        notes.append(f"{key} ({cable.name}) folds back on itself at {where}: are its points in the right order?")
     return path
 
 
@@ -278,8 +272,7 @@ def _crossings(model, group: ActuatorGroup) -> Iterator[str]:
 
 def _straight_path(layout: Layout, key: str, cable: Cable, notes: list[str]) -> CablePath:
     """A cable's path between its points."""
-    places, pull_point = (layout.in_world(cable.body, cable.frame, one)
-                          for one in (cable.points, [cable.pull_point]))  # fmt: skip
+    places, pull_point = (layout.in_world(cable.body, cable.frame, one) for one in (cable.points, [cable.pull_point]))
     points = layout.carried_along(cable, places, f"{key}.points", notes, cable.hold_radius)
     if cable.pull_point_on == "world":
         return CablePath(cable.name, points, pull_point[0])
@@ -288,25 +281,3 @@ def _straight_path(layout: Layout, key: str, cable: Cable, notes: list[str]) -> 
     else:
         start = layout.carried(cable.pull_point_on, pull_point, f"{key}.pull_point", notes)
     return CablePath(cable.name, start.followed_by(points), None)
-
-
-def _check_cables_move(cables: Cables, layout: Layout) -> None:
-    """Refuse cables that cannot move anything.
-
-    Args:
-        cables: The cable term.
-        layout: The bodies.
-
-    Raises:
-        SceneError: All points of a cable are in the fixed part of its body, or held along the cable.
-    """
-    scene, nodes = layout.scene, layout.nodes
-    row_sizes = np.zeros(len(scene.cables))
-    blocks, _ = cables.rows_at(nodes.rest_positions)
-    if nodes.free_axes is not None:
-        own = np.flatnonzero(cables.entry_nodes < nodes.free_node_count)
-        blocks[own] *= nodes.free_axes[cables.entry_nodes[own]]
-    np.add.at(row_sizes, cables.entry_rows, np.abs(blocks).sum(axis=1))
-    for index in np.flatnonzero(row_sizes == 0.0):
-        raise scene.error(f"cables[{index}].points", scene.cables[index].name,
-                          "lies wholly in what is fixed: it moves nothing")

@@ -99,12 +99,9 @@ def _word(entry: Force) -> str:
 
 def _forces(layout: Layout, key: str, entry: Force, notes: list[str]) -> list[PointForce]:
     """The force of an entry, or the three along the axes."""
-    nodes = layout.nodes
     points, shares = _surface(layout, key, entry) if entry.points is None else (
-        layout.carried(entry.body, entry.points, f"{key}.points", notes), None)  # fmt: skip
-    moving = nodes.free_index[points.nodes[points.barycentric_weights != 0.0]] >= 0
-    if not moving.any():
-        raise layout.scene.error(key, entry.name, "lies wholly in what is fixed: it moves nothing")
+        layout.carried(entry.body, entry.points, f"{key}.points", notes),
+        None if entry.shares is None else np.array(entry.shares))  # fmt: skip
     patch = _patch(layout, key, points) if entry.turns_with_body else None
     directions = np.eye(3)
     if entry.direction is not None:

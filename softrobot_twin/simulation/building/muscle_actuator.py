@@ -43,9 +43,6 @@ class MuscleActuator(ActuatorKind):
             for key, entry in layout.scene.keyed(self.section)
         )
         term = Muscles(fibres, layout.nodes.free_index, layout.nodes.carried)
-        for index in np.setdiff1d(np.arange(len(entries)), term.entry_rows):
-            raise layout.scene.error(f"muscles[{index}]", entries[index].name,
-                                     "lies wholly in what is fixed: it moves nothing")
         size = layout.nodes.size
         forces = [entry.force or scale / size for entry, scale in zip(entries, term.scales, strict=True)]
         return group_of(self, entries, term, term.scales, numbers_of(entries, "activation"), np.array(forces))

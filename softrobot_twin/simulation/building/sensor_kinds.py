@@ -13,9 +13,10 @@ import numpy as np
 
 from softrobot_twin.constraints.cable import CablePath
 from softrobot_twin.constraints.cavity import Cavities
-from softrobot_twin.constraints.constraint_term import ConstraintTerm
+from softrobot_twin.constraints.constraint_term import ConstraintTerm, rows_that_move_nothing
+from softrobot_twin.constraints.contact import Contacts
 from softrobot_twin.constraints.hinge_angle import HingeAngles
-from softrobot_twin.constraints.sensors import Bends, GasPressures, SensedTerm, Sensors
+from softrobot_twin.constraints.sensors import Bends, GasPressures, PressingForces, SensedTerm, Sensors
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.sensor_entries import Sensor
@@ -39,10 +40,12 @@ class SensorKind(NamedTuple):
     Attributes:
         quantity: What it measures.
         build: Makes the rows of its entries, given with their keys.
+        of_contacts: Whether it shows contact forces, and is given the contacts too.
     """
 
     quantity: Quantity
-    build: Callable[[Layout, Keyed, list[str]], SensedTerm]
+    build: Callable[..., SensedTerm]
+    of_contacts: bool = False
 
 
 def _of_paths(layout: Layout, paths: list[CablePath]) -> SensedTerm:
@@ -55,7 +58,8 @@ def _of_paths(layout: Layout, paths: list[CablePath]) -> SensedTerm:
 def _strings(layout: Layout, entries: Keyed, notes: list[str]) -> SensedTerm:
     """Lengths of strings through bodies."""
     return _of_paths(layout, [
-        CablePath(one.name, layout.carried(one.on, one.string, f"{key}.string", notes), None)
+        CablePath(one.name, layout.carried(one.on, one.string, f"{key}.string", notes),
+                  None if one.pull_point is None else np.array(one.pull_point))
         for key, one in entries])  # fmt: skip
 
 
@@ -156,11 +160,25 @@ def _forces(layout: Layout, entries: Keyed, notes: list[str]) -> SensedTerm:
                       stiffness * sensed.spans)  # fmt: skip
 
 
+def _contacts(layout: Layout, entries: Keyed, notes: list[str], contacts: Contacts | None) -> SensedTerm:
+    """Sums of normal forces of pairs."""
+    known = () if contacts is None else contacts.pair_names
+    pairs = [next((pair for pair in known if set(pair) == set(one.contact)), None) for _, one in entries]
+    for (key, one), pair in zip(entries, pairs, strict=True):
+        if contacts is None or pair is None:
+            raise layout.scene.error(f"{key}.contact", list(one.contact), "is no pair of contact.between, which has "
+                                     f"{', '.join(map(' with '.join, known)) or 'none'}")  # fmt: skip
+    spans = np.array([one.full_scale for _, one in entries])
+    return SensedTerm(PressingForces(contacts, pairs), np.zeros(len(entries)), 1.0,
+                      layout.nodes.finite_size / spans, spans)  # fmt: skip
+
+
 SENSOR_KINDS: dict[str, SensorKind] = {
     "string": SensorKind(LENGTH, _strings), "cable": SensorKind(LENGTH, _cables),
     "bend": SensorKind(ANGLE, _bends), "hinge": SensorKind(ANGLE, _hinges),
     "volume": SensorKind(VOLUME, _volumes), "walls": SensorKind(VOLUME, _chambers),
     "pressure": SensorKind(PRESSURE, _pressures), "spring": SensorKind(FORCE, _forces),
+    "contact": SensorKind(FORCE, _contacts, True),
 }  # fmt: skip
 """The kinds, by the key of an entry that has them."""
 
@@ -184,12 +202,13 @@ def in_order(scene: Scene) -> list[tuple[str, Sensor]]:
     return sorted(scene.keyed("sensors"), key=lambda keyed: order.index(kind_of(keyed[1])))
 
 
-def sensor_term(layout: Layout, notes: list[str], wanted: bool = False) -> Sensors | None:
+def sensor_term(layout: Layout, notes: list[str], contacts: Contacts | None, wanted: bool = False) -> Sensors | None:
     """The rows of the sensors of a scene, or of those that may have targets.
 
     Args:
         layout: The bodies.
         notes: List to which warnings are appended.
+        contacts: The contacts; None without any.
         wanted: Whether only sensors with a weight count.
 
     Returns:
@@ -202,13 +221,19 @@ def sensor_term(layout: Layout, notes: list[str], wanted: bool = False) -> Senso
     chosen = [keyed for keyed in in_order(scene) if not wanted or keyed[1].weight is not None]
     if wanted and chosen:
         reason = "slides" if scene.slides else "control" if scene.control is not None else ""
+        key, entry = next((one for one in chosen if one[1].contact is not None), chosen[0])
+        if entry.contact is not None and contacts is not None and contacts.rubs:
+            reason = "friction of contacts, which decides with the force"
         if reason:
-            key, entry = chosen[0]
             raise scene.error(f"{key}.weight", entry.weight, f"is not built beside {reason}")
     parts = []
     for key, kind in SENSOR_KINDS.items():
         own = [keyed for keyed in chosen if kind_of(keyed[1]) == key]
         if own:
-            parts.append(kind.build(layout, own, notes))
+            parts.append(kind.build(layout, own, notes, *([contacts] if kind.of_contacts else ())))
     weights = [one.weight if one.weight is not None else 1.0 for _, one in chosen]
-    return Sensors(parts, np.array(weights)) if parts else None
+    term = Sensors(parts, np.array(weights)) if parts else None
+    for index in rows_that_move_nothing(term, layout.nodes) if term is not None and wanted else ():
+        key, entry = chosen[index]
+        raise scene.error(f"{key}.weight", entry.weight, "lies wholly in what is fixed: no target moves it")
+    return term

@@ -103,13 +103,16 @@ class Slides:
             layout: The bodies.
 
         Raises:
-            SceneError: A body on a slide is also held elsewhere, or the scene is dynamic.
+            SceneError: A body on a slide is also held elsewhere or on another slide, or the scene is dynamic.
         """
         scene = layout.scene
         if scene.integration != "quasi_static":
             raise scene.error("slides", scene.slides[0].name,
                               "slides are built for quasi_static scenes only; in others guide the "
                               "body by poses")
+        moved = [slide.body for slide in scene.slides]
+        for place in (place for place, name in enumerate(moved) if name in moved[:place]):
+            raise scene.error("slides", scene.slides[place].name, f"moves {moved[place]}, which another slide moves")
         self.count = len(scene.slides)
         axes = np.array([slide.axis for slide in scene.slides], float)
         self.axes = axes / np.linalg.norm(axes, axis=1, keepdims=True)
@@ -150,9 +153,7 @@ class Slides:
             effectors: The term of the effectors.
         """
         columns = np.zeros((effectors.row_count, self.count))
-        for row, (index, axis) in enumerate(
-            zip(effectors.row_effector, effectors.row_axis, strict=True)
-        ):
+        for row, (index, axis) in enumerate(zip(effectors.row_effector, effectors.row_axis, strict=True)):
             slide = self._slide_of_node[effectors.effectors[index].points.nodes[0, 0]]
             # A slide turns nothing.
             if slide != NOWHERE and axis < 3:
@@ -237,8 +238,7 @@ def _check_rides_whole(layout: Layout, body, slide) -> None:
     held_elsewhere = len(body.entry.fixed) or set(body.riding) != {slide.body}
     own = [cable for cable in scene.cables if body in layout.bodies_of(cable)]
     pulled = [c.name for c in own if c.pull_point_on not in ("body", slide.body) or c.also_on]
-    sprung = [spring.name for spring in scene.springs
-              if body.name in {end.on for end in spring.ends}]  # fmt: skip
+    sprung = [spring.name for spring in scene.springs if body.name in {end.on for end in spring.ends}]
     if held_elsewhere or pulled or sprung:
         by = "fixed nodes" if held_elsewhere else ", ".join(pulled or sprung)
         raise scene.error("slides", slide.name,

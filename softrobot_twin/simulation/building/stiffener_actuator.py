@@ -33,6 +33,7 @@ class StiffenerActuator(ActuatorKind):
     setpoint = effort = Quantity("young_modulus", "Pa")
     displacement = extent = Quantity("strained_volume", "m3")
     is_effort_driven = True
+    acts_at_rest = False
 
     def build(self, layout: Layout, entries: tuple[Stiffener, ...], notes: list[str]) -> ActuatorGroup:
         """See `ActuatorKind.build`."""

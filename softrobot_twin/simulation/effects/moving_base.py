@@ -56,13 +56,14 @@ class BaseTrack:
         motion: What the last poses tell.
     """
 
-    def __init__(self, most: float):
+    def __init__(self, most: float, size: float = np.inf):
         """Know no pose.
 
         Args:
             most: Greatest acceleration that counts [m/s²]; what is more is shortened to it.
+            size: Size of the robot, at whose end a turn accelerates by no more either [m].
         """
-        self._most = most
+        self._most, self._most_spin = most, most / size if np.isfinite(size) else np.inf
         self.forget()
 
     def forget(self) -> None:
@@ -80,7 +81,7 @@ class BaseTrack:
             time: When it was there [s]; an earlier one than the last begins anew.
 
         Raises:
-            CommandError: The quaternion is no rotation.
+            CommandError: The quaternion is no rotation, or the position not finite.
         """
         R = np.eye(3)
         if quaternion is not None:
@@ -89,6 +90,8 @@ class BaseTrack:
             except ValueError as error:
                 raise CommandError("base", str(error)) from None
         place, last = np.asarray(position, float), self._last
+        if not np.isfinite(place).all():
+            raise CommandError("base", f"its position {place.tolist()} is not finite")
         if last is None or time <= last[0]:
             self._last, self.motion = (time, place, R, None, None), BaseMotion.still(R)
             return
@@ -98,10 +101,16 @@ class BaseTrack:
         acceleration, spin = np.zeros((2, 3))
         if last[3] is not None:
             acceleration, spin = (velocity - last[3]) / h, (turning - last[4]) / h
-        size = float(np.linalg.norm(acceleration))
-        acceleration *= min(1.0, self._most / max(size, self._most))
         self._last = time, place, R, velocity, turning
-        self.motion = BaseMotion(R, R.T @ acceleration, R.T @ turning, R.T @ spin)
+        limits = self._most, np.sqrt(self._most_spin), self._most_spin
+        felt = map(_shortened, (acceleration, turning, spin), limits)
+        self.motion = BaseMotion(R, *(R.T @ one for one in felt))
+
+
+def _shortened(vector: np.ndarray, most: float) -> np.ndarray:
+    """A vector, no longer than may be."""
+    size = float(np.linalg.norm(vector))
+    return vector if size <= most else vector * (most / size)
 
 
 class MovingBase(StepPart):
@@ -123,7 +132,7 @@ class MovingBase(StepPart):
         self._model, self._weight = model, model.force_term(Gravity)
         self._gravity, self._masses = np.array(model.scene.gravity), self._weight.masses
         self.entry = "moving_base.most_acceleration", str(model.scene.moving_base.most_acceleration)
-        self.track = BaseTrack(model.scene.moving_base.most_acceleration)
+        self.track = BaseTrack(model.scene.moving_base.most_acceleration, model.nodes.size)
         self.reset()
 
     @property

@@ -179,7 +179,7 @@ class AugmentedTangent:
         """Take it, and the greatest ρ of each actuator row."""
         self._own, self._greatest = own, None
         if own is not None:
-            self._greatest = np.where(self._may_be_held, AUGMENTATION * own, 0.0)
+            self._greatest = AUGMENTATION * np.where(self._may_be_held, own, 0.0)
 
     def choose(self, efforts: np.ndarray, held: HeldActuators) -> bool:
         """Augment what holds its displacement by an effort within bounds: a taut cable that does

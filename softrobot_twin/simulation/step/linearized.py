@@ -6,7 +6,8 @@ over named groups of rows: actuators, effectors, contacts. A group that a scene 
 rows; so a scene without contact is the same condensed system with an empty group.
 
 Rows that yield to their efforts by themselves add their own compliance
-C to W; where their values are those at the told efforts λ₀, -C λ₀ to δ_free.
+C to W; where their values are those at the told efforts λ₀, -C λ₀ to δ_free. So do rows of the
+effectors that show contact forces.
 
 The time of condensing grows with the square of the rows. Of many contacts within the alarm
 distance, some stay open: they have no force, and only their gaps must stay positive. So the rows
@@ -162,7 +163,7 @@ class Linearized:
         self._H = NodeRows(stack.row_index, stack.node_index, stack.blocks, stack.row_count)
         self._values, self._all, self._moves = stack.values.copy(), stack.groups, moves
         self.move_count = 0 if moves is None else len(moves.displacements)
-        self._own, self._told = stack.own_compliance(), stack.told
+        self._own, self._told, self._shown = stack.own_compliance(), stack.told, stack.by_contacts()
         self._row_starts = row_starts
         self._has_contacts = stack.groups.contacts.stop > stack.groups.contacts.start
         self._paths, self._present = stack.displacement_rows(), multipliers
@@ -177,7 +178,7 @@ class Linearized:
 
     def _condense_low_rank(self) -> bool:
         """Store the factor of W, if few unknowns carry all rows of contacts."""
-        if not self.contact_row_count or self._own is not None:
+        if not self.contact_row_count or self._own is not None or self._shown is not None:
             return False
         condensed = self._factorization.condense_low_rank(self._H, self._forces)
         if condensed is None:
@@ -191,6 +192,10 @@ class Linearized:
         else:
             condensed = self._condense_with_friction()
         free = self._add_own(condensed.W, condensed.free)
+        if self._shown is not None:
+            rows, columns = self._shown
+            free[rows] -= self._values[rows]
+            condensed.W[rows, self._all.contacts] += columns
         self._take_in(Compliance(condensed.W), free)
 
     def _add_moves(self) -> None:
@@ -342,15 +347,11 @@ class Linearized:
         """
         return self._displacements(self.groups.actuators, efforts, contact)
 
-    def _displacements(
-        self, rows: slice, efforts: np.ndarray, contact: np.ndarray
-    ) -> np.ndarray:
+    def _displacements(self, rows: slice, efforts: np.ndarray, contact: np.ndarray) -> np.ndarray:
         """δ of some condensed rows under multipliers; see `actuator_displacements`."""
         a = self.groups.actuators
         if not self._has_contacts:
-            return row_motion(
-                self.compliance.W, rows.start, rows.stop, efforts[a], self.violation
-            )
+            return row_motion(self.compliance.W, rows.start, rows.stop, efforts[a], self.violation)
         multipliers = np.zeros(len(self.violation))
         multipliers[a] = efforts[a]
         multipliers[self.groups.contacts] = contact[self.contact_rows]

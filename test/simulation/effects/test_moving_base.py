@@ -62,8 +62,7 @@ def test_a_spinning_base_throws_outwards_as_its_masses_say(carried):
     masses, x = body.node_masses(), before[: body.mesh.node_count]
     moving = ~body.fixed
     outwards = (masses[:, None] * spin**2 * x * [1.0, 1.0, 0.0])[moving].sum(axis=0)
-    np.testing.assert_allclose(result.state.memory["reactions.wrenches"][0, :3], -outwards, rtol=1e-6,
-                               atol=1e-9)  # fmt: skip
+    np.testing.assert_allclose(result.state.memory["reactions.wrenches"][0, :3], -outwards, rtol=1e-6, atol=1e-9)
 
 
 def test_in_motion_it_is_a_body_on_a_guided_platform_seen_from_there(carried, simulate, body_of, block):
@@ -97,6 +96,18 @@ def test_accelerations_follow_from_poses_and_noise_is_limited():
     assert np.linalg.norm(track.motion.acceleration) == pytest.approx(50.0)
     track.see(np.zeros(3), None, 0.0)
     assert not track.motion.acceleration.any()
+
+
+def test_a_turn_from_one_pose_to_the_next_accelerates_the_robot_no_more_than_a_shift(carried):
+    robot, h, turned = carried(), 0.01, quaternion_from_rotation(rotation_from_vector(np.array([0.0, 0.0, 3.0])))
+    size, most = robot.model.nodes.size, robot.scene.moving_base.most_acceleration
+    for count, pose in enumerate((UPRIGHT, UPRIGHT, turned)):
+        robot.move_base(np.zeros(3), pose, h * count)
+    told = robot.step(Hold(h)).state.memory
+    assert size * np.linalg.norm(told["base.angular_acceleration"]) == pytest.approx(most)
+    assert size * np.linalg.norm(told["base.angular_velocity"]) ** 2 == pytest.approx(most)
+    with pytest.raises(CommandError, match="not finite"):
+        robot.move_base(np.array([np.nan, 0.0, 0.0]), UPRIGHT, 1.0)
 
 
 def test_a_saved_state_goes_on_under_the_same_load(carried):

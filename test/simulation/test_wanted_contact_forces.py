@@ -1,0 +1,90 @@
+"""Sums of normal forces as sensors: what they show, how commands change them, and targets for them."""
+
+import numpy as np
+import pytest
+
+from softrobot_twin.errors import SceneError
+from softrobot_twin.simulation import CommandSetpoints, FollowTargets
+from softrobot_twin.simulation.runs.input_tables import read_targets
+from softrobot_twin.study.offline_run import columns_of, run
+from test.builder import builder
+from test.scene_changes import built, repeat_step
+
+TOUCH = {"name": "touch", "contact": ["wall", "finger"], "full_scale": 1.0, "weight": 1.0}
+BENT = np.array([0.004, 0.001])
+
+
+@builder
+def finger(sensor=TOUCH, effector=(), contact=()):
+    """Makes a slim finger with two cables before a wall 3 mm away."""
+    cables = [{"name": name, "pull_point": [x, 0.005, -0.01], "points": [[x, 0.005, 0.02], [x, 0.005, 0.055]],
+               "shortening": [0.0, 0.02]} for name, x in (("near", 0.009), ("far", 0.001))]  # fmt: skip
+    return built({
+        "name": "finger", "gravity": [0.0, 0.0, 0.0], "cables": cables, "sensors": [dict(sensor)],
+        "body": {"name": "finger", "mesh": {"box": {"size": [0.01, 0.01, 0.06], "cells": [2, 2, 10]}},
+                 "material": {"young_modulus": 3e5, "poisson_ratio": 0.3, "density": 1000.0}, "element": "smoothed",
+                 "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, 1e-6]}}]},
+        "obstacles": [{"name": "wall", "plane": {"point": [0.013, 0.0, 0.0], "normal": [-1.0, 0.0, 0.0]}}],
+        "contact": {"between": [{"pair": ["finger", "wall"]}], "alarm_distance": 0.01, **dict(contact)},
+        "effectors": [{"name": "tip", "points": [[0.005, 0.005, 0.06]], "directions": ["x"], **dict(effector)}],
+        "solver": {"newton_iterations": 20},
+    })  # fmt: skip
+
+
+def bend(robot, shortening=BENT, steps=10):
+    result = repeat_step(robot, CommandSetpoints(robot.rest_setpoints - shortening, 1.0), steps)
+    return result, robot.state.memory["sensors.force"][0, 0]
+
+
+def follow(robot, force, x=np.nan, steps=8):
+    target = FollowTargets(np.array([[x, np.nan, np.nan]]), 1.0, sensors=np.array([force]))
+    return repeat_step(robot, target, steps).status.value, robot.state.memory["sensors.force"][0, 0]
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.5])
+def test_the_force_of_a_pair_is_shown_with_friction_and_without(finger, friction):
+    result, force = bend(finger({**TOUCH, "weight": None}, contact={"friction": friction}))
+    normal = abs(result.contacts.of_pairs().resultants[0, 0])
+    assert force == pytest.approx(normal, rel=1e-6) and force > 0.05
+
+
+def test_what_a_linearization_says_of_the_force_is_its_slope(finger):
+    robot = finger()
+    bend(robot)
+    linear, (a, e, c) = robot.newton.tangent.linear, robot.newton.tangent.linear.groups
+    pressing = c.start + np.flatnonzero(robot.model.contacts.memory.forces[:, 0] > 0.0)
+    unknowns = np.concatenate([np.arange(a.stop), pressing])
+    change = np.linalg.lstsq(linear.W[np.ix_(unknowns, unknowns)], np.eye(len(unknowns))[:, : a.stop], rcond=1e-12)[0]
+    found = linear.W[e.stop - 1, unknowns] @ change / robot.model.wanted_sensors.lengths
+    ends = [[bend(robot, BENT + step * way)[1] for step in (1e-6, -1e-6)] for way in np.eye(2)]
+    np.testing.assert_allclose(found, -np.diff(ends, axis=1)[:, 0] / 2e-6, rtol=1e-5)
+
+
+def test_a_wanted_force_is_reached_and_changed_while_bodies_touch_and_named_in_files(finger, tmp_path):
+    robot, path = finger(), tmp_path / "targets.csv"
+    bend(robot)
+    for force in (0.05, 0.2):
+        assert follow(robot, force, steps=4) == ("ok", pytest.approx(force, abs=1e-5))
+    path.write_text("time_s,touch_force_N\n0,0.1\n5,0.1\n")
+    table = read_targets(path, robot)
+    columns = columns_of(robot, table)
+    told = dict(zip(columns.names, columns.cells(list(run(robot, table, 0, columns))[-1]), strict=True))
+    assert (told["touch_force_N"], told["touch_target_force_N"]) == (pytest.approx(0.1, abs=1e-5), 0.1)
+
+
+def test_a_place_leads_to_the_touch_and_a_force_of_more_weight_decides_there(finger):
+    robot = finger(effector={"weight": 0.01})
+    for force in (0.05, 0.2):
+        assert follow(robot, force, x=0.0085) == ("unreachable", pytest.approx(force, abs=2e-4))
+    # Apart, no command changes the force.
+    assert follow(finger(), 0.1)[1] == 0.0
+
+
+@pytest.mark.parametrize("sensor, contact, words", [
+    ({**TOUCH, "contact": ["finger", "wal"]}, {}, "no pair of contact.between, which has finger with wall"),
+    ({**TOUCH, "full_scale": None}, {}, "full_scale.*goes with contact"),
+    (TOUCH, {"friction": 0.5}, "not built beside friction of contacts"),
+])  # fmt: skip
+def test_what_does_not_fit_is_refused(finger, sensor, contact, words):
+    with pytest.raises(SceneError, match=words):
+        finger(sensor, contact=contact)
