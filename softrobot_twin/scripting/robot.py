@@ -732,9 +732,8 @@ class Robot:
             return self._collected(columns, rows)
         _refuse("targets, of which each row is a step,", rate=rate)
         table = read_targets(source, self.simulation)
-        for note in (*table.notes, unlikely_warning(self.simulation, commands_of(table))):
-            if note:
-                warnings.warn(note, SceneWarning, stacklevel=4)
+        if unlikely := unlikely_warning(self.simulation, commands_of(table)):
+            warnings.warn(unlikely, SceneWarning, stacklevel=4)
         columns = columns_of(self.simulation, table)
         return self._collected(columns, run_targets(self.simulation, table, 0, columns))
 
