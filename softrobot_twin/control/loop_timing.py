@@ -162,8 +162,6 @@ class TickClock:
 
     def end(self) -> Tick:
         """Marks the end of the work of the tick that `begin` started."""
-        if self._began is None:
-            raise RuntimeError("end() without begin()")
         compute_time = self._stopwatch() - self._work_began
         spare_time = self._until_next - compute_time
         missed = spare_time < 0.0

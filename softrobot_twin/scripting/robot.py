@@ -740,10 +740,9 @@ class Robot:
     def _is_by_rows(self, source: Any) -> bool:
         """Whether each row of a table is a step: it has targets, or a run wrote it."""
         columns = open_columns(source, TARGETS_EXAMPLE)
-        names = [name for effector in self.effector_names
-                 for name in (*position_columns(effector), f"{effector}.x")]
+        names = [name for effector in self.effector_names for name in position_columns(effector)]
         names += self.simulation.sensor_columns
-        return columns.is_output or "t" in columns or any(name in columns for name in names)
+        return columns.is_output or any(name in columns for name in names)
 
     def _run_alone(self, steps: int | None, seconds: float | None, rate: float) -> Table:
         """A run without commands."""
