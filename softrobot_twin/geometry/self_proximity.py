@@ -246,10 +246,7 @@ class SelfDetector(SurfacePairDetector):
         depth: Largest depth at which a vertex that has passed through the surface is found [m].
     """
 
-    def __init__(
-        self, triangles: np.ndarray, rest_points: np.ndarray, alarm_distance: float,
-        depth: float | None = None,
-    ):  # fmt: skip
+    def __init__(self, triangles: np.ndarray, rest_points: np.ndarray, alarm_distance: float):
         """Finds the pairs that can never collide.
 
         Args:
@@ -257,16 +254,14 @@ class SelfDetector(SurfacePairDetector):
             rest_points: Points at rest [m], shape (point_count, 3).
             alarm_distance: Distance along the surface below which features that do not face each
                 other across air are neighbours [m]; at least the largest margin.
-            depth: Largest depth of an overlap [m]; by default half the mean edge length.
 
         Raises:
             MeshError: The surface is not closed or not consistently oriented.
         """
         points, count = np.array(rest_points, float), len(rest_points)
-        super().__init__(triangles, count, triangles, count, depth)
+        super().__init__(triangles, count, triangles, count)
         surface = self._sides[0].surface
-        if self.depth is None:
-            self.depth = _DEPTH_IN_EDGES * mean_edge_length(surface, points)
+        self.depth = _DEPTH_IN_EDGES * mean_edge_length(surface, points)
         self._rest = find_excluded_pairs(surface, points, alarm_distance, _THROUGH_THE_BODY * self.depth)
 
 
