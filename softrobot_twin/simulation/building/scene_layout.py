@@ -636,10 +636,9 @@ def _superelements(body: Body, nodes: Nodes, scene: Scene) -> Superelements:
 
 
 def _note_unused_contact_surfaces(bodies: list[Body], scene: Scene, notes: list[str]) -> None:
-    contact = scene.contact
-    named = set() if contact is None else {name for t in contact.between for name in t.pair}
+    named = {name for touching in scene.touching for name in touching.pair}
     # A predefined point may omit its body if there is only one.
-    points = contact is not None and bool(contact.points)
+    points = scene.contact is not None and bool(scene.contact.points)
     for body in bodies:
         if body.entry.contact_surface is not None and body.name not in named and not points:
             notes.append(

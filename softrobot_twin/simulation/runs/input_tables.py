@@ -612,8 +612,7 @@ def _keep_what_drove(columns: Columns, simulation: Simulation, surroundings: boo
             own = column(name, kind.effort if by_effort else kind.setpoint)
             names[own] = own
     if surroundings:
-        guided = [entry.name for entry in simulation.scene.rigid_bodies if entry.motion == "guided"]
-        for name in guided:
+        for name in (body.name for body in simulation.scene.guided_bodies):
             for columns_of in (position_columns, quaternion_columns):
                 told = columns_of(body_name(name, simulation.effector_names))
                 names.update(zip(told, columns_of(name), strict=True))
@@ -735,16 +734,6 @@ def _refuse_lengths(path: Path, name: str, quaternions: np.ndarray, lines: list[
     off = np.abs(np.linalg.norm(quaternions, axis=1) - 1.0)
     if off.max() > NOT_UNIT:
         raise TableFileError(path, f"{name}'s quaternion is not of unit length", lines[int(off.argmax())])
-
-
-def _impossible(kind: ActuatorKind, commanded: str, values: np.ndarray) -> str:
-    """Why some of the values are impossible; empty where all are possible."""
-    if commanded == "efforts" and kind.one_sided and (values < 0.0).any():
-        return f"must not be negative: a {kind.noun} cannot push"
-    if commanded == "setpoints" and (values < kind.least_setpoint).any():
-        bound = "negative" if kind.least_setpoint == 0.0 else f"below {kind.least_setpoint:g}"
-        return f"must not be {bound}: the {kind.setpoint.word} of a {kind.noun} cannot be"
-    return ""
 
 
 _DIRECT = (SETPOINTS, EFFORTS)
@@ -956,8 +945,7 @@ def _actuator_values(columns: Columns, simulation: Simulation) -> tuple[str, np.
             continue
         given, series = columns.given(drive.name), columns.pop(drive.name)
         meanings[given] = drive.gives
-        reason = "" if drive.lines else _impossible(drive.kind, drive.gives[0], series)
-        if reason:
+        if reason := drive.impossible(series):
             row = int(np.argmin(series))
             raise columns.error(drive.name, reason, row, float(series[row]), drive.quantity.unit)
         for place, told in drive.told(series):
@@ -1023,6 +1011,20 @@ class Drive(NamedTuple):
     kind: ActuatorKind
     gives: tuple[str, ...] = (SETPOINTS,)
     lines: tuple[tuple[float, float], ...] = ()
+
+    def impossible(self, values: ArrayLike) -> str:
+        """Why some values cannot be; empty where all can.
+
+        Args:
+            values: Values of the quantity.
+        """
+        kind, is_setpoint = self.kind, SETPOINTS in self.gives
+        if not is_setpoint and kind.one_sided and np.any(np.less(values, 0.0)):
+            return f"must not be negative: a {kind.noun} cannot push"
+        if is_setpoint and not self.lines and np.any(np.less(values, kind.least_setpoint)):
+            bound = "negative" if kind.least_setpoint == 0.0 else f"below {kind.least_setpoint:g}"
+            return f"must not be {bound}: the {kind.setpoint.word} of a {kind.noun} cannot be"
+        return ""
 
     def told[Values: (float, np.ndarray)](self, values: Values) -> Iterator[tuple[int, Values]]:
         """Each of its actuators, with its setpoints or efforts as they are told.
@@ -1107,12 +1109,12 @@ def _grips(columns: Columns, simulation: Simulation) -> dict[str, np.ndarray]:
 
 def _known(simulation: Simulation) -> str:
     """The columns of a commands file that a scene accepts, as text."""
-    guided = [entry.name for entry in simulation.scene.rigid_bodies if entry.motion == "guided"]
+    guided = ", ".join(body.name for body in simulation.scene.guided_bodies) or "none"
     grips = ", ".join(simulation.grip_names)
     touches = (", <touch>_force_x_N, _y_N, _z_N or <touch>_displacement_x_m, _y_m, _z_m (touches: "
                f"{', '.join(simulation.touch_names)})")
     return (f"{_known_actuators(simulation)}, <body>_x_m, _y_m, _z_m and _qx, _qy, _qz, "
-            f"_qw (guided bodies: {', '.join(guided) or 'none'})"
+            f"_qw (guided bodies: {guided})"
             f"{touches if simulation.touch_names else ''}"
             f"{f', <grip>_holds (grips: {grips})' if grips else ''}")
 

@@ -236,16 +236,6 @@ def test_what_is_not_built_or_does_not_fit_is_refused_by_name(small, change, key
     assert reason in str(caught.value)
 
 
-def test_a_file_that_is_no_reduction_is_refused(small, tmp_path):
-    mapping = copy.deepcopy(small)
-    for content in (b"no archive", b""):
-        path = tmp_path / "body.npz"
-        path.write_bytes(content)
-        mapping["body"]["reduced"]["file"] = str(path)
-        with pytest.raises(SceneError, match="is no reduced model"):
-            Simulation(scene_from_mapping(mapping, SCENE_FILE), with_warnings=False)
-
-
 def test_the_compliance_and_its_derivative_are_those_of_the_full_model(pair):
     """The derivative by the actuation goes through the coordinates, and is the same."""
     found = []
