@@ -174,10 +174,6 @@ def test_nobody_imports_the_room_for_users_but_the_entrance_of_the_package():
     assert violations(broken) == []
 
 
-def test_modules_outside_rooms_are_the_entrance():
-    assert {path.name for path in MODULES if not place_of(path)} == ENTRANCE
-
-
 def module_name(path: Path) -> str:
     """Dotted name of a file; that of the folder for an ``__init__.py``."""
     parts = path.relative_to(ROOT).with_suffix("").parts

@@ -31,7 +31,14 @@ def lame_parameters(young_modulus: float, poisson_ratio: float) -> LameParameter
 
     Returns:
         Lamé's constants [Pa].
+
+    Raises:
+        ValueError: No such material exists.
     """
+    if not young_modulus > 0.0:
+        raise ValueError(f"young_modulus must be positive, not {young_modulus} Pa")
+    if not -1.0 < poisson_ratio < 0.5:
+        raise ValueError(f"poisson_ratio must lie between -1 and 0.5, not {poisson_ratio}")
     lame_lambda = young_modulus * poisson_ratio / ((1.0 + poisson_ratio) * (1.0 - 2.0 * poisson_ratio))
     return LameParameters(lame_lambda, shear_modulus(young_modulus, poisson_ratio))
 
