@@ -10,7 +10,6 @@ import argparse
 import math
 import signal
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from textwrap import fill
@@ -528,7 +527,6 @@ def accuracy(
 def choose(
     scene: GivenFile, *, rate: Rate, accuracy: Path | None = None, write: Path | None = None,
     reduced: Sequence[Path] = (),
-    given: Annotated[str, Read(choices=("lengths", "forces"))] = "lengths",
 ) -> int:  # fmt: skip
     """Find the most accurate setting that keeps a rate.
 
@@ -544,12 +542,10 @@ def choose(
         accuracy (FILE.csv): File of errors written by accuracy; made quickly if it does not exist.
         write (FILE.yaml): Scene file to write (default <name>_<rate>hz.yaml here).
         reduced (FILE.npz): Further reduced models of these meshes, written by 'reduce'.
-        given: Choose by the error at given lengths, or at given forces (default lengths).
     """
     from softrobot_twin.study.choice import choose as choose_setting
 
-    return choose_setting(scene, rate, accuracy, write, reduced=reduced,
-                          forces_given=given == "forces")
+    return choose_setting(scene, rate, accuracy, write, reduced=reduced)
 
 
 def reduce(

@@ -360,8 +360,7 @@ class SurfaceAndShape(ContactPair):
         self._detector = self._make_detector(isinstance(first.shape, NoShape))
 
     def _make_detector(self, deforms: bool) -> SurfaceShapeDetector:
-        triangles, count = self.first.triangles, self.first.point_count
-        return SurfaceShapeDetector(triangles, count, self.shape, deforms)
+        return SurfaceShapeDetector(self.first.triangles, self.shape, deforms)
 
     def write(self, positions, reach, rows, span) -> None:
         """See `ContactPair.write`."""

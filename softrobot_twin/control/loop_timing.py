@@ -39,14 +39,10 @@ class LoopSummary(NamedTuple):
 
 
 class LoopStatistics:
-    """A ring buffer with the periods and compute times of the last ticks.
+    """A ring buffer with the periods and compute times of the last 1024 ticks."""
 
-    Args:
-        capacity: Number of ticks to keep.
-    """
-
-    def __init__(self, capacity: int = 1024):
-        self._ticks: deque[tuple[float, float]] = deque(maxlen=capacity)
+    def __init__(self):
+        self._ticks: deque[tuple[float, float]] = deque(maxlen=1024)
 
     def record(self, period: float, compute_time: float) -> None:
         """Adds one tick [s, s] in place of the oldest. The first tick's period is NaN.
@@ -162,8 +158,6 @@ class TickClock:
 
     def end(self) -> Tick:
         """Marks the end of the work of the tick that `begin` started."""
-        if self._began is None:
-            raise RuntimeError("end() without begin()")
         compute_time = self._stopwatch() - self._work_began
         spare_time = self._until_next - compute_time
         missed = spare_time < 0.0
@@ -218,6 +212,10 @@ class ElapsedTime:
         return self._elapsed / NANOSECONDS
 
 
+# After this time without enough spare time garbage is collected in any case [s].
+LONGEST_WAIT = 60.0
+
+
 class GarbageCollection:
     """Collects garbage only when a tick leaves enough time for it.
 
@@ -226,23 +224,11 @@ class GarbageCollection:
 
     Args:
         interval: Least time between two collections [s].
-        longest_wait: After this time without enough spare time it collects in any case [s].
-        clock: Monotonic clock [s].
-        collect: The collection itself.
     """
 
-    def __init__(
-        self,
-        interval: float = 1.0,
-        longest_wait: float = 60.0,
-        clock: Callable[[], float] = time.monotonic,
-        collect: Callable[[], object] = gc.collect,
-    ):
-        self._interval, self._longest_wait = interval, longest_wait
-        self._clock, self._collect = clock, collect
-        self._last = clock()
-        self._duration = 0.0
-        self._was_enabled = True
+    def __init__(self, interval: float = 1.0):
+        self._interval, self._last = interval, time.monotonic()
+        self._duration, self._was_enabled = 0.0, True
 
     def __enter__(self) -> GarbageCollection:
         self._was_enabled = gc.isenabled()
@@ -265,14 +251,14 @@ class GarbageCollection:
         Returns:
             True when it collected.
         """
-        began = self._clock()
+        began = time.monotonic()
         waited = began - self._last
         if waited < self._interval:
             return False
         fits = spare_time > 2.0 * self._duration and spare_time > 0.0
-        if not fits and waited < self._longest_wait:
+        if not fits and waited < LONGEST_WAIT:
             return False
-        self._collect()
-        self._last = self._clock()
+        gc.collect()
+        self._last = time.monotonic()
         self._duration = self._last - began
         return True

@@ -104,18 +104,13 @@ class ModelHistory:
         return self._count > 0
 
     def at(self, time: int) -> Moment:
-        """The model at a time [ns], interpolated linearly between two ticks.
+        """The model at a time [ns], interpolated linearly between two ticks; there is one tick at least.
 
         Before the oldest tick it is that of the oldest, after the newest that of the newest.
 
         Args:
             time: The time on the clock of stamps [ns].
-
-        Raises:
-            LookupError: There is no tick yet.
         """
-        if not self._count:
-            raise LookupError("there is no tick yet")
         first = max(0, self._count - self._capacity)
         times = self._times[first : self._count]
         after = int(np.searchsorted(times, time))

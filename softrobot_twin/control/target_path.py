@@ -205,16 +205,6 @@ def orientation_at(path: TargetPath, time: float) -> np.ndarray | None:
     return None if find is None else find(time)
 
 
-def notes_of(path: TargetPath) -> tuple[str, ...]:
-    """What the user should know about the files of a path, or of the paths of a sequence.
-
-    Args:
-        path: The path.
-    """
-    return tuple(dict.fromkeys(
-        note for one in getattr(path, "paths", (path,)) for note in getattr(one, "notes", ())))
-
-
 def has_orientations(path: TargetPath) -> bool:
     """Whether a path, or one in a sequence, gives orientations.
 

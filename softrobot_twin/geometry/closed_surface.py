@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.errors import MeshError
-from softrobot_twin.geometry.surface import checked_triangles, half_edges
+from softrobot_twin.geometry.surface import half_edges
 from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, norm, row, set_row, subtract, unit
 from softrobot_twin.kernels.compilation import INLINED, INNER, KERNEL, njit
 
@@ -64,10 +64,9 @@ def closed_surface(triangles: np.ndarray, point_count: int) -> ClosedSurface:
         The surface.
 
     Raises:
-        MeshError: A triangle refers to a point that does not exist or to one point twice, or an
-            edge is not shared by exactly two triangles with opposite directions along it.
+        MeshError: A triangle refers to one point twice, or an edge is not shared by exactly two triangles with opposite directions along it.
     """
-    triangles = checked_triangles(triangles, point_count)
+    triangles = np.ascontiguousarray(triangles, dtype=np.int64)
     starts, ends = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
     if (starts == ends).any():
         index = int(np.flatnonzero(starts == ends)[0]) // 3

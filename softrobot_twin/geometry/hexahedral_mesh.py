@@ -105,11 +105,6 @@ class HexahedralMesh(CornerMesh):
         positions = np.array(self.node_positions, dtype=np.float64)
         positions.setflags(write=False)
         object.__setattr__(self, "node_positions", positions)
-        upright = (corner_determinants(positions[self.hexahedra]) > 0.0).all(axis=1)
-        if not upright.all():
-            raise MeshError(None, f"hexahedron {int(np.argmin(upright))} is inside out in a corner")
-        if not (tet_volumes(positions, self.tets) > 0.0).all():
-            raise MeshError(None, "a tetrahedron has no positive volume")
         _ = self._free_faces
 
     @cached_property

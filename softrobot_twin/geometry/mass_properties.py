@@ -41,8 +41,6 @@ def surface_mass_properties(points: np.ndarray, triangles: np.ndarray) -> MassPr
         MeshError: The surface is open, two triangles have the same direction along an edge, or the
             surface encloses no positive volume because it is inside out or flat.
     """
-    if len(triangles) == 0:
-        raise MeshError(None, "the surface has no triangles")
     closed_surface(triangles, len(points))
     points = np.asarray(points, float)
     # A common point in the middle keeps the tetrahedra, and with them the round-off, small.

@@ -240,10 +240,9 @@ def read_solid_mesh(
 
     Raises:
         MeshError: The file cannot be read, does not contain tetrahedra of four or ten nodes or
-            hexahedra of eight, or cannot be repaired; or the placement is invalid.
+            hexahedra of eight, or cannot be repaired.
     """
     path = Path(path)
-    _check_placement(path, scale, translation, rotation, merge_tolerance)
     file = read_mesh_file(path)
     _check_nodes(path, file, scale)
     notes = _content_notes(path, file, rotation)
@@ -346,22 +345,6 @@ def _mid_edge_nodes(
             f"{found.furthest}, by {1e3 * found.offset:.3g} mm): edges are straight at rest."
         )
     return MidEdgeNodes(found.nodes, mesh_node_indices[found.ends])
-
-
-def _check_placement(
-    path: Path,
-    scale: float,
-    translation: Sequence[float],
-    rotation: Sequence[float],
-    merge_tolerance: float | None,
-) -> None:
-    if not (math.isfinite(scale) and scale > 0.0):
-        raise MeshError(path, f"scale is {scale}, not a positive number")
-    for name, unit, values in (("translation", "m", translation), ("rotation", "rad", rotation)):
-        if np.shape(values) != (3,) or not np.isfinite(np.asarray(values, dtype=float)).all():
-            raise MeshError(path, f"{name} is {values} {unit}, not three finite numbers")
-    if merge_tolerance is not None and not 0.0 <= merge_tolerance < math.inf:
-        raise MeshError(path, f"merge_tolerance is {merge_tolerance} m, not a length")
 
 
 def _check_nodes(path: Path, file: MeshFile, scale: float) -> None:

@@ -8,7 +8,6 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.box_tree import BoxTree, box_tree, near_items, nearest_distances
 from softrobot_twin.geometry.hexahedral_mesh import HexahedralMesh
 from softrobot_twin.geometry.shape_functions import TRILINEAR_HEXAHEDRON
@@ -56,19 +55,8 @@ def locate_points(mesh: TetMesh | HexahedralMesh, points: np.ndarray) -> PointLo
         The location of each point. A point shared by several cells is assigned to the one that it
         is deepest in, by its smallest weight in a tetrahedron, then to the first. A point outside gets the weights of
         the nearest point of the surface and its distance from it; weights are never extrapolated.
-
-    Raises:
-        MeshError: A point is not finite, or the points have another shape.
     """
-    points = np.atleast_2d(np.asarray(points, dtype=np.float64))
-    if points.size == 0:
-        points = points.reshape(0, 3)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise MeshError(None, f"points to locate have shape {points.shape}, not (n, 3)")
-    if not np.isfinite(points).all():
-        index = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
-        raise MeshError(None, f"point {index} to locate is {points[index].tolist()} m")
-
+    points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
     cells, weights, lowest = _deepest_cells(mesh, points)
     weights = np.clip(weights, 0.0, None)
     weights /= np.maximum(weights.sum(axis=1, keepdims=True), 1.0)

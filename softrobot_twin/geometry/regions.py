@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from softrobot_twin.errors import MeshError
 
 # Tolerance relative to the size of the body: a node on a face of a region belongs to the region
 # even if its file stores single precision (6e-8); a node beside the face in a file of seven digits
@@ -34,13 +33,8 @@ def nodes_in_box(
 
     Returns:
         Node indices in rising order, int64.
-
-    Raises:
-        MeshError: The box's minimum exceeds its maximum.
     """
     lower, upper = np.asarray(minimum, dtype=float), np.asarray(maximum, dtype=float)
-    if not (lower <= upper).all():
-        raise MeshError(None, f"box from {lower.tolist()} to {upper.tolist()} m is inside out")
     tolerance = _tolerance(node_positions)
     inside = (node_positions >= lower - tolerance) & (node_positions <= upper + tolerance)
     return np.flatnonzero(inside.all(axis=1)).astype(np.int64)
@@ -56,12 +50,7 @@ def nodes_in_sphere(node_positions: np.ndarray, centre: Sequence[float], radius:
 
     Returns:
         Node indices in rising order, int64.
-
-    Raises:
-        MeshError: The radius is negative.
     """
-    if not radius >= 0.0:
-        raise MeshError(None, f"sphere has a radius of {radius} m")
     distances = np.linalg.norm(node_positions - np.asarray(centre, dtype=float), axis=1)
     inside = distances <= radius + _tolerance(node_positions)
     return np.flatnonzero(inside).astype(np.int64)

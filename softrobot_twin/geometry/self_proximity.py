@@ -26,7 +26,6 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.broad_phase import (
     CellGrid,
     bounding_box,
@@ -247,10 +246,7 @@ class SelfDetector(SurfacePairDetector):
         depth: Largest depth at which a vertex that has passed through the surface is found [m].
     """
 
-    def __init__(
-        self, triangles: np.ndarray, rest_points: np.ndarray, alarm_distance: float,
-        depth: float | None = None,
-    ):  # fmt: skip
+    def __init__(self, triangles: np.ndarray, rest_points: np.ndarray, alarm_distance: float):
         """Finds the pairs that can never collide.
 
         Args:
@@ -258,16 +254,14 @@ class SelfDetector(SurfacePairDetector):
             rest_points: Points at rest [m], shape (point_count, 3).
             alarm_distance: Distance along the surface below which features that do not face each
                 other across air are neighbours [m]; at least the largest margin.
-            depth: Largest depth of an overlap [m]; by default half the mean edge length.
 
         Raises:
             MeshError: The surface is not closed or not consistently oriented.
         """
         points, count = np.array(rest_points, float), len(rest_points)
-        super().__init__(triangles, count, triangles, count, depth)
+        super().__init__(triangles, count, triangles, count)
         surface = self._sides[0].surface
-        if self.depth is None:
-            self.depth = _DEPTH_IN_EDGES * mean_edge_length(surface, points)
+        self.depth = _DEPTH_IN_EDGES * mean_edge_length(surface, points)
         self._rest = find_excluded_pairs(surface, points, alarm_distance, _THROUGH_THE_BODY * self.depth)
 
 
@@ -312,29 +306,15 @@ class FixedPairs:
     is_traceable = True
 
     def __init__(self, point_index: np.ndarray, triangle_points: np.ndarray):
-        """Checks the pairs.
+        """Keeps the pairs.
 
         Args:
             point_index: Point of each pair, shape (pair_count,).
             triangle_points: Corners of the triangle of each pair, outward normal, shape
                 (pair_count, 3).
-
-        Raises:
-            MeshError: The shapes do not match, an index is negative, a triangle refers to a point
-                twice, or a point is a corner of its own triangle.
         """
-        points = np.array(point_index, dtype=np.int64).reshape(-1)
-        triangles = np.array(triangle_points, dtype=np.int64).reshape(-1, 3)
-        if len(points) != len(triangles):
-            counts = f"{len(points)} points are paired with {len(triangles)} triangles"
-            raise MeshError(None, counts)
-        four = np.sort(np.column_stack([points, triangles]), axis=1)
-        if four.size and four.min() < 0:
-            raise MeshError(None, f"a predefined pair refers to point {four.min()}")
-        twice = np.flatnonzero((np.diff(four, axis=1) == 0).any(axis=1))
-        if len(twice):
-            raise MeshError(None, f"predefined pair {twice[0]} refers to a point twice")
-        self._points, self._triangles = points, triangles
+        self._points = np.array(point_index, dtype=np.int64).reshape(-1)
+        self._triangles = np.array(triangle_points, dtype=np.int64).reshape(-1, 3)
 
     def write(self, x, _, reach, rows: Proximities, span: np.ndarray) -> None:
         """Write the pairs that are near; may be traced.

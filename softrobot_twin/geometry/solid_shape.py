@@ -268,7 +268,7 @@ class SolidShapeDetector(SurfaceShapeDetector):
         Raises:
             MeshError: The surface is not closed or not consistently oriented.
         """
-        super().__init__(triangles, len(points), shape)
+        super().__init__(triangles, shape)
         own = np.asarray(points, float)[self._vertices]
         surface = self._surface = closed_surface(self._triangles, len(own))
         regions = self._regions = flat_regions(surface, own)

@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.errors import MeshError
 
 # Face i is opposite to corner i; its nodes are counter-clockwise seen from outside.
 _FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
@@ -38,27 +37,6 @@ class HalfEdges(NamedTuple):
     edges: np.ndarray
     place: np.ndarray
     counts: np.ndarray
-
-
-def checked_triangles(triangles: np.ndarray, point_count: int, least: int = 0) -> np.ndarray:
-    """Checks triangles and returns them as an array of int64.
-
-    Args:
-        triangles: Point indices, shape (triangle_count, 3).
-        point_count: Number of points they index.
-        least: Least number of triangles.
-
-    Raises:
-        MeshError: Their shape is another one, or one refers to a point that does not exist.
-    """
-    triangles = np.ascontiguousarray(triangles, dtype=np.int64)
-    if triangles.ndim != 2 or triangles.shape[1] != 3 or len(triangles) < least:
-        wanted = "(n, 3) with n > 0" if least else "(n, 3)"
-        raise MeshError(None, f"triangles have shape {triangles.shape}, not {wanted}")
-    if triangles.size and (triangles.min() < 0 or triangles.max() >= point_count):
-        raise MeshError(None, f"triangles refer to points {triangles.min()} to {triangles.max()}, "
-                        f"outside of the {point_count} points there are")  # fmt: skip
-    return triangles
 
 
 def half_edges(triangles: np.ndarray) -> HalfEdges:

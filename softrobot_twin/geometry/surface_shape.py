@@ -85,7 +85,7 @@ from softrobot_twin.geometry.shapes.distance_kernels import (
     shape_size,
 )
 from softrobot_twin.geometry.shapes.shape import Shape
-from softrobot_twin.geometry.surface import checked_triangles, half_edges
+from softrobot_twin.geometry.surface import half_edges
 from softrobot_twin.geometry.vector3 import (
     add,
     add_scaled,
@@ -1041,19 +1041,14 @@ class SurfaceShapeDetector:
     A detector owns its work arrays; only one thread at a time may use it.
     """
 
-    def __init__(self, triangles: np.ndarray, point_count: int, shape: Shape, deforms: bool = False):
+    def __init__(self, triangles: np.ndarray, shape: Shape, deforms: bool = False):
         """Finds the vertices and edges of the surface.
 
         Args:
             triangles: Point indices, counter-clockwise from outside, shape (triangle_count, 3).
-            point_count: Number of points of the surface, used by triangles or not.
             shape: The shape, in the frame of its carrier.
             deforms: Whether the surface belongs to a deforming body.
-
-        Raises:
-            MeshError: There are no triangles, or one refers to a point that does not exist.
         """
-        triangles = checked_triangles(triangles, point_count, least=1)
         self.shape = shape
         self._vertices, own = np.unique(triangles, return_inverse=True)
         self._triangles = own.reshape(-1, 3).astype(np.int64)

@@ -48,24 +48,8 @@ class TetMesh(CornerMesh):
 
     def __post_init__(self) -> None:
         positions = np.array(self.node_positions, dtype=np.float64, order="C")
-        cells = np.array(self.cells, order="C")
-        if positions.ndim != 2 or positions.shape[1] != 3:
-            raise MeshError(None, f"node positions have shape {positions.shape}, not (n, 3)")
-        if cells.ndim != 2 or cells.shape[1] != 4 or len(cells) == 0:
-            raise MeshError(None, f"tetrahedra have shape {cells.shape}, not (n, 4) with n > 0")
-        if not np.issubdtype(cells.dtype, np.integer):
-            raise MeshError(None, f"node indices are {cells.dtype}, not integers")
-        if cells.min() < 0 or cells.max() >= len(positions):
-            raise MeshError(
-                None,
-                f"node indices run from {cells.min()} to {cells.max()}, "
-                f"but there are {len(positions)} nodes",
-            )
-        if not np.isfinite(positions).all():
-            node = int(np.flatnonzero(~np.isfinite(positions).all(axis=1))[0])
-            raise MeshError(None, f"node {node} is at {positions[node]}, which is not finite")
+        cells = np.array(self.cells, dtype=np.int64, order="C")
         positions.setflags(write=False)
-        cells = cells.astype(np.int64)
         cells.setflags(write=False)
         object.__setattr__(self, "node_positions", positions)
         object.__setattr__(self, "cells", cells)

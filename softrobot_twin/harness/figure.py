@@ -89,23 +89,6 @@ def png_of(figure: Any, dpi: int) -> bytes:
     return small.getvalue()
 
 
-def save_figure(figure: Any, path: Path, dpi: int) -> None:
-    """Writes a figure; see `png_of` for PNG.
-
-    Args:
-        figure: The figure.
-        path: File to write; its suffix determines the format.
-        dpi: Pixels per inch.
-
-    Raises:
-        ValueError: There is no format with this suffix.
-    """
-    if path.suffix.lower() == ".png":
-        path.write_bytes(png_of(figure, dpi))
-    else:
-        figure.savefig(path, dpi=dpi)
-
-
 @contextmanager
 def figure_file(path: Path, size: tuple[float, float], title: str, foot: str = "") -> Iterator:
     """An empty matplotlib figure to draw on; leaving the context writes it.
@@ -146,7 +129,10 @@ def write_figure(figure: Any, path: Path | str, dpi: int) -> None:
     """
     try:
         with output_file(path) as partial:
-            save_figure(figure, partial, dpi)
+            if partial.suffix.lower() == ".png":
+                partial.write_bytes(png_of(figure, dpi))
+            else:
+                figure.savefig(partial, dpi=dpi)
     except ValueError as error:
         raise OutputError(path, str(error)) from error
     finally:

@@ -131,7 +131,9 @@ class _Job:
     def __init__(self, state: np.ndarray, kernel: Callable, arguments: tuple):
         self.state, self.kernel, self.arguments = state, kernel, arguments
         self.error: BaseException | None = None
-        self.priority = _priority()
+        # Policy, real-time priority and nice value of the calling thread.
+        self.priority = (
+            os.sched_getscheduler(0), os.sched_getparam(0).sched_priority, os.getpriority(os.PRIO_PROCESS, 0))
 
     def work(self) -> None:
         """Take tasks of the list until its end."""
@@ -140,11 +142,6 @@ class _Job:
         except BaseException as error:
             self.error = error
             self.state[STOPPED] = 1
-
-
-def _priority() -> tuple[int, int, int]:
-    """Policy, real-time priority and nice value of the calling thread."""
-    return os.sched_getscheduler(0), os.sched_getparam(0).sched_priority, os.getpriority(os.PRIO_PROCESS, 0)
 
 
 def _take_priority(wanted: tuple[int, int, int]) -> None:

@@ -641,16 +641,9 @@ class Beams(ForceTerm):
 
         Args:
             elements: The elements.
-
-        Raises:
-            ValueError: A stiffness is not positive and finite, or a damping is negative.
         """
         self.elements = e = elements
         self.element_count = len(e.origins)
-        if not np.all((e.stiffness > 0.0) & (e.stiffness < np.inf)):
-            raise ValueError("the stiffness of every element must be positive and finite")
-        if not np.all((e.damping >= 0.0) & (e.damping < np.inf)):
-            raise ValueError("the damping of every element must be finite and not negative")
         self._is_damped = bool(e.damping.any())
         self._stencils = of_frames(e.unknowns)
         self._has_lever = np.abs(e.end_points).max(axis=2) > 0.0

@@ -228,21 +228,9 @@ class NodalMasses(RememberedNodes, OwnBlocks):
             nodes: Their rows among the positions, shape (mass_count,).
             unknowns: Their free-node indices, shape (mass_count,).
             masses: [kg], shape (mass_count,).
-
-        Raises:
-            ValueError: A mass is not positive, a node is not free, or the counts differ.
         """
         super().__init__(nodes, unknowns)
         self.masses = np.array(masses, dtype=float)
-        if not self._nodes.shape == self._unknowns.shape == self.masses.shape == (len(masses),):
-            raise ValueError(
-                f"nodes of shape {self._nodes.shape}, unknowns {self._unknowns.shape} "
-                f"and masses {self.masses.shape} [kg] do not go together"
-            )
-        if not np.all((self.masses > 0.0) & np.isfinite(self.masses)):
-            raise ValueError("masses must be positive and finite [kg]")
-        if np.any(self._unknowns < 0):
-            raise ValueError("a node that does not move cannot have a mass that moves")
         self._stencils = self._unknowns[:, None]
 
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
@@ -325,13 +313,8 @@ class MassDamping(NodalMasses):
             unknowns: Their free-node indices, shape (mass_count,).
             masses: [kg], shape (mass_count,).
             rate: α [1/s], not negative.
-
-        Raises:
-            ValueError: As `NodalMasses`; the rate is negative or not finite.
         """
         super().__init__(nodes, unknowns, masses)
-        if not 0.0 <= rate < np.inf:
-            raise ValueError(f"rate must be finite and not negative, not {rate} 1/s")
         self.rate = float(rate)
 
     def begin_step(
@@ -395,12 +378,7 @@ class ConsistentInertia(RememberedNodes, InertiaTerm):
             lumped: Elements whose mass is lumped, shape (element_count,) of bool; none when left
                 out.
             free_axes: See `Nodes.free_axes`.
-
-        Raises:
-            ValueError: The density is not positive and finite.
         """
-        if not np.all((0.0 < np.asarray(density)) & (np.asarray(density) < np.inf)):
-            raise ValueError(f"density must be positive and finite, not {density} kg/m³")
         self._stencils = free_index[mesh.cells]
         super().__init__(free_nodes, free_index[free_nodes])
         self._borne_masses = borne_masses(mesh, density, lumped)[self._nodes]

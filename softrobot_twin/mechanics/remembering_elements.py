@@ -27,7 +27,7 @@ from softrobot_twin.mechanics.element_batches import (
     scratch,
 )
 from softrobot_twin.mechanics.elements import Elements
-from softrobot_twin.mechanics.point_law import energy_density, has_bulk_modulus, law_at, law_of
+from softrobot_twin.mechanics.point_law import energy_density, law_at, law_of
 from softrobot_twin.mechanics.softening import SoftenedLaw, SofteningConstants
 from softrobot_twin.mechanics.viscosity import (
     StepFactors,
@@ -165,14 +165,7 @@ class RememberingElements(Elements):
             law: Parameters of a law, see `has_bulk_modulus`.
             viscosity: Terms of a Prony series.
             softening: Constants of the softening.
-
-        Raises:
-            ValueError: The law cannot remember, or the series takes more than the whole modulus.
         """
-        if not has_bulk_modulus(type(law)):
-            raise ValueError(f"the law {law_of(law).name} has no energy of shape and volume apart")
-        if viscosity and not sum(term.share for term in viscosity) < 1.0:
-            raise ValueError("the shares of a Prony series must sum to less than 1")
         self.viscosity, self.softening = tuple(viscosity), softening
         points = len(mesh.shape_functions.quadrature.points)
         batches = -(-len(mesh.cells) // BATCH)

@@ -263,9 +263,6 @@ class RigidFrames:
                 angles into displacements and torques into forces, shape (free_body_count,); one
                 metre when left out.
             attached: Nodes attached to free bodies.
-
-        Raises:
-            ValueError: There are fewer unknowns than the free bodies need.
         """
         self.free = np.asarray(free, dtype=bool).reshape(-1)
         self.first_node = int(first_node)
@@ -276,11 +273,6 @@ class RigidFrames:
         self.free_node_count = int(free_node_count)
         self.translations = self.first_unknown + 2 * np.arange(len(self.free_bodies))
         self.rotations = self.translations + 1
-        if self.first_unknown + 2 * len(self.free_bodies) > self.free_node_count:
-            raise ValueError(
-                f"{len(self.free_bodies)} free bodies need two unknowns each from "
-                f"{first_unknown} on, but there are {free_node_count} in all"
-            )
         self.radii = np.ones(len(self.free_bodies)) if radii is None else np.array(radii, float)
         self.attached = attached
         corners = self.origins[:, None] + np.arange(4)
@@ -524,18 +516,10 @@ class RigidMotion(OwnBlocks):
             masses: Mass of the first free bodies [kg], shape (count,).
             inertias: Inertia about the centre of mass in the body's frame [kg m²],
                 shape (count, 3, 3), symmetric.
-
-        Raises:
-            ValueError: The numbers of bodies differ.
         """
         self.masses = np.array(masses, dtype=float).reshape(-1)
         self.inertias = np.array(inertias, dtype=float).reshape(-1, 3, 3)
         count = len(self.masses)
-        if len(self.inertias) != count or count > frames.free_body_count:
-            raise ValueError(
-                f"{frames.free_body_count} free bodies, {count} masses, "
-                f"{len(self.inertias)} inertias"
-            )
         self._origins, self._first_unknown = frames.origins[:count], frames.first_unknown
         self._translations, self._rotation_unknowns = (
             frames.translations[:count], frames.rotations[:count]

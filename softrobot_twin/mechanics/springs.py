@@ -252,24 +252,14 @@ class Springs(ForceTerm):
                 shape (node_count,).
             offsets: Constant part of the springs' vectors [m], shape (spring_count, 3).
             is_thread: Which of them carry tension only, shape (spring_count,) or one for all.
-
-        Raises:
-            ValueError: The numbers of ends differ, the second ends are not given, or a thread has
-                damping or no length at rest.
         """
         count = self.spring_count = first.point_count
-        if second is None and offsets is None:
-            raise ValueError("springs need second ends or points in the world")
-        if second is not None and second.point_count != count:
-            raise ValueError(f"{count} first ends, {second.point_count} second ends")
         self._constants = np.zeros((count, 3))
         if offsets is not None:
             self._constants[:] = offsets
         columns = [np.broadcast_to(c, count) for c in (stiffness, rest_lengths, damping)]
         self.stiffness, self.rest_lengths, self.damping = (np.array(c, float) for c in columns)
         self.is_thread = np.array(np.broadcast_to(is_thread, count), bool)
-        if np.any(self.is_thread & ((self.damping > 0.0) | (self.rest_lengths <= 0.0))):
-            raise ValueError("a thread has a length at rest and no damping")
         take_up = np.where(self.is_thread, TAKE_UP * self.rest_lengths, 0.0)
         # Before the first step there is no lengthening, and no damping.
         self._laws = np.column_stack(

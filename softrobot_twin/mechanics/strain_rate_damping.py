@@ -129,12 +129,7 @@ class StrainRateDamping(Elements):
             free_index: Unknown of each node, -1 where it is fixed, shape (node_count,).
             material: Lamé's constants of the body's elasticity [Pa].
             beta: Viscosity over elastic constant, β [s], not negative.
-
-        Raises:
-            ValueError: β is negative or not finite.
         """
-        if not 0.0 <= beta < np.inf:
-            raise ValueError(f"beta must be finite and not negative, not {beta} s")
         super().__init__(mesh, free_index, Corotational(*material))
         # The elastic term watches folds.
         self._corners, self.fold_barrier = no_corners(), None

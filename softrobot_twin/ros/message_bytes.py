@@ -97,30 +97,22 @@ class MarkerBytes:
 
         Args:
             stamp: Seconds and nanoseconds.
-            contents: What changes of each marker.
-
-        Raises:
-            ValueError: A marker has no points, or colours that are not one for each point.
+            contents: What changes of each marker, which has points, and a colour for each where it
+                was announced with colours.
         """
         time, parts = _STAMP.pack(*stamp), []
         for cut, content in zip(self._markers, contents, strict=True):
-            count = len(content.points)
-            has_colours = cut.before_colours is not None
-            if count == 0 or has_colours != (content.colours is not None):
-                raise ValueError("a marker needs points, and colours as it was announced")
             pose, colour = cut.pose, cut.colour
             if content.position is not None:
                 pose = struct.pack("<7d", *content.position, *content.quaternion)
             if content.colour is not None:
                 colour = struct.pack("<4f", *content.colour)
-            size = struct.pack("<I", count)
+            size = struct.pack("<I", len(content.points))
             parts += [
                 cut.before_stamp, time, cut.before_pose, pose, cut.before_colour, colour,
                 size.join(cut.before_points), np.ascontiguousarray(content.points, "<f8").tobytes(),
             ]  # fmt: skip
-            if has_colours:
-                if len(content.colours) != count:
-                    raise ValueError("a marker needs one colour for each point")
+            if cut.before_colours is not None:
                 colours = np.ascontiguousarray(content.colours, "<f4").tobytes()
                 parts += [cut.before_colours, size, colours]
         return b"".join([*parts, self._end])

@@ -19,7 +19,6 @@ from softrobot_twin.control.target_path import (
     ToAndFro,
     has_orientations,
     make_sequence,
-    notes_of,
 )
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.messages import (
@@ -101,8 +100,6 @@ class TargetNode(TickingNode):
         found = [str(find_scene_file(name, "target_path")) if name.endswith(".csv") else name
                  for name in names]  # fmt: skip
         self.path = make_sequence(found, effector, around, values["target_sequence_time"], self._ramp_time)
-        for note in notes_of(self.path):
-            self.get_logger().warning(note)
         self._turn = _UNTURNED
         self._turns = has_orientations(self.path)
         topic = "<twin>/target_pose/<effector>" if self._turns else "<twin>/target/<effector>"

@@ -143,8 +143,6 @@ def quality_in_words(quality: QoSProfile) -> str:
 
 def open_publisher(node: Node, topic: Topic, name: str = "", twin: str = "") -> Publisher:
     """Publishes a declared topic; see `Topic.full_name`."""
-    if topic.direction is not OUT:
-        raise ValueError(f"{topic.name} is declared as a topic that the node receives")
     return node.create_publisher(topic.kind, topic.full_name(name, twin), topic.quality)
 
 
@@ -171,8 +169,6 @@ def open_subscription(
     node: Node, topic: Topic, receive: Callable[[bytes], None], name: str = "", twin: str = ""
 ) -> Subscription:
     """Receives a declared topic as serialized messages; see `Topic.full_name`."""
-    if topic.direction is not IN:
-        raise ValueError(f"{topic.name} is declared as a topic that the node publishes")
     return node.create_subscription(topic.kind, topic.full_name(name, twin), receive, topic.quality, raw=True)
 
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from softrobot_twin.geometry.box_mesh import cells_of_size
@@ -511,11 +511,6 @@ class Vertebrae(Entry):
 
 class Reduced(Entry):
     """Reduces a body to the coordinates of a basis, made by ``reduce``."""
-
-    gone: ClassVar[dict[str, str]] = {
-        "fallback": "is gone since version 0.1.0: a twin warns where the reduced model is wrong, and keeps it. "
-        "Remove fallback and error; where that warning comes, train where the robot goes, set spare_modes: "
-        "true, or remove reduced to simulate all nodes"}
 
     file: Path
     """File of the reduced model."""

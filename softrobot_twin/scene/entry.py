@@ -47,8 +47,6 @@ class Entry(BaseModel):
     """What is said where another number of them is."""
     by_word: ClassVar[str] = ""
     """Key whose value may stand in place of the whole section; empty for none."""
-    gone: ClassVar[Mapping[str, str]] = {}
-    """Keys of earlier versions, and what is done instead."""
     placed: ClassVar[Mapping[str, str] | None] = None
     """How a copy of an entry in a pattern differs from it, for each key that has a place: it is a
     ``point`` or several, a ``direction``, ``angles``, a ``box``, ``letters`` of directions, a
@@ -63,9 +61,6 @@ class Entry(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _expand(cls, entry: Any) -> Any:
-        for key in cls.gone:
-            if isinstance(entry, Mapping) and key in entry:
-                raise refusal(key, entry[key], cls.gone[key])
         return expanded(cls, entry)
 
     @model_validator(mode="after")

@@ -486,11 +486,8 @@ def expand_patterns(mapping: Any, root: type[BaseModel], path: Path | None = Non
     Raises:
         SceneError: A pattern is not valid, or an entry cannot be repeated in this way.
     """
-    return _Expansion(path).section(root, mapping, ()) if _has_pattern(mapping) else mapping
-
-
-def _has_pattern(value: Any) -> bool:
-    return any(isinstance(one, Mapping) and "repeat" in one for one in _values_in(value))
+    has_pattern = any(isinstance(one, Mapping) and "repeat" in one for one in _values_in(mapping))
+    return _Expansion(path).section(root, mapping, ()) if has_pattern else mapping
 
 
 class _Expansion:

@@ -535,6 +535,11 @@ class Scene(NamedEntry):
         return self.bodies if self.body is None else (self.body,)
 
     @property
+    def touching(self) -> tuple[Touching, ...]:
+        """The pairs of its contact, none without contact."""
+        return () if self.contact is None else self.contact.between
+
+    @property
     def guided_bodies(self) -> tuple[RigidBody, ...]:
         """Rigid bodies that follow commanded poses."""
         return tuple(body for body in self.rigid_bodies if body.motion == "guided")

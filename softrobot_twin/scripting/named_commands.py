@@ -301,13 +301,9 @@ class CommandReader:
             drive = self.drives.get(name)
             if drive is None or name not in allowed:
                 raise self._refused(name, word, allowed)
-            number, kind = one_number(name, numbers), drive.kind
-            shown = f"{number:g} {drive.quantity.unit}"
-            if SETPOINTS not in drive.gives and kind.one_sided and number < 0.0:
-                raise CommandError(name, f"{shown} must not be negative: a {kind.noun} cannot push")
-            if SETPOINTS in drive.gives and not drive.lines and number < kind.least_setpoint:
-                raise CommandError(name, f"{shown} must be {kind.least_setpoint:g} or more: it is "
-                                   f"the {kind.setpoint.word} of a {kind.noun}")
+            number = one_number(name, numbers)
+            if reason := drive.impossible(number):
+                raise CommandError(name, f"{number:g} {drive.quantity.unit} {reason}")
             for place, told in drive.told(number):
                 if place in driven_by:
                     raise CommandError(name, f"drives {actuators.names[place]}, as {driven_by[place]} does")

@@ -732,19 +732,17 @@ class Robot:
             return self._collected(columns, rows)
         _refuse("targets, of which each row is a step,", rate=rate)
         table = read_targets(source, self.simulation)
-        for note in (*table.notes, unlikely_warning(self.simulation, commands_of(table))):
-            if note:
-                warnings.warn(note, SceneWarning, stacklevel=4)
+        if unlikely := unlikely_warning(self.simulation, commands_of(table)):
+            warnings.warn(unlikely, SceneWarning, stacklevel=4)
         columns = columns_of(self.simulation, table)
         return self._collected(columns, run_targets(self.simulation, table, 0, columns))
 
     def _is_by_rows(self, source: Any) -> bool:
         """Whether each row of a table is a step: it has targets, or a run wrote it."""
         columns = open_columns(source, TARGETS_EXAMPLE)
-        names = [name for effector in self.effector_names
-                 for name in (*position_columns(effector), f"{effector}.x")]
+        names = [name for effector in self.effector_names for name in position_columns(effector)]
         names += self.simulation.sensor_columns
-        return columns.is_output or "t" in columns or any(name in columns for name in names)
+        return columns.is_output or any(name in columns for name in names)
 
     def _run_alone(self, steps: int | None, seconds: float | None, rate: float) -> Table:
         """A run without commands."""

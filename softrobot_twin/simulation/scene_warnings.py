@@ -100,8 +100,7 @@ def _idle_damping(scene: Scene) -> Iterator[str]:
 
 
 def _untouched_obstacles(scene: Scene) -> Iterator[str]:
-    pairs = () if scene.contact is None else scene.contact.between
-    named = {name for touching in pairs for name in touching.pair}
+    named = {name for touching in scene.touching for name in touching.pair}
     named |= {name for cable in scene.cables for name in cable.wraps}
     for key, obstacle in scene.keyed("obstacles"):
         if obstacle.name not in named:
@@ -147,8 +146,7 @@ def single_layers(scene: Scene, model: Model) -> Iterator[str]:
     Yields:
         A sentence for each body.
     """
-    pairs = () if scene.contact is None else scene.contact.between
-    sticky = {name for one in pairs if scene.contact.friction_of(one) for name in one.pair}
+    sticky = {name for one in scene.touching if scene.contact.friction_of(one) for name in one.pair}
     for body in (one for one in model.bodies if isinstance(one.mesh.corner_mesh, HexahedralMesh)):
         layer = _between_held_faces(body, body.name in sticky)
         nu = max(part.poisson_ratio for part in body.materials)
@@ -192,8 +190,7 @@ def _coarse_ropes(scene: Scene) -> Iterator[str]:
         shape = getattr(one, "cylinder", None) or getattr(one, "capsule", None)
         if shape is not None:
             radii[one.name] = shape.radius
-    pairs = () if scene.contact is None else scene.contact.between
-    for index, touching in enumerate(pairs):
+    for index, touching in enumerate(scene.touching):
         for name, other in (touching.pair, touching.pair[::-1]):
             if name not in beams or other not in radii:
                 continue

@@ -104,14 +104,8 @@ class ContactGaussSeidel:
             The solution. `converged` is False if the residual is above the tolerance. If the
             problem or the guess is not finite it holds the finite part of the guess, with
             infinite residuals.
-
-        Raises:
-            ValueError: Sizes do not fit together, see `ContactProblem.check`.
         """
-        problem.check_sizes()
         guess = np.asarray(guess, dtype=np.float64)
-        if guess.shape != problem.violation.shape:
-            raise ValueError(f"a guess of {guess.size} multipliers for {len(problem.W)} rows")
         parts = tuple(np.ascontiguousarray(part, dtype=np.float64) for part in problem[:5])
         force = guess.copy()
         gap, newtons, count = _solve(
@@ -120,7 +114,6 @@ class ContactGaussSeidel:
         )  # fmt: skip
         if gap < np.inf:
             return ContactSolution(force, gap, newtons, count, gap <= self.tolerance)
-        problem.check()
         force = np.where(np.isfinite(guess), guess, 0.0)
         return ContactSolution(force, np.inf, np.inf, 0, False)
 

@@ -55,34 +55,6 @@ class ContactProblem(NamedTuple):
             return self
         return self._replace(W=self.Yt @ self.Yt.T if self.W is None else self.W, Yt=None)
 
-    def check(self) -> None:
-        """Check that the sizes fit together, and the signs.
-
-        Raises:
-            ValueError: They do not, a bound is reversed, or a coefficient of friction negative.
-        """
-        self.check_sizes()
-        if (self.lower > self.upper).any():
-            raise ValueError("an actuator's least multiplier is above its greatest")
-        if (self.friction < 0.0).any():
-            raise ValueError("a coefficient of friction is negative")
-
-    def check_sizes(self) -> None:
-        """Check that the sizes fit together.
-
-        Raises:
-            ValueError: They do not.
-        """
-        n = len(self.lower) + self.rows_per_contact * len(self.friction)
-        if self.rows_per_contact not in (1, 3):
-            raise ValueError(f"a contact has 1 or 3 rows, not {self.rows_per_contact}")
-        given = (n, n) if self.Yt is None else (self.Yt.shape[0], n)
-        given = given if self.W is None else self.W.shape
-        if given != (n, n) or self.violation.shape != (n,):
-            raise ValueError(f"{n} rows, but W {given}, violation {self.violation.shape}")
-        if self.upper.shape != self.lower.shape:
-            raise ValueError(f"{len(self.lower)} least multipliers, {len(self.upper)} greatest ones")
-
 
 def with_frictionless_contacts(problem: ContactProblem) -> ContactProblem:
     """The problem whose contacts without friction are rows with the bounds 0 and ∞.

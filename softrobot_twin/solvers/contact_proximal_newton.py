@@ -101,11 +101,7 @@ class ContactProximalNewton:
             The solution; `sweeps` are Newton steps. `converged` is False if a residual is larger
             than required: then it is the best that was found, or the finite part of the guess
             where the problem is not finite.
-
-        Raises:
-            ValueError: Sizes do not fit together, see `ContactProblem.check`.
         """
-        problem.check()
         guess = np.array(guess, dtype=np.float64)
         by_factor = problem.Yt is not None
         W = NO_MATRIX if by_factor else problem.W

@@ -90,28 +90,6 @@ class QPCC(NamedTuple):
             np.isnan(array).any() for array in bounds
         )
 
-    def check(self) -> None:
-        """Check that the sizes and bounds fit together.
-
-        Raises:
-            ValueError: They do not, a bound is reversed, or a contact may pull.
-        """
-        n, m, count = len(self.g), len(self.row_lower), len(self.d)
-        shapes = {
-            "P": (n, n), "lower": (n,), "upper": (n,), "A": (m, n), "row_upper": (m,),
-            "C": (count, n), "force_max": (count,),
-        }  # fmt: skip
-        for name, shape in shapes.items():
-            if getattr(self, name).shape != shape:
-                raise ValueError(f"{name} has shape {getattr(self, name).shape}, not {shape}")
-        if count > n:
-            raise ValueError(f"{count} contacts, but {n} unknowns")
-        for low, high in ((self.lower, self.upper), (self.row_lower, self.row_upper)):
-            if np.any(low > high):
-                raise ValueError("a lower bound is above its upper bound")
-        if np.any(self.lower[n - count :] != 0.0) or np.any(self.force_max < 0.0):
-            raise ValueError("a contact's force starts at zero, and so does its bound")
-
     def objective(self, z: np.ndarray) -> float:
         """½ zᵀPz + gᵀz.
 

@@ -82,10 +82,7 @@ def whiten(problem: QPCC) -> WhitenedQP:
 
     Raises:
         numpy.linalg.LinAlgError: The Hessian is not finite or not positive definite.
-        ValueError: The problem has contacts.
     """
-    if problem.contact_count:
-        raise ValueError(f"{problem.contact_count} contacts: not a quadratic program")
     _, _, T = problem.whitening()
     q = T.T @ problem.g
     size = np.linalg.norm(q) or 1.0

@@ -9,7 +9,6 @@ Reduced models whose files exist are candidates like full ones; `reduce` trains 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -403,7 +402,6 @@ class Models:
 def choose(
     scene_path: Path, rate: float, accuracy_file: Path | None = None, write: Path | None = None,
     measure: Callable[[Scene, float, int], Measured] | None = None, reduced: Sequence[Path] = (),
-    forces_given: bool = False,
 ) -> int:  # fmt: skip
     """Times the candidates, prints the best one and writes its scene.
 
@@ -415,7 +413,6 @@ def choose(
         measure: Measures a scene at a rate with a number of linearizations; a clock when None.
         reduced: Files of reduced models, beside that of the scene and those beside its mesh and
             beside the scene that is written.
-        forces_given: Choose by the error at given forces, in place of that at given displacements.
 
     Returns:
         Exit code, always 0.
@@ -436,8 +433,6 @@ def choose(
     levels = mesh_family(held, write.resolve().parent / f"{write.stem}_meshes")
     hexahedra = hexahedral_family(held)
     known = _rows(levels, hexahedra, accuracy_file)
-    if forces_given:
-        known = [judged_by_forces(row) for row in known]
     check_reference([row for row in known if row.knob == MESH], scene.name)
     models = Models(levels, hexahedra)
     known = [row for row in known if row.mesh in models]
@@ -464,12 +459,8 @@ def choose(
     best = pick(candidates, rate, unsure)
     chosen = models.scene(best.setting)
     words = given_words(scene)
-    if forces_given:
-        words = words[::-1]
     warned = accuracy_warnings(best, words)
     remarks = [*_remarks(best, rows, rate, scene_path, words), *warned]
-    if forces_given:
-        remarks.append(f"Chosen by the error for given {words[0]}.")
     if clock is not None:
         remarks.append("Times are those of a machine without other programs; this one was "
                        f"{clock.timing.slowdown:.2f} times slower in the median round of the timing.")
@@ -483,19 +474,6 @@ def choose(
         warn(line)
     shown.print(f"written: {write}")
     return 0
-
-
-def judged_by_forces(row: AccuracyRow) -> AccuracyRow:
-    """A row whose `error` is that at given forces, and the other way round.
-
-    Args:
-        row: A row of a study.
-    """
-    return replace(
-        row, error_lengths=row.error_tensions, error_weightless=row.error_tensions,
-        uncertainty_lengths=row.uncertainty_tensions, uncertainty_weightless=row.uncertainty_tensions,
-        error_tensions=row.error, uncertainty_tensions=row.uncertainty,
-    )  # fmt: skip
 
 
 def _rows(levels: list[MeshLevel], hexahedra: list[MeshLevel], file: Path | None) -> list[AccuracyRow]:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -140,10 +140,10 @@ def simulate_alone(scene: Path, seconds: float, output: Path, rate: float = DEFA
 
 
 def _run_and_report(simulation: Simulation, commanded: CommandTable, output: Path, rate: float,
-                    summary: RunSummary, picture: Picture | None,
-                    body_readouts: BodyReadouts | None = None) -> int:
+                    summary: RunSummary, picture: Picture | None, seen: BodyReadouts | None = None) -> int:
     """Runs all steps, and takes a snapshot at each wanted time."""
-    wanted, seen = _wanted_times(picture, commanded), body_readouts
+    last = float(commanded.times[-1])
+    wanted = sorted(min(time, last) for time in picture.times or (last,)) if picture else []
     columns = RunColumns(simulation, None, () if seen is None else seen.columns)
     again = MoreIterations(simulation)
     rows: Iterator[RunRow] = run_commands(simulation, commanded, rate, columns, again)
@@ -161,12 +161,3 @@ def _run_and_report(simulation: Simulation, commanded: CommandTable, output: Pat
         simulation, rows, columns, len(step_times(commanded, rate)),
         f"{'direct' if seen is None else 'no commands'}, {rate:g} Hz", output, summary, picture,
         shots, lambda: [*again.lines(), *(seen.lines() if seen else [])])
-
-
-def _wanted_times(picture: Picture | None, commanded: CommandTable) -> list[float]:
-    """Times to draw, in increasing order."""
-    if picture is None:
-        return []
-    last = float(commanded.times[-1])
-    times: Sequence[float] = picture.times or (last,)
-    return sorted(min(time, last) for time in times)

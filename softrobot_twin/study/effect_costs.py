@@ -80,7 +80,7 @@ def _is_self(touching) -> bool:
 
 
 def _without_self_contact(scene: Scene) -> Scene:
-    kept = tuple(one for one in scene.contact.between if not _is_self(one))
+    kept = tuple(one for one in scene.touching if not _is_self(one))
     return scene.changed(contact={"between": kept, "points": ()} if kept else None)
 
 
@@ -89,11 +89,11 @@ EFFECTS = (
                 lambda scene: scene.changed(contact=None)),
     SceneEffect("friction of contact",
                 lambda scene: scene.contact is not None and bool(
-                    scene.contact.friction or any(one.friction for one in scene.contact.between)),
+                    scene.contact.friction or any(one.friction for one in scene.touching)),
                 lambda scene: scene.changed(contact={"between": {"friction": None}, "friction": 0.0})),
     SceneEffect("self-contact",
                 lambda scene: scene.contact is not None and bool(
-                    scene.contact.points or any(map(_is_self, scene.contact.between))),
+                    scene.contact.points or any(map(_is_self, scene.touching))),
                 _without_self_contact),
     SceneEffect("motion in time", lambda scene: scene.integration != "quasi_static",
                 lambda scene: scene.changed(integration="quasi_static")),

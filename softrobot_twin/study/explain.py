@@ -31,7 +31,7 @@ from softrobot_twin.mechanics.laws import law_named
 from softrobot_twin.mechanics.observed_loads import ObservedLoads
 from softrobot_twin.mechanics.sealed_gas import SealedGas
 from softrobot_twin.scene import Scene
-from softrobot_twin.scene.body_entries import Material, RegionMaterial
+from softrobot_twin.scene.body_entries import Material
 from softrobot_twin.scene.words import count, in_words, number, vector, words
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.building.actuator_kinds import ActuatorGroup, Quantity
@@ -80,17 +80,6 @@ def _describe_law(law: str, at_rest: AtRest | MaterialPart, constants: dict | No
     own = (f"{constant.name} {in_words(constants[constant.name])} {constant.unit}".rstrip()
            for constant in law_named(law).own.constants)
     return words(law, *own, f"at rest {moduli}")
-
-
-def describe_material_part(part: MaterialPart, entry: RegionMaterial) -> str:
-    """A material of some cells of a body.
-
-    Args:
-        part: The material as the body has it.
-        entry: The entry that it comes from.
-    """
-    return words(f"{entry.place}: {_describe_law(part.law, part, entry.constants)}",
-                 f"{number(part.density)} kg/m³", f"{number(part.volume)} m³", entry.describe())
 
 
 def describe_actuator(group: ActuatorGroup, index: int, entry) -> str:
@@ -377,7 +366,9 @@ def _body_effects(body, integration: str, names: list[str]) -> Iterator[Effect]:
                  "in superelements" if vertebrae else _term(names, entry.material.law))
     for part, other in zip(body.materials[-len(entry.materials):], entry.materials, strict=False):
         cells = "cells" if "hexahedra" in mesh.cell_counts else "tets"
-        yield Effect(part.key, describe_material_part(part, other), "in superelements" if vertebrae
+        content = words(f"{other.place}: {_describe_law(part.law, part, other.constants)}",
+                        f"{number(part.density)} kg/m³", f"{number(part.volume)} m³", other.describe())
+        yield Effect(part.key, content, "in superelements" if vertebrae
                      else f"{_term(names, part.law)} of {len(part.cells)} {cells}")
     if entry.has_patches:
         own = [name for name in names if "patch volumes" in name]
@@ -727,11 +718,6 @@ def _term(names: list[str], word: str) -> str:
     return f"term {found[0]}" if found else "no term"
 
 
-def _burst_warnings(simulation: Simulation) -> list[str]:
-    with terminal_status("driving the cavities to their greatest pressures"):
-        return list(burst_warnings(simulation))
-
-
 def _draw(simulation: Simulation, picture: Path, where: str, view: tuple[float, float] | None) -> None:
     """Draw a robot as it stands, with the names of all things."""
     shot = take_snapshot(simulation, None, simulation.scene.name)
@@ -781,7 +767,9 @@ def explain(scene: Path, mesh_error: bool = True, picture: Path | None = None,
         output.print(f"picture: {picture}\n")
     if mesh_error:
         print_mesh_error(simulation.scene, with_table=True)
-    for note in (*simulation.notes, *thin_warnings(simulation), *_burst_warnings(simulation),
+    with terminal_status("driving the cavities to their greatest pressures"):
+        bursts = list(burst_warnings(simulation))
+    for note in (*simulation.notes, *thin_warnings(simulation), *bursts,
                  *fibre_warnings(simulation, thinnest_parts(simulation))):  # fmt: skip
         warn(note)
     return 0

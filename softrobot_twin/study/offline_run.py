@@ -254,9 +254,8 @@ def simulate(scene: Path, targets: Path, output: Path, settle: int = 0, picture:
     """
     simulation = load_with_notes(scene)
     rows = read_targets(targets, simulation, axes)
-    for note in (*rows.notes, unlikely_warning(simulation, commands_of(rows))):
-        if note:
-            warn(note)
+    if unlikely := unlikely_warning(simulation, commands_of(rows)):
+        warn(unlikely)
     summary, name = RunSummary(simulation, unit="rows"), simulation.scene.name
     effector_path = np.empty((len(rows.times), len(simulation.effector_names), 3))
     goal = rows.values[-1] if rows.kind == "targets" else None

@@ -30,7 +30,7 @@ from softrobot_twin.simulation.building.table_columns import (
     unit_of,
 )
 from softrobot_twin.simulation.result import Status
-from softrobot_twin.simulation.runs.input_tables import TableFileError, open_columns, take_old_names
+from softrobot_twin.simulation.runs.input_tables import TableFileError, open_columns
 from softrobot_twin.simulation.runs.run_columns import ACTIVE_LIMITS, COMPUTE_TIME, TEXT_COLUMNS
 
 SAMPLE = "sample"
@@ -67,7 +67,6 @@ def read_series(path: Path) -> Series:
         TableFileError: The file cannot be read, or is not of this kind.
     """
     columns = open_columns(path, f"{TIME},<effector>_x_m")
-    take_old_names(columns)
     over = next((name for name in (TIME, SAMPLE) if name in columns), None)
     if over is None:
         raise TableFileError(path, "is nothing that a run writes or reads: the header has neither "

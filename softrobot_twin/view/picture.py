@@ -154,11 +154,7 @@ class Picture:
 
         Args:
             frame: The frame.
-
-        Raises:
-            ViewError: The frame does not fit the stage.
         """
-        frame.check_against(self._stage)
         recording = self._recording
         recording.set_time(frame.step, frame.time_ns)
         for entity in self._stage.entities:

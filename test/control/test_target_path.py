@@ -14,7 +14,6 @@ from softrobot_twin.control.target_path import (
     has_orientations,
     make_path,
     make_sequence,
-    notes_of,
 )
 from softrobot_twin.errors import ParameterError
 
@@ -159,15 +158,6 @@ def test_a_setpoint_moves_to_and_fro_between_its_ends():
     times = np.linspace(0.0, 8.0, 400)
     rates = np.diff([to_and_fro.value(time) for time in times]) / np.diff(times)
     assert abs(rates[0]) < 5e-3 and np.abs(rates).max() == pytest.approx(0.1 * np.pi / 4, rel=1e-2)
-
-
-def test_names_of_earlier_path_files_are_read_with_a_note(tmp_path):
-    path = read_file(tmp_path, "t,tip.x,tip.y,tip.z,other.x\n0,0.01,0.02,0.03,0\n")
-    assert path.position(0.0) == pytest.approx([0.01, 0.02, 0.03])
-    (note,) = notes_of(path)
-    assert "time_s, tip_x_m" in note
-    assert notes_of(read_file(tmp_path, f"{HEADER}\n0,0.01,0.02,0.03,0\n")) == ()
-    assert notes_of(make_sequence(["circle"], "tip", AROUND, 1.0, 0.1)) == ()
 
 
 @pytest.mark.parametrize(("columns", "cells", "expected"), [

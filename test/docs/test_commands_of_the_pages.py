@@ -64,11 +64,6 @@ def test_a_command_of_the_package_can_be_given(line, capsys):
         assert ended.code == 0, capsys.readouterr().err
 
 
-def test_there_are_commands_to_test():
-    assert {line.words[1] for line in OURS} >= {"simulate", "explain", "workspace", "reduce"}
-    assert len(OURS) > 30
-
-
 @pytest.mark.parametrize("line", of("make"), ids=shown)
 def test_a_target_of_make_and_its_robot_exist(line):
     for word in line.words[1:]:

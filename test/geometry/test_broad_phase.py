@@ -35,8 +35,8 @@ def tube():
 def test_excluding_clusters_changes_no_bit(tube, shape):
     points, triangles = tube
     rng = np.random.default_rng(1)
-    culled = SurfaceShapeDetector(triangles, len(points), shape)
-    whole = SurfaceShapeDetector(triangles, len(points), shape)
+    culled = SurfaceShapeDetector(triangles, shape)
+    whole = SurfaceShapeDetector(triangles, shape)
     everything = np.unique(triangles)
     whole.clusters = Clusters(everything, np.array([len(everything)]))
     found = 0

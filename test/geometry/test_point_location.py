@@ -3,7 +3,6 @@ import itertools
 import numpy as np
 import pytest
 
-from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.point_location import closest_on_triangles, locate_points
 from softrobot_twin.geometry.tet_mesh import TetMesh
 
@@ -70,13 +69,6 @@ def test_points_on_shared_faces_always_go_to_the_same_tetrahedron(block):
     mesh = block()
     alone = [int(locate_points(mesh, point).cells[0]) for point in mesh.node_positions]
     assert locate_points(mesh, mesh.node_positions).cells.tolist() == alone
-
-
-def test_points_that_are_not_finite_are_refused_by_index(block):
-    with pytest.raises(MeshError, match="point 1 to locate is"):
-        locate_points(block(), [[0, 0, 0], [0, np.nan, 0]])
-    with pytest.raises(MeshError, match="shape"):
-        locate_points(block(), [[0, 0], [1, 1]])
 
 
 def test_no_point_of_the_triangle_is_closer():

@@ -101,7 +101,7 @@ def touching(shape, seed, gap):
     if shape.is_half_space:
         direction = -turns[1] @ shape.unit_normal
     origin = approach(shape, points, triangles, turns[1], direction, gap)
-    found = near(SurfaceShapeDetector(triangles, len(points), shape), points, origin, turns[1], MARGIN)
+    found = near(SurfaceShapeDetector(triangles, shape), points, origin, turns[1], MARGIN)
     return points, triangles, origin, turns[1], found
 
 
@@ -189,7 +189,7 @@ def test_all_vertices_within_the_margin_are_given_first(shape):
     points, triangles, origin, turn, _ = touching(shape, 2, 1e-4)
     distances, normals = shape.signed_distances((points - origin) @ turn)
     margin = np.median(distances)
-    found = near(SurfaceShapeDetector(triangles, len(points), shape), points, origin, turn, margin)
+    found = near(SurfaceShapeDetector(triangles, shape), points, origin, turn, margin)
     within = np.flatnonzero(distances < margin)
     np.testing.assert_array_equal(found.first_points[: len(within)], np.tile(within, (3, 1)).T)
     np.testing.assert_allclose(found.gaps[: len(within)], distances[within], atol=1e-15)
@@ -201,7 +201,7 @@ def test_contacts_move_with_the_placement_of_the_whole(shape):
     points, triangles, origin, turn, found = touching(shape, 4, -1e-4)
     move, shift = Rotation.from_rotvec([1.0, -2.0, 0.5]).as_matrix(), np.array([0.3, -0.1, 0.2])
     moved = near(
-        SurfaceShapeDetector(triangles, len(points), shape), points @ move.T + shift,
+        SurfaceShapeDetector(triangles, shape), points @ move.T + shift,
         move @ origin + shift, move @ turn, MARGIN,
     )
     np.testing.assert_array_equal(moved.keys, found.keys)
@@ -213,7 +213,7 @@ def test_contacts_move_with_the_placement_of_the_whole(shape):
 @pytest.mark.sampled
 def test_the_normal_is_the_direction_of_fastest_growth_of_the_gap(shape):
     points, triangles, origin, turn, found = touching(shape, 4, 3e-4)
-    detector = SurfaceShapeDetector(triangles, len(points), shape)
+    detector = SurfaceShapeDetector(triangles, shape)
     step, slopes = 1e-7, []
     for shift in np.eye(3):
         gaps = []
@@ -232,7 +232,7 @@ def test_the_normal_is_the_direction_of_fastest_growth_of_the_gap(shape):
 def test_keys_stay_under_small_motion(shape):
     points, triangles, origin, turn, found = touching(shape, 5, 2e-4)
     shaken = points + np.random.default_rng(1).uniform(-1e-8, 1e-8, points.shape)
-    again = near(SurfaceShapeDetector(triangles, len(points), shape), shaken, origin, turn, MARGIN)
+    again = near(SurfaceShapeDetector(triangles, shape), shaken, origin, turn, MARGIN)
     off_border = np.abs(found.gaps - MARGIN) > 1e-6
     assert set(found.keys[off_border].tolist()) <= set(again.keys.tolist())
     np.testing.assert_allclose(
@@ -243,14 +243,14 @@ def test_keys_stay_under_small_motion(shape):
 
 def test_far_away_nothing_is_found(shape):
     origin = -10.0 * shape.unit_normal if shape.is_half_space else np.array([0.0, 0.0, 10.0])
-    detector = SurfaceShapeDetector(np.array([[0, 1, 2]]), 3, shape)
+    detector = SurfaceShapeDetector(np.array([[0, 1, 2]]), shape)
     found = near(detector, COVER, origin, UPRIGHT, MARGIN)
     assert [len(array) for array in found] == [0] * 9
 
 
 def test_all_pairs_are_given_when_there_are_many():
     points, triangles = Sphere([0, 0, 0], 0.02).surface(0.005)
-    detector = SurfaceShapeDetector(triangles, len(points), Sphere([0, 0, 0], 0.01))
+    detector = SurfaceShapeDetector(triangles, Sphere([0, 0, 0], 0.01))
     found = near(detector, points, HERE, UPRIGHT, 0.02)
     edges, _ = edges_and_sides(triangles)
     # About the common centre every edge is nearest in its middle.
@@ -266,7 +266,7 @@ TIP = Rotation.from_rotvec(TILT).as_matrix()
 
 def detect(points, triangles, shape, margin=MARGIN):
     points = np.array(points, float)
-    detector = SurfaceShapeDetector(np.array(triangles), len(points), shape)
+    detector = SurfaceShapeDetector(np.array(triangles), shape)
     return near(detector, points, HERE, UPRIGHT, margin)
 
 

@@ -1,23 +1,18 @@
 """Kernels have only what they need, and those that only kernels call say so."""
 
 import ast
-import gc
 import json
 import os
 import re
 import subprocess
 import sys
 from collections import Counter
-from functools import cache
 
-import numba
 import numpy as np
 import pytest
-from numba.core import event
 from numba.core.registry import CPUDispatcher
 
 from softrobot_twin.kernels.compilation import INNER, KERNEL, Kernel, njit
-from softrobot_twin.kernels.traced_stage import clear
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import Simulation
 from test.places import PACKAGE
@@ -56,40 +51,12 @@ def test_a_kernel_is_compiled_once_for_all_numbers_and_for_read_only_arrays():
     assert len(first.overloads) == len(calls.overloads) == 1
 
 
-def test_python_asks_the_compiler_once_for_each_kind_of_arguments(monkeypatch):
-    """numba asked it at each call, where a kernel was twice in its table."""
-    asked, compile_for = [], CPUDispatcher.compile
-    first = njit(**{**KERNEL, **UNCACHED})(first_of)
-    frozen = np.arange(3.0)
-    frozen.setflags(write=False)
-    monkeypatch.setattr(CPUDispatcher, "compile", lambda *given: asked.append(given) or compile_for(*given))
-    for _ in range(3):
-        assert first(np.arange(3.0), 1) == first(frozen, 1) == 1.0
-    assert len(asked) == 2
-
-
 def test_read_only_arrays_in_a_record_are_arrays_as_any_other():
     take = njit(**{**KERNEL, **UNCACHED})(lambda record: record[0][0] + record[1])
     frozen = np.ones(1)
     frozen.setflags(write=False)
     assert take((np.ones(1), 2.0)) == take((frozen, 2.0)) == 3.0
     assert len(take.overloads) == 1
-
-
-def test_machine_code_is_made_only_of_what_python_calls():
-    called, numbers = njit(**{**KERNEL, **UNCACHED})(clear.py_func), np.ones(2)
-    calls = njit(**{**KERNEL, **UNCACHED})(lambda numbers: called(numbers[:1]))
-    calls(numbers)
-    np.testing.assert_array_equal(numbers, [0.0, 1.0])
-    (compiled,) = called.overloads.values()
-    assert not compiled.library.is_machine_code
-    for _ in range(2):
-        numbers[:] = 1.0
-        called(numbers)
-        np.testing.assert_array_equal(numbers, 0.0)
-    assert compiled.library.is_machine_code
-    assert four_times(1.5) == 6.0
-    assert not any(each.library.is_machine_code for each in twice.overloads.values())
 
 
 def arrays_in(values):
@@ -119,53 +86,6 @@ def test_no_kernel_writes_an_array_that_is_read_only(monkeypatch, scene):
     monkeypatch.setattr(Kernel.__base__, "__call__", checked, raising=False)
     Simulation(load_scene(PACKAGE.parent / "config" / "scenes" / f"{scene}.yaml")).warm_up()
     assert count > 50
-
-
-def test_numbas_own_njit_refuses_the_options_of_an_inner_kernel():
-    """It would make a kernel that crashes where Python calls it."""
-    with pytest.raises(KeyError, match="only_kernels_call"):
-        numba.njit(**INNER)(lambda x: x)(1.0)
-
-
-def test_the_collector_waits_while_a_kernel_is_compiled_and_not_longer():
-    seen = []
-
-    class Watch(event.Listener):
-        def on_start(self, event):
-            seen.append(gc.isenabled())
-
-        def on_end(self, event):
-            pass
-
-    @njit(**{**KERNEL, **UNCACHED})
-    def broken(x):
-        return x.no_such_attribute
-
-    watch = Watch()
-    event.register("numba:run_pass", watch)
-    try:
-        for enabled in (True, False):
-            (gc.enable if enabled else gc.disable)()
-            four_times(np.float32(enabled) if enabled else 1j)
-            assert gc.isenabled() is enabled
-            with pytest.raises(Exception, match="no_such_attribute"):
-                broken(1.0)
-            assert gc.isenabled() is enabled
-    finally:
-        gc.enable()
-        event.unregister("numba:run_pass", watch)
-    assert seen and not any(seen)
-
-
-def test_all_kernels_take_their_options_from_one_place():
-    outside = [
-        f"{path.relative_to(PACKAGE)}:{node.lineno}"
-        for path in PACKAGE.rglob("*.py") if path.name != "compilation.py"
-        for node in ast.walk(ast.parse(path.read_text()))
-        if isinstance(node, ast.ImportFrom) and node.module == "numba"
-        and {"njit", "jit"} & {name.name for name in node.names}
-    ]  # fmt: skip
-    assert outside == []
 
 
 @pytest.fixture(scope="module")

@@ -389,10 +389,3 @@ def test_damping_takes_the_work_of_the_strain_rate():
     # From rest the strain rate is the strain over h: β/h = 0.2 of the elastic force is added.
     assert np.allclose(damped, 1.2 * elastic, rtol=1e-6, atol=1e-9 * np.abs(elastic).max())
     assert beams.energy(after) == undamped.energy(after)
-
-
-def test_elements_without_stiffness_are_refused():
-    beams, _, _ = chain(2, tube(0.01, 0.0, 0.3))
-    elements = beams.elements._replace(stiffness=np.zeros((2, 6)))
-    with pytest.raises(ValueError, match="stiffness of every element must be positive"):
-        Beams(elements)

@@ -267,9 +267,3 @@ def test_many_small_turns_stay_on_the_axis_and_add_up(joined):
             # Rounding of each step adds up like a random walk.
             np.testing.assert_allclose(Q, turned, atol=1e-11)
             np.testing.assert_allclose(Q @ joined.joints.axes[k], joined.joints.axes[k], atol=1e-14)
-
-
-def test_an_axis_that_is_no_unit_vector_is_refused(joined):
-    with pytest.raises(ValueError, match="unit vector"):
-        joints = joined.joints._replace(axes=2.0 * joined.joints.axes)
-        HingedFrames(3, [True, False], 2, UNKNOWNS, joints)

@@ -168,10 +168,3 @@ def test_a_point_that_was_turned_inside_out_keeps_finite_overstresses(material_p
     point = material_point(LAW, **MEMORIES["both"])
     for F in (np.diag([-0.2, 1.0, 1.0]), np.diag([0.0, 1.0, 1.0]), np.eye(3)):
         assert np.isfinite(point.step(F, 0.1)).all()
-
-
-def test_a_law_without_volume_apart_and_a_series_of_the_whole_modulus_are_refused(material_point):
-    with pytest.raises(ValueError, match="corotational"):
-        material_point(law_named("corotational").of_moduli(1e5, 0.3), viscosity=SERIES)
-    with pytest.raises(ValueError, match="less than 1"):
-        material_point(LAW, viscosity=(ViscousTerm(0.5, 1.0), ViscousTerm(0.5, 2.0)))

@@ -129,7 +129,7 @@ def test_a_displacement_of_a_touch_counts_from_where_it_began(held):
     (st.setpoints(upper_tension_N=1), "use efforts(upper_tension_N=...)"),
     (st.efforts(upper_shortening_m=0.01), "use setpoints(upper_shortening_m=...)"),
     (st.efforts(upper_tension_N=-1), "a cable cannot push"),
-    (st.setpoints(upper_length_m=-1), "-1 m must be 0 or more"),
+    (st.setpoints(upper_length_m=-1), "-1 m must not be negative"),
     (st.setpoints(upper_length_m=0.1, upper_shortening_m=0.0), "drives upper, as upper_length_m"),
     (st.setpoints(upper_length_m=[0.1, 0.1]), "must be one number, not 2"),
     ("tip", "is no command"),

@@ -29,10 +29,6 @@ def mypy(*arguments) -> subprocess.CompletedProcess:
                           capture_output=True, text=True, timeout=500)
 
 
-def test_the_package_says_that_it_is_typed():
-    assert (ROOT / "softrobot_twin" / "py.typed").is_file()
-
-
 @pytest.mark.exhaustive
 def test_a_users_script_is_checked_by_the_types_of_the_package(tmp_path):
     pytest.importorskip("mypy")

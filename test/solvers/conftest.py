@@ -88,7 +88,6 @@ class RobotInContact(NamedTuple):
     def problem(self, energy_weight=ENERGY_WEIGHT) -> QPCC:
         weights = np.ones(len(self.system.effectors))
         problem = build_inverse_problem(*self.given(weights, energy_weight))
-        problem.check()
         return problem
 
     def with_contacts(self, of: np.ndarray) -> "RobotInContact":

@@ -20,7 +20,6 @@ def mean_curvature(system, weights):
 def build(robot, weights=None, energy_weight=1e-4, **changed):
     weights = np.ones(len(robot.system.effectors)) if weights is None else weights
     problem = build_inverse_problem(*robot.given(weights, energy_weight))
-    problem.check()
     return problem._replace(**changed)
 
 
@@ -86,7 +85,6 @@ def test_epsilon_has_the_same_meaning_with_and_without_contacts(robot_in_contact
         robot.system.W_ea, robot.system.W_aa, robot.system.effectors, robot.system.actuators
     )
     plain = build_inverse_problem(system, np.ones(3), 1e-3, robot.bounds)
-    plain.check()
     ours = build(robot, energy_weight=1e-3).P[:8, :8]
     np.testing.assert_allclose(ours, plain.P, rtol=1e-12, atol=1e-15 * np.abs(plain.P).max())
 
@@ -135,19 +133,6 @@ def test_a_platform_stops_at_an_obstacle_and_presses_no_harder_than_allowed(robo
     assert answer.unknowns[0] == pytest.approx(3e-3, rel=1e-9)
     assert answer.unknowns[1] == pytest.approx(1.0, rel=1e-12)
     assert answer.force_excess.max() == 0.0
-
-
-@pytest.mark.parametrize("field, value, message", [
-    ("lower", np.full(13, 11.0), "above its upper"),
-    ("row_lower", np.full(9, 1.0), "above its upper"),
-    ("force_max", np.full(4, -1.0), "starts at zero"),
-    ("d", np.zeros(5), "shape"),
-    ("P", np.eye(3), "shape"),
-])  # fmt: skip
-def test_an_inconsistent_problem_is_refused(robot_in_contact, field, value, message):
-    problem = build(robot_in_contact(0, contacts=4, moves=1), **{field: value})
-    with pytest.raises(ValueError, match=message):
-        problem.check()
 
 
 @pytest.mark.parametrize("contacts", [0, 4])
@@ -209,7 +194,6 @@ def test_with_effort_rows_the_optimum_is_that_of_the_problem_in_efforts(robot_in
         build_inverse_problem(hat.stacked, np.ones(4), 0.0, robot.bounds), stiffness, reference,
         hat.actuators,
     )  # fmt: skip
-    problem.check()
     start = robot.tensions
     expected = solve_by_pivoting(plain, start, robot.touching)
     found = solve_by_pivoting(problem, np.linalg.solve(M, start) + shift, robot.touching)
@@ -233,7 +217,6 @@ def test_effort_rows_admit_exactly_the_efforts_within_their_bounds(robot_in_cont
     reference = 1e-3 * generator.standard_normal(count)
     problem = build(robot)
     changed = with_effort_rows(problem, stiffness, reference, system.actuators)
-    changed.check()
     shifted = stiffness > 0.0
     assert len(changed.A) == count + np.count_nonzero(shifted)
     np.testing.assert_array_equal(changed.A[:count], problem.A)

@@ -58,11 +58,6 @@ def test_the_whitened_objective_is_the_program_s_own(seed):
     assert ratio == pytest.approx(program.objective(first) / objective(first), rel=1e-6)
 
 
-def test_a_problem_with_contacts_is_refused(robot_in_contact):
-    with pytest.raises(ValueError, match="3 contacts"):
-        whiten(robot_in_contact(0, contacts=3).problem())
-
-
 def test_more_actuators_than_directions_have_one_answer():
     robot = random_robot(3, n=8, rows=1)
     first, second = (solve(robot)[1].unknowns for _ in range(2))

@@ -7,7 +7,6 @@ from softrobot_twin.study.choice import (
     MARGIN,
     Measured,
     NoSettingError,
-    judged_by_forces,
     measure_candidates,
     pick,
     reference_uncertainty,
@@ -106,13 +105,3 @@ def test_a_model_whose_error_under_forces_is_not_known_is_not_preferred_for_it()
     alike = replace(reduced_row(), error_tensions=float("nan"))
     found = measure_candidates([*rows(), alike], 100.0, clock_of_reduced)
     assert pick(found, 100.0, reference_uncertainty=0.01).setting.reduced == ""
-
-
-def test_a_choice_at_given_forces_goes_by_their_error():
-    soft = replace(rows()[1], error_tensions=0.01)
-    stiff = replace(rows()[2], step_ms=1.0, error_tensions=0.4)
-    found = measure_candidates(map(judged_by_forces, (soft, stiff)), 20.0, clock)
-    assert pick(found, 20.0).setting.mesh == "middle"
-    assert pick(measure_candidates((soft, stiff), 20.0, clock), 20.0).setting.mesh == "fine"
-    twice = judged_by_forces(soft)
-    assert (twice.error, twice.error_tensions) == (0.01, soft.error)

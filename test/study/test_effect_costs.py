@@ -6,7 +6,7 @@ import pytest
 from softrobot_twin.harness.sampled_axes import ActuationError
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.study.effect_costs import EFFECTS, NOTHING, effect_costs, path_of
+from softrobot_twin.study.effect_costs import NOTHING, effect_costs, path_of
 from test.builder import builder
 from test.scene_changes import yaml_file
 
@@ -51,10 +51,6 @@ def test_many_effects_of_a_scene_are_left_out_one_by_one(beam):
         "motion in time", "gravity", "viscosity of materials", "stretch of cables",
         "friction along cables", "volume patches", "strain smoothed over edges", NOTHING.name,
     ]  # fmt: skip
-
-
-def test_every_effect_has_a_name_of_its_own():
-    assert len({effect.name for effect in EFFECTS}) == len(EFFECTS)
 
 
 def test_equal_scenes_do_not_differ(beam):

@@ -108,8 +108,6 @@ def test_tables_of_commands_and_samples_of_a_workspace_are_drawn(tmp_path):
     assert [panel.title for panel in panels_of(series)] == [
         "position", "stiffness", "tension", "residual"]
     drawn(series)
-    old = written(tmp_path / "old.csv", {"t": [0, 1], "tip.x": [0, 1], "a.tension": [1, 2]})
-    assert list(read_series(old).numbers) == ["tip_x_m", "a_tension_N"]
 
 
 @pytest.mark.parametrize(("text", "words"), [

@@ -90,10 +90,7 @@ def test_a_byte_order_mark_spaces_and_blank_lines_are_ignored(tmp_path):
     ("time_s,tip_x_m,tip_y_m,tip_z_m\n0,0,0,0\n1,0,0,0\n0.5,0,0,0\n", 4, "time_s",
      "later than 1.0 s"),
     ("time_s,north_tension_N,south_tension_N\n0,1,-2\n", 2, "south_tension_N", "cannot push"),
-    # Names of earlier files are told as they stand in the file.
-    ("t,tip.x,tip.y,tip.z\n0,0,left,0\n", 2, "tip.y", "a number"),
-    ("t,nose.x,nose.y,nose.z\n0,0,0,0\n", 1, "nose.x", "no effector 'nose'"),
-    ("time_s,tip.x,tip.y,tip.z\n0,0,0,0\n", 1, "tip.x", "use tip_x_m"),
+    ("time_s,nose_x_m,nose_y_m,nose_z_m\n0,0,0,0\n", 1, "nose_x_m", "no effector 'nose'"),
     # What no run wrote has no results.
     ("time_s,tip_x_m,tip_y_m,tip_z_m,residual_N\n0,0,0,0,0\n", 1, "residual_N",
      "not a valid column; valid are time_s"),
@@ -174,24 +171,6 @@ def test_a_targets_file_may_give_stiffnesses_along_some_axes(tmp_path):
 def test_wrong_orientations_and_stiffnesses_are_refused(tmp_path, text, simulation, reason):
     with pytest.raises(TableFileError, match=reason):
         read(tmp_path, text, simulation)
-
-
-OLD = "t,tip.x,tip.y,tip.z,tip.qx,tip.qy,tip.qz,tip.qw,tip.kz\n0,1,2,3,0,0,0,1,300\n"
-TODAY = OLD.replace("t,tip.x,tip.y,tip.z", "time_s,tip_x_m,tip_y_m,tip_z_m").replace(
-    "tip.q", "tip_q").replace("tip.kz", "tip_kz_N_per_m")
-
-
-def test_names_of_earlier_targets_files_are_read_with_one_note_of_the_new_ones(tmp_path):
-    simulation = robot((True, False), (True, False))
-    old, today = read(tmp_path, OLD, simulation), read(tmp_path, TODAY, simulation)
-    for field in ("times", "values", "orientations", "stiffness"):
-        np.testing.assert_array_equal(getattr(old, field), getattr(today, field))
-    (note,) = old.notes
-    assert "time_s, tip_x_m, tip_y_m" in note and "tip_kz_N_per_m" in note and "targets.csv" in note
-    assert today.notes == ()
-    lengths = read(tmp_path, "t,south.length,north.length\n0,2,1\n")
-    assert lengths.kind == "setpoints" and lengths.values.tolist() == [[1.0, 2.0]]
-    assert "south_length_m" in lengths.notes[0]
 
 
 def test_a_targets_file_may_give_shortenings(tmp_path):

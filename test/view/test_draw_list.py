@@ -14,8 +14,6 @@ def listed(simulation, **changes):
     drawing = DrawList(simulation, force_scale=0.5)
     entities = {entity.path: entity for entity in drawing.entities}
     drawn = drawing.drawn(Shown.of(simulation)._replace(**changes))
-    for path, own in drawn.items():
-        entities[path].check(own)
     return entities, drawn
 
 

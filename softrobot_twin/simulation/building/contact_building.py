@@ -269,13 +269,15 @@ def _known_ahead(layout: Layout, sides: dict[str, Side], notes: list[str]) -> li
         points = surface.points(layout.nodes.rest_positions)
         index = [_nearest(points, p.point) for p in own]
         triangles = [_nearest_triangle(points, surface.triangles, p.against) for p in own]
-        for p, found in zip(own, index, strict=True):
+        for p, found, triangle in zip(own, index, triangles, strict=True):
+            if found in triangle:
+                raise layout.scene.error(f"contact.points[{entry.points.index(p)}]", name, "its point is a "
+                                         "corner of its triangle: they cannot come together")
             away = float(np.linalg.norm(points[found] - p.point))
             if away > SNAP_SHARE * body.size:
                 notes.append(f"contact.points[{entry.points.index(p)}].point lies {1e3 * away:.3g} mm "
                              f"from the nearest point of the surface of {name}, which touches in its "
                              "place")
-        _check_apart(layout, body, index, triangles)
         detector = FixedPairs(np.array(index), np.array(triangles))
         pairs.append(TwoSurfaces(sides[name], sides[name], entry.friction, detector))
     return pairs
@@ -293,11 +295,3 @@ def _nearest_triangle(points: np.ndarray, triangles: np.ndarray, place) -> np.nd
     size = np.linalg.norm(np.ptp(points, axis=0))
     near = triangles[away <= away.min() + ON_BODY * size]
     return near[_nearest(points[near].mean(axis=1), place)]
-
-
-def _check_apart(layout: Layout, body: Body, index: list[int], triangles: list) -> None:
-    for place, (point, triangle) in enumerate(zip(index, triangles, strict=True)):
-        if point in triangle:
-            raise layout.scene.error(f"contact.points[{place}]", body.name,
-                                     "its point is a corner of its triangle: they cannot come "
-                                     "together")

@@ -107,14 +107,14 @@ class RigidPart(FramePart):
 
 
 def build_rigid_parts(
-    scene: Scene, bodies: list[Body], net: BeamNet | None, first_node: int, notes: list[str]
+    scene: Scene, bodies: list[Body], net: BeamNet, first_node: int, notes: list[str]
 ) -> tuple[RigidPart, ...]:
     """Build all rigid bodies.
 
     Args:
         scene: The scene.
         bodies: Its deformable bodies, whose nodes may be attached.
-        net: Its beams, whose nodes may be joined; None without beams.
+        net: Its beams, whose nodes may be joined.
         first_node: Number of nodes of the scene before their frames.
         notes: List to which repairs are appended.
 
@@ -133,7 +133,7 @@ def build_rigid_parts(
         )
     }  # fmt: skip
     held = held_bodies(scene, net, held)
-    if net is not None and scene.integration == "quasi_static":
+    if scene.integration == "quasi_static":
         held = net.all_held(held)
     parts = []
     for index, (key, entry) in enumerate(scene.keyed("rigid_bodies")):
@@ -148,20 +148,19 @@ def build_rigid_parts(
     return tuple(parts)
 
 
-def held_bodies(scene: Scene, net: BeamNet | None, held: set[str]) -> set[str]:
+def held_bodies(scene: Scene, net: BeamNet, held: set[str]) -> set[str]:
     """What is held, by beams and by joints of rigid bodies too: names of rigid bodies and beams.
 
     Args:
         scene: The scene.
-        net: Its beams; None without beams.
+        net: Its beams.
         held: Names of rigid bodies that are held otherwise.
     """
     pairs = [{body.name, joint.to} for body in scene.rigid_bodies for joint in body.joined]
     before = -1
     while len(held) > before:
         before = len(held)
-        held = held if net is None else net.reached(held)
-        held = held.union(*(pair - {"world"} for pair in pairs if pair & (held | {"world"})))
+        held = net.reached(held).union(*(pair - {"world"} for pair in pairs if pair & (held | {"world"})))
     return held
 
 
@@ -490,7 +489,7 @@ def lay_out(
     """
     check_files(scene)
     check_walls_of_reduced(scene)
-    net = BeamNet(scene) if scene.beams else None
+    net = BeamNet(scene)
     guided = {entry.name for entry in scene.rigid_bodies if entry.motion != "free"}
     held = held_bodies(scene, net, guided)
     bodies: list[Body] = []
@@ -528,17 +527,13 @@ def lay_out(
             bodies[index] = replace(body, vertebrae=placed)
             first_node += 4 * len(placed.parts)
     vertebrae = tuple(part for body in bodies if body.vertebrae for part in body.vertebrae.parts)
-    beams, beam_frames, hinges = (), (), None
-    is_held = all(body.is_held for body in bodies)
-    if net is not None:
-        riders = {name for body in bodies for name in body.riding}
-        is_held = is_held and {beam.name for beam in net.beams} <= held_bodies(scene, net, guided | riders)
-        beams, beam_frames = net.placed(rigid, first_node), net.frame_parts()
-        sizes += [size_of_points(beam.places) for beam in beams]
-    framed = (*rigid, *vertebrae, *beam_frames)
-    if net is not None and net.pivots:
-        before = len(framed) - len(beam_frames)
-        hinges = net.hinges(framed, before, first_node - 4 * before)
+    riders = {name for body in bodies for name in body.riding}
+    is_held = all(body.is_held for body in bodies) and (
+        {beam.name for beam in net.beams} <= held_bodies(scene, net, guided | riders))
+    beams, beam_frames = net.placed(rigid, first_node), net.frame_parts()
+    sizes += [size_of_points(beam.places) for beam in beams]
+    framed, before = (*rigid, *vertebrae, *beam_frames), len(rigid) + len(vertebrae)
+    hinges = net.hinges(framed, before, first_node - 4 * before) if net.pivots else None
     nodes = _with_held_axes(_number(positions, fixed, sizes, framed, hinges, reduced), bodies)
     if nodes.free_node_count == 0 and (scene.deformables or scene.mass_springs or beams):
         raise _nothing_moves(scene)
@@ -641,10 +636,9 @@ def _superelements(body: Body, nodes: Nodes, scene: Scene) -> Superelements:
 
 
 def _note_unused_contact_surfaces(bodies: list[Body], scene: Scene, notes: list[str]) -> None:
-    contact = scene.contact
-    named = set() if contact is None else {name for t in contact.between for name in t.pair}
+    named = {name for touching in scene.touching for name in touching.pair}
     # A predefined point may omit its body if there is only one.
-    points = contact is not None and bool(contact.points)
+    points = scene.contact is not None and bool(scene.contact.points)
     for body in bodies:
         if body.entry.contact_surface is not None and body.name not in named and not points:
             notes.append(

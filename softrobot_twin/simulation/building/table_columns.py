@@ -112,34 +112,6 @@ def unit_of(column_name: str) -> str:
     return next((unit for unit in UNITS if column_name.endswith(f"_{unit}")), "")
 
 
-_OLD_ENDS = {
-    **{axis: f"{axis}_m" for axis in AXES},
-    **{part: part for part in _TURN},
-    **{f"k{axis}": f"k{axis}_N_per_m" for axis in AXES},
-}
-
-
-def name_today(old: str, quantities: Iterable[Quantity]) -> str:
-    """Name that a column of earlier targets files, ``t`` or ``tip.x``, has today.
-
-    Args:
-        old: The name in the file.
-        quantities: Quantities of actuators.
-
-    Returns:
-        The name of today; `old` itself where it was no name of earlier files.
-    """
-    if old == "t":
-        return TIME
-    name, _, word = old.rpartition(".")
-    if not name:
-        return old
-    if word in _OLD_ENDS:
-        return f"{name}_{_OLD_ENDS[word]}"
-    found = next((quantity for quantity in quantities if quantity.word == word), None)
-    return old if found is None else column(name, found)
-
-
 def is_output(header: Iterable[str]) -> bool:
     """Whether a file with these columns was written by a run.
 

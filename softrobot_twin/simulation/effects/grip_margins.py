@@ -66,8 +66,7 @@ def grip_margins_of(model: Model) -> Iterator[StepPart]:
     Args:
         model: The model of a simulation.
     """
-    pairs = () if model.scene.contact is None else model.scene.contact.between
-    least = {entry.pair: entry.least_grip_margin for entry in pairs
+    least = {entry.pair: entry.least_grip_margin for entry in model.scene.touching
              if entry.least_grip_margin is not None}  # fmt: skip
     if least:
         yield GripMargins(model.contacts, least)

@@ -7,8 +7,7 @@ setpoints if each is what that actuator's setpoint holds, and efforts if each is
 effort. Actuators without a column hold their setpoints.
 
 Both have the columns of `table_columns`. What a run wrote can be given back as either: the columns
-that drove it are read, the others are results and are left out. Targets files with the names of
-earlier versions, ``t,tip.x``, are read with a note.
+that drove it are read, the others are results and are left out.
 """
 
 from __future__ import annotations
@@ -47,7 +46,6 @@ from softrobot_twin.simulation.building.table_columns import (
     force_columns,
     holds_column,
     is_output,
-    name_today,
     position_columns,
     quaternion_columns,
     target_column,
@@ -133,7 +131,6 @@ class Columns:
         source: The file; of a table its name.
         lines: Line of each row in the file.
         is_output: Whether a run wrote it.
-        notes: What the user should know, such as that its names are of an earlier version.
         taken: Values of the columns that were taken out, by name.
     """
 
@@ -152,7 +149,6 @@ class Columns:
         """
         self.source, self.lines, self._cells = source, list(lines), cells
         self.taken: dict[str, np.ndarray] = {}
-        self.notes: tuple[str, ...] = ()
         self.is_output = is_output(header)
         self._given = {name: name for name in header}
         if len(self._given) < len(header):
@@ -177,10 +173,10 @@ class Columns:
         return [*self._places, *self._made]
 
     def given(self, name: str) -> str:
-        """Name of a column in the file, which may be one of an earlier version.
+        """Name of a column in the file, which may name axes otherwise.
 
         Args:
-            name: Name of the column today.
+            name: Name of the column here.
         """
         return self._given.get(name, name)
 
@@ -434,7 +430,6 @@ class TargetTable:
             where the file gives none; None in a file without.
         sensors: Wanted values of sensors, each in its unit, shape (row_count, sensor_count), NaN where
             the file gives none; None in a file without.
-        notes: What the user should know about the file.
     """
 
     kind: str
@@ -444,7 +439,6 @@ class TargetTable:
     orientations: np.ndarray | None = None
     stiffness: np.ndarray | None = None
     sensors: np.ndarray | None = None
-    notes: tuple[str, ...] = ()
 
     def command(self, row: int) -> Command:
         """Command of a row, counted from 0.
@@ -470,13 +464,11 @@ class Waypoints:
         points: Positions [m], shape (n, 3).
         quaternions: Orientations (x, y, z, w), shape (n, 4), joined by turns about fixed axes, the
             shorter way round; None without.
-        notes: What the user should know about the file.
     """
 
     times: np.ndarray
     points: np.ndarray
     quaternions: np.ndarray | None = None
-    notes: tuple[str, ...] = ()
 
     @cached_property
     def _turns(self) -> Slerp:
@@ -524,7 +516,6 @@ def read_targets(source: Path | str | Mapping, simulation: Simulation, axes: Axe
             or an effort that its kind cannot have.
     """
     columns = open_columns(source, TARGETS_EXAMPLE)
-    take_old_names(columns, simulation.actuators.kind_of.values())
     axes.turn(columns, simulation.actuators)
     if columns.is_output and not keep_targets(columns, simulation.effector_names, simulation.sensor_columns):
         _keep_what_drove(columns, simulation)
@@ -547,7 +538,7 @@ def read_targets(source: Path | str | Mapping, simulation: Simulation, axes: Axe
         _refuse_column(columns, simulation)
     if kind == HOLD:
         raise TableFileError(columns.source, f"the header names nothing to drive besides {TIME}", 1)
-    return TargetTable(kind, times, _time_steps(times), *wanted, columns.notes)
+    return TargetTable(kind, times, _time_steps(times), *wanted)
 
 
 def read_path(source: Path | str, effector: str) -> Waypoints:
@@ -562,7 +553,6 @@ def read_path(source: Path | str, effector: str) -> Waypoints:
         TableFileError: The file cannot be read or contains no path of the effector.
     """
     columns = open_columns(source, ",".join((TIME, *position_columns(effector))))
-    take_old_names(columns)
     if columns.is_output:
         keep_targets(columns, (effector,))
     times = columns.times()
@@ -570,25 +560,7 @@ def read_path(source: Path | str, effector: str) -> Waypoints:
         raise columns.error(position_columns(effector)[0], "the header lacks this column")
     _refuse_partial(columns, (effector,))
     wanted = (_wanted(columns, effector, channel) for channel in WANTED[:2])
-    return Waypoints(times, *wanted, columns.notes)
-
-
-def take_old_names(columns: Columns, kinds: Collection[ActuatorKind] = ()) -> None:
-    """Gives the columns of a targets file of earlier versions the names of today.
-
-    Args:
-        columns: The columns of the file; are renamed.
-        kinds: Kinds of actuators besides those that are registered.
-    """
-    if "t" not in columns or TIME in columns:
-        return
-    known = [quantity for kind in (*kinds, *actuator_kinds())
-             for quantity in (kind.setpoint, kind.effort, kind.displacement)]
-    today = {name: name_today(name, known) for name in columns.left}
-    columns.rename(today)
-    renamed = ", ".join(new for old, new in today.items() if new != old)
-    columns.notes = (f"{columns.source} has names of columns of an earlier version; those of today "
-                     f"are {renamed}",)
+    return Waypoints(times, *wanted)
 
 
 def target_columns(simulation: Simulation) -> list[str]:
@@ -640,8 +612,7 @@ def _keep_what_drove(columns: Columns, simulation: Simulation, surroundings: boo
             own = column(name, kind.effort if by_effort else kind.setpoint)
             names[own] = own
     if surroundings:
-        guided = [entry.name for entry in simulation.scene.rigid_bodies if entry.motion == "guided"]
-        for name in guided:
+        for name in (body.name for body in simulation.scene.guided_bodies):
             for columns_of in (position_columns, quaternion_columns):
                 told = columns_of(body_name(name, simulation.effector_names))
                 names.update(zip(told, columns_of(name), strict=True))
@@ -751,13 +722,11 @@ def _refuse_column(columns: Columns, simulation: Simulation) -> None:
     if what:
         listed = ", ".join(known[what]) or "none"
         raise columns.error(name, f"the scene has no {what} {owner!r}; its {what}s: {listed}")
-    today = name_today(name, quantities)
     near = nearest(name, (TIME, *(one.name for one in drives_of(simulation)),
                           *target_columns(simulation)))
-    use = f"use {today}" if today != name else (
-        f"valid are {TIME}, <effector>_x_m, _y_m, _z_m (effectors: "
+    raise columns.error(
+        name, f"is not a valid column; valid are {TIME}, <effector>_x_m, _y_m, _z_m (effectors: "
         f"{', '.join(simulation.effector_names) or 'none'}), {_known_actuators(simulation)}{near}")
-    raise columns.error(name, f"is not a valid column; {use}")
 
 
 def _refuse_lengths(path: Path, name: str, quaternions: np.ndarray, lines: list[int]) -> None:
@@ -765,16 +734,6 @@ def _refuse_lengths(path: Path, name: str, quaternions: np.ndarray, lines: list[
     off = np.abs(np.linalg.norm(quaternions, axis=1) - 1.0)
     if off.max() > NOT_UNIT:
         raise TableFileError(path, f"{name}'s quaternion is not of unit length", lines[int(off.argmax())])
-
-
-def _impossible(kind: ActuatorKind, commanded: str, values: np.ndarray) -> str:
-    """Why some of the values are impossible; empty where all are possible."""
-    if commanded == "efforts" and kind.one_sided and (values < 0.0).any():
-        return f"must not be negative: a {kind.noun} cannot push"
-    if commanded == "setpoints" and (values < kind.least_setpoint).any():
-        bound = "negative" if kind.least_setpoint == 0.0 else f"below {kind.least_setpoint:g}"
-        return f"must not be {bound}: the {kind.setpoint.word} of a {kind.noun} cannot be"
-    return ""
 
 
 _DIRECT = (SETPOINTS, EFFORTS)
@@ -986,8 +945,7 @@ def _actuator_values(columns: Columns, simulation: Simulation) -> tuple[str, np.
             continue
         given, series = columns.given(drive.name), columns.pop(drive.name)
         meanings[given] = drive.gives
-        reason = "" if drive.lines else _impossible(drive.kind, drive.gives[0], series)
-        if reason:
+        if reason := drive.impossible(series):
             row = int(np.argmin(series))
             raise columns.error(drive.name, reason, row, float(series[row]), drive.quantity.unit)
         for place, told in drive.told(series):
@@ -1053,6 +1011,20 @@ class Drive(NamedTuple):
     kind: ActuatorKind
     gives: tuple[str, ...] = (SETPOINTS,)
     lines: tuple[tuple[float, float], ...] = ()
+
+    def impossible(self, values: ArrayLike) -> str:
+        """Why some values cannot be; empty where all can.
+
+        Args:
+            values: Values of the quantity.
+        """
+        kind, is_setpoint = self.kind, SETPOINTS in self.gives
+        if not is_setpoint and kind.one_sided and np.any(np.less(values, 0.0)):
+            return f"must not be negative: a {kind.noun} cannot push"
+        if is_setpoint and not self.lines and np.any(np.less(values, kind.least_setpoint)):
+            bound = "negative" if kind.least_setpoint == 0.0 else f"below {kind.least_setpoint:g}"
+            return f"must not be {bound}: the {kind.setpoint.word} of a {kind.noun} cannot be"
+        return ""
 
     def told[Values: (float, np.ndarray)](self, values: Values) -> Iterator[tuple[int, Values]]:
         """Each of its actuators, with its setpoints or efforts as they are told.
@@ -1137,12 +1109,12 @@ def _grips(columns: Columns, simulation: Simulation) -> dict[str, np.ndarray]:
 
 def _known(simulation: Simulation) -> str:
     """The columns of a commands file that a scene accepts, as text."""
-    guided = [entry.name for entry in simulation.scene.rigid_bodies if entry.motion == "guided"]
+    guided = ", ".join(body.name for body in simulation.scene.guided_bodies) or "none"
     grips = ", ".join(simulation.grip_names)
     touches = (", <touch>_force_x_N, _y_N, _z_N or <touch>_displacement_x_m, _y_m, _z_m (touches: "
                f"{', '.join(simulation.touch_names)})")
     return (f"{_known_actuators(simulation)}, <body>_x_m, _y_m, _z_m and _qx, _qy, _qz, "
-            f"_qw (guided bodies: {', '.join(guided) or 'none'})"
+            f"_qw (guided bodies: {guided})"
             f"{touches if simulation.touch_names else ''}"
             f"{f', <grip>_holds (grips: {grips})' if grips else ''}")
 

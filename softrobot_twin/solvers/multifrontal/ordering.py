@@ -57,14 +57,8 @@ def best_elimination(
         coordinates: Positions of the nodes, shape (node_count, 3); where there are none, the
             graph's own distances serve to cut it.
         order: The order to use, if it is not to be searched, shape (node_count,).
-
-    Raises:
-        ValueError: The order is not a permutation of the nodes.
     """
-    node_count = graph.shape[0]
     if order is not None:
-        if not np.array_equal(np.sort(order), np.arange(node_count)):
-            raise ValueError(f"the order is not a permutation of 0..{node_count - 1}")
         return with_longer_runs(graph, analyse(graph, order))
     key = _fingerprint(graph, coordinates)
     found = _RECENT.get(key)

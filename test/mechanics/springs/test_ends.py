@@ -1,7 +1,6 @@
 """Springs whose ends leave little to pull at, or nothing."""
 
 import numpy as np
-import pytest
 
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 
@@ -45,10 +44,3 @@ def test_a_spring_at_the_centre_of_a_body_gives_no_torque(world):
     forces = world.forces(term, world.positions)
     assert np.linalg.norm(forces[world.frames.translations[0]]) > 1.0
     np.testing.assert_array_equal(forces[world.frames.rotations], 0.0)
-
-
-def test_invalid_ends_are_refused(world):
-    with pytest.raises(ValueError, match="2 first ends, 1 second ends"):
-        world.springs(world.nodes(1, 2), world.nodes(3), 1.0, 0.0)
-    with pytest.raises(ValueError, match="points in the world"):
-        world.springs(world.nodes(1, 2), None, 1.0, 0.0)

@@ -61,9 +61,3 @@ def test_the_tension_is_the_slope_of_the_energy_across_the_whole_range(world):
     assert (np.diff(moved) >= 0.0).all() and moved[0] == 0.0
     taut = 0.5 * STIFFNESS * (9.0 * w**2 - 3.0 * w**2 + w**2 / 3.0)
     assert moved[-1] == pytest.approx(taut)
-
-
-def test_a_thread_with_damping_or_without_length_is_refused(world):
-    for length, damping in ((1.0, 1.0), (0.0, 0.0)):
-        with pytest.raises(ValueError, match="a thread has a length"):
-            world.springs(world.nodes(1), world.nodes(2), 1.0, length, damping, is_thread=True)

@@ -82,22 +82,7 @@ def test_a_file_that_was_cut_or_whose_bits_changed_is_refused(model, drawn_rng):
 
 
 @pytest.mark.sampled
-@pytest.mark.parametrize("wrong", [np.nan, -np.inf])
-def test_each_array_of_numbers_is_refused_with_a_number_that_is_none(model, drawn_rng, wrong):
-    whole, lay = model
-    arrays = arrays_of(whole)
-    real = [name for name, array in arrays.items() if array.dtype.kind == "f"]
-    for name in drawn_rng.choice(real, 2, replace=False):
-        if name == "measured" and np.isnan(wrong):
-            continue  # NaN before it is judged
-        changed = np.array(arrays[name])
-        changed.flat[drawn_rng.integers(changed.size)] = wrong
-        told = refused(lay, saved({**arrays, name: changed}))
-        assert f" {name} are not between" in told
-
-
-@pytest.mark.sampled
-def test_each_array_is_refused_missing_in_another_shape_or_of_another_kind(model, drawn_rng):
+def test_each_array_is_refused_missing_of_another_shape_or_kind_or_with_infinite_numbers(model, drawn_rng):
     whole, lay = model
     arrays = arrays_of(whole)
     for name in drawn_rng.choice(list(arrays), 2, replace=False):
@@ -107,6 +92,10 @@ def test_each_array_is_refused_missing_in_another_shape_or_of_another_kind(model
         kind = complex if array.dtype.kind != "U" else str
         other = array.astype(kind) if kind is complex else np.zeros(array.shape)
         assert "are needed" in refused(lay, saved({**arrays, name: other}))
+        if array.dtype.kind == "f":
+            changed = np.array(array)
+            changed.flat[drawn_rng.integers(changed.size)] = -np.inf
+            assert f" {name} are not between" in refused(lay, saved({**arrays, name: changed}))
 
 
 @pytest.mark.sampled
@@ -115,26 +104,18 @@ def test_what_does_not_fit_the_body_is_refused(model):
     arrays = arrays_of(whole)
     if "basis" in arrays:
         basis, cells = arrays["basis"], arrays["sampled_cells"]
-        twice = basis.copy()
-        twice[:, :, 1] = twice[:, :, 0]
         cases = [
             ({"basis": basis[:-1]}, "basis has shape"), ({"mode_count": -3}, "mode_count"),
-            ({"mode_count": 4}, "multiples of three"), ({"basis": basis + 1e-3}, "fixed nodes"),
-            ({"basis": twice}, "not positive definite"),
+            ({"mode_count": 4}, "multiples of three"),
             ({"sampled_cells": cells + 10**6}, "sampled_cells"),
-            ({"sampled_points": arrays["sampled_points"] + 9}, "its cells do not have"),
             ({"sampled_cells": 0 * cells, "sampled_points": 0 * cells}, "the same twice"),
             ({"sampled_weights": -arrays["sampled_weights"]}, "sampled_weights"),
             ({"training": "{"}, "training is no JSON"),
         ]  # fmt: skip
-        few = {name: arrays[name][:2] for name in arrays if name.startswith("sampled_")}
-        cases.append((few, "too few points"))
     else:
         cases = [
             ({"count": 5}, "5 superelements for 6"), ({"degree": 1}, "degree"),
             ({"ends_1": arrays["ends_1"] + 1}, "not between its vertebrae"),
-            ({"coefficients_2": -arrays["coefficients_2"]}, "superelement 2 is not positive"),
-            ({"scaling_0": 0 * arrays["scaling_0"]}, "superelement 0 is not positive"),
             ({"rest_volumes": 0 * arrays["rest_volumes"]}, "rest_volumes"),
         ]  # fmt: skip
     for change, told in cases:

@@ -209,8 +209,6 @@ def test_a_rotated_and_shifted_body_moves_as_the_one_in_place(small):
 @pytest.mark.parametrize(
     ("change", "key", "reason"),
     [
-        (lambda m: m["body"]["reduced"].update(fallback="enrich", error=1e-3), "reduced.fallback",
-         "is gone since version 0.1.0: a twin warns"),
         (lambda m: m["body"]["reduced"].update(file="missing.npz"), "reduced.file", "no such file"),
         (lambda m: m["body"]["material"].update(young_modulus=1.0e5), "reduced.file", "material"),
         (lambda m: m["body"]["mesh"].update(file="../../meshes/diamond_200.vtk"), "reduced.file",
@@ -227,7 +225,7 @@ def test_a_rotated_and_shifted_body_moves_as_the_one_in_place(small):
             "viscosity": [{"share": 0.1, "time": 1.0}]}),
          "viscosity", "not built for reduced bodies"),
     ],
-    ids=["fallback", "missing", "material", "mesh", "fixed", "vertebrae", "patches", "viscosity"],
+    ids=["missing", "material", "mesh", "fixed", "vertebrae", "patches", "viscosity"],
 )  # fmt: skip
 def test_what_is_not_built_or_does_not_fit_is_refused_by_name(small, change, key, reason):
     mapping = copy.deepcopy(small)
@@ -236,16 +234,6 @@ def test_what_is_not_built_or_does_not_fit_is_refused_by_name(small, change, key
         Simulation(scene_from_mapping(mapping, SCENE_FILE), with_warnings=False)
     assert key in str(caught.value)
     assert reason in str(caught.value)
-
-
-def test_a_file_that_is_no_reduction_is_refused(small, tmp_path):
-    mapping = copy.deepcopy(small)
-    for content in (b"no archive", b""):
-        path = tmp_path / "body.npz"
-        path.write_bytes(content)
-        mapping["body"]["reduced"]["file"] = str(path)
-        with pytest.raises(SceneError, match="is no reduced model"):
-            Simulation(scene_from_mapping(mapping, SCENE_FILE), with_warnings=False)
 
 
 def test_the_compliance_and_its_derivative_are_those_of_the_full_model(pair):

@@ -125,18 +125,6 @@ def test_any_order_gives_the_same_solution(make_system):
         np.testing.assert_allclose(system.A @ x.ravel(), b.ravel(), atol=1e-12)
 
 
-@pytest.mark.parametrize("order", [[0, 1], [0, 1, 1], [0, 1, 3], [-1, 0, 1]])
-def test_an_order_that_is_no_permutation_is_refused(order):
-    with pytest.raises(ValueError, match="permutation"):
-        Multifrontal(np.array([0, 1]), np.array([1, 2]), 3, order=np.array(order))
-
-
-@pytest.mark.parametrize("pair", [(0, 3), (-1, 0)])
-def test_pairs_outside_the_graph_are_refused(pair):
-    with pytest.raises(ValueError, match="outside"):
-        Multifrontal(np.array([pair[0]]), np.array([pair[1]]), 3)
-
-
 def test_a_body_without_free_nodes_is_solved():
     solver = Multifrontal(np.zeros(0, int), np.zeros(0, int), 0)
     H = NodeRows(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 3)), 2)
