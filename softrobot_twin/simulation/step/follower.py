@@ -157,8 +157,8 @@ class Follower(InverseActuation):
         # all, and the steps since.
         self._balanced_places: deque[Place] = deque(maxlen=MOST_PLACES)
         self._best_seen, self._since, self._rises, self._last_now = np.inf, 0, 0, np.inf
-        # A nearer place with a stable tangent, seen since then, which was perhaps no balance: it goes back
-        # there first, to see whether the body settles.
+        # The nearest place with a stable tangent, which was perhaps no balance: it rests there in the end, if
+        # the body does.
         self._stable_place: Place | None = None
         # T below which it has come much nearer, and how often it went back since then.
         self._judged, self._returns = np.inf, 0
@@ -284,7 +284,6 @@ class Follower(InverseActuation):
         is_settled = situation.is_balanced and situation.is_stable
         if is_settled and self._now < self._balanced_places[-1].now:
             self._balanced_places.append(Place(situation.displacements, self._now))
-            self._stable_place = None
         elif situation.is_stable and (
             self._stable_place is None or self._now < self._stable_place.now
         ):  # fmt: skip
@@ -315,14 +314,14 @@ class Follower(InverseActuation):
         self._go_back()
 
     def _go_back(self) -> None:
-        """Go to the nearest place that was stable, and on from there by much shorter moves."""
+        """Go to the nearest place in stable balance, and on from there by much shorter moves."""
         self._since, self._pending, self._waits = 0, None, 0
         if (not self._is_freed or self._returns >= MOST_RETURNS) and self._lets_go():
             self._returns = 0
             return
         self._holds, self._returns = self._returns >= MOST_RETURNS, self._returns + 1
         place, self._stable_place = self._stable_place, None
-        if place is not None and place.now < self._balanced_places[-1].now:
+        if self._holds and place is not None and place.now < self._balanced_places[-1].now:
             self._balanced_places.append(place)
         self.move_limit, self._goal = SHRINK**2 * self.move_limit, self._balanced_places[-1].drives
         self._branch = self._branch_before = None
@@ -345,11 +344,10 @@ class Follower(InverseActuation):
         self._waits += 1
         if (distance <= LEAST and situation.is_balanced) or self._waits >= MOST_WAITS:
             self._goal, self._waits, self.is_departing = None, 0, False
-            places = self._balanced_places
-            if len(places) > 1 and self._now > max((1.0 + LEAPT) * places[-2].now, self._reached):
-                # The body did not settle there, or has not come back from another balance.
-                places.pop()
-                self._goal = places[-1].drives
+            if self._has_snapped() and len(self._balanced_places) > 1:
+                # What was a balance is none, or the body has not come back from another one.
+                self._balanced_places.pop()
+                self._goal = self._balanced_places[-1].drives if self._holds else None
             elif self._holds:
                 self._resting, self._holds = situation.places, False
 
