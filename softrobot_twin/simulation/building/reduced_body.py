@@ -34,10 +34,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.geometry.cell_mesh import points_of
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.inertia import borne_masses
 from softrobot_twin.mechanics.laws import law_named
-from softrobot_twin.mechanics.reduced_elements import SampledPoints
+from softrobot_twin.mechanics.reduced_elements import SampledPoints, point_gradients
 from softrobot_twin.mechanics.reduced_points import Platform, ReducedPoints
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.building.deformable_body import Body, MaterialPart, in_mesh
@@ -46,12 +47,19 @@ from softrobot_twin.simulation.building.deformable_body import Body, MaterialPar
 DIGITS = 1.0e-7
 # Version of the file; one of another version is made anew.
 FORMAT = 1
+# Greatest displacement of a fixed node by a mode, whose largest is one: rounding of long sums.
+FIXED = 1.0e-6
+# Least eigenvalue of the stiffness at rest of modes that are scaled to unit stiffness: rounding.
+LEAST_STIFFNESS = 1.0e-10
 COMMAND = "softrobot_twin reduce"
 # Most bytes that a file may unpack to: a basis of 70 000 nodes and 120 modes. Reading it takes three
 # times as much memory.
 MOST_BYTES = 100_000_000
 # Least and greatest magnitude of any number that a model has in SI units: beyond, products overflow.
 LEAST, MOST = 1.0e-30, 1.0e30
+# Sums of files, and prints of the bodies that they hold for: a robot that is built again and again does
+# not check its file as often.
+_HELD: set[tuple] = set()
 _KINDS = {"f": ("real numbers", "fiu"), "i": ("integers", "iu"), "b": ("truth values", "b"),
           "U": ("text", "U")}  # fmt: skip
 
@@ -85,6 +93,7 @@ class ModelFile:
 
     Attributes:
         path: The file.
+        sums: Name of each array and the sum of its bytes.
     """
 
     def __init__(self, path: Path):
@@ -101,11 +110,13 @@ class ModelFile:
         if not path.is_file():
             raise ModelFileError(path, "does not exist", ("file",))
         try:
-            self._arrays = dict(_arrays_of(path))
+            found = list(_arrays_of(path))
         # A damaged archive raises errors of a dozen classes of zipfile, zlib, tokenize and numpy.
         except Exception as error:
             words = " ".join(str(error).split())[:200] or type(error).__name__
             raise self.damaged(words) from None
+        self._arrays = {name: array for name, array, _ in found}
+        self.sums = tuple((name, sum_of_bytes) for name, _, sum_of_bytes in found)
 
     def damaged(self, reason: str) -> ModelFileError:
         """The error that says what is wrong in the file.
@@ -177,7 +188,7 @@ class ModelFile:
 
 
 def _arrays_of(path: Path):
-    """Name and array of each member of an archive, whose bytes zipfile checks by their sum."""
+    """Name, array and checked sum of the bytes of each member of an archive."""
     with zipfile.ZipFile(path) as archive:
         members = archive.infolist()
         size = sum(member.file_size for member in members)
@@ -190,7 +201,7 @@ def _arrays_of(path: Path):
             array = np.lib.format.read_array(stream, allow_pickle=False)
             if stream.read(1):
                 raise ValueError(f"{member.filename} is longer than its array")
-            yield member.filename.removesuffix(".npy"), array
+            yield member.filename.removesuffix(".npy"), array, member.CRC
 
 
 def digest(*values) -> str:
@@ -329,7 +340,8 @@ def read_body_reduction(file: ModelFile | Path, body: Body | None = None) -> Bod
     """
     if not isinstance(file, ModelFile):
         file = ModelFile(file)
-    file.check_prints({} if body is None else reduction_fingerprints(body))
+    prints = {} if body is None else reduction_fingerprints(body)
+    file.check_prints(prints)
     basis = file.taken("basis", None if body is None else body.mesh.node_count, 3, None)
     total = basis.shape[2]
     count = int(file.taken("mode_count", kind="i", least=3, most=total))
@@ -342,10 +354,15 @@ def read_body_reduction(file: ModelFile | Path, body: Body | None = None) -> Bod
         training = json.loads(str(file.taken("training", kind="U")))
     except ValueError as error:
         raise file.damaged(f"training is no JSON: {error}") from None
-    return BodyReduction(
+    reduction = BodyReduction(
         basis, count, sampled, spare_sampled, file.taken("ranges", total, least=0.0),
         file.taken("measured", 2, least=0.0, may_be_nan=True), training,
     )  # fmt: skip
+    seen = (*file.sums, *prints.values())
+    if body is not None and seen not in _HELD:
+        _check_on_body(file, reduction, body)
+        _HELD.add(seen)
+    return reduction
 
 
 def _sampled_points(file: ModelFile, name: str, body: Body | None) -> SampledPoints:
@@ -356,6 +373,37 @@ def _sampled_points(file: ModelFile, name: str, body: Body | None) -> SampledPoi
     if len(np.unique(np.stack([cells, points]), axis=1).T) < max(len(cells), 1):
         raise file.damaged(f"{name} has no points, or the same twice")
     return SampledPoints(cells, points, weights)
+
+
+def _check_on_body(file: ModelFile, reduction: BodyReduction, body: Body) -> None:
+    """Refuse modes that move fixed nodes, and points that do not hold the modes.
+
+    Raises:
+        ModelFileError: It says which.
+    """
+    if np.abs(reduction.basis[body.fixed]).max(initial=0.0) > FIXED:
+        raise file.damaged("its modes move fixed nodes")
+    for name, model in (("sampled", reduction), ("spare_sampled", reduction.with_spare_modes())):
+        stiffness = np.zeros((model.mode_count, model.mode_count))
+        for part in body.materials:
+            lame_lambda, shear_modulus = part.lame_parameters
+            for block in body.mesh.strained_blocks(part.cells):
+                inside = np.isin(model.sampled.cells, block.numbers)
+                if model.sampled.points[inside].max(initial=0) >= points_of(
+                        block.mesh, np.arange(1)).weights.size:  # fmt: skip
+                    raise file.damaged(f"{name}_points has points that its cells do not have")
+                found = point_gradients(block, model.sampled, model.basis[:, :, :model.mode_count])
+                weighted = found.weights[:, None, None] * found.gradients
+                turned = found.gradients.reshape(len(weighted), 3, 3, -1).transpose(0, 2, 1, 3)
+                traces = found.gradients[:, ::4].sum(axis=1)
+                both = found.gradients + turned.reshape(found.gradients.shape)
+                stiffness += shear_modulus * np.tensordot(weighted, both, ((0, 1), (0, 1)))
+                stiffness += lame_lambda * (found.weights * traces.T) @ traces
+        size = np.sqrt(np.diag(stiffness))
+        if not (size > 0.0).all() or not np.linalg.eigvalsh(
+                stiffness / np.outer(size, size))[0] > LEAST_STIFFNESS:  # fmt: skip
+            raise file.damaged(f"at the points {name} the stiffness at rest is not positive "
+                               "definite: too few points, or modes that depend on each other")
 
 
 class Placed:

@@ -352,6 +352,9 @@ def read_reduction(path: Path, division: Division) -> Reduction:
         )  # fmt: skip
         if tuple(fit.ends) != part.ends or tuple(fit.cavities) != part.cavities:
             raise file.damaged(f"superelement {s} is not between its vertebrae")
+        if not np.abs(fit.scaling).max(axis=0).all() or not np.linalg.eigvalsh(
+                _rest_stiffness(fit, degree))[0] > 0.0:  # fmt: skip
+            raise file.damaged(f"the stiffness at rest of superelement {s} is not positive definite")
         fits.append(fit)
         samples.append(file.taken(f"samples_{s}", None, n))
         residuals.append(file.taken(f"residuals_{s}", len(samples[-1]), 6))
@@ -362,6 +365,17 @@ def read_reduction(path: Path, division: Division) -> Reduction:
         file.taken("rest_areas", cavity_count, least=LEAST),
         file.taken("measured", 2, least=0.0, may_be_nan=True),
     )  # fmt: skip
+
+
+def _rest_stiffness(fit: SuperelementFit, degree: int) -> np.ndarray:
+    """∂²Π/∂e² of a superelement at rest without pressure, by coordinates of unit range, (6, 6)."""
+    n = len(fit.middle)
+    monomials, low = Monomials(n, degree), Monomials(n, degree - 2)
+    values = np.prod((-fit.scaling @ fit.middle) ** low.exponents, axis=1)
+    curvature = monomials.curvature_coefficients(fit.coefficients) @ values
+    ranges = np.linalg.norm(fit.scaling, axis=0)
+    slopes = fit.scaling[:, :DEFORMATIONS] / ranges[:DEFORMATIONS]
+    return slopes.T @ curvature @ slopes
 
 
 # --- the reduced body ------------------------------------------------------------------------------

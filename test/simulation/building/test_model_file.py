@@ -104,18 +104,26 @@ def test_what_does_not_fit_the_body_is_refused(model):
     arrays = arrays_of(whole)
     if "basis" in arrays:
         basis, cells = arrays["basis"], arrays["sampled_cells"]
+        twice = basis.copy()
+        twice[:, :, 1] = twice[:, :, 0]
         cases = [
             ({"basis": basis[:-1]}, "basis has shape"), ({"mode_count": -3}, "mode_count"),
-            ({"mode_count": 4}, "multiples of three"),
+            ({"mode_count": 4}, "multiples of three"), ({"basis": basis + 1e-3}, "fixed nodes"),
+            ({"basis": twice}, "not positive definite"),
             ({"sampled_cells": cells + 10**6}, "sampled_cells"),
+            ({"sampled_points": arrays["sampled_points"] + 9}, "its cells do not have"),
             ({"sampled_cells": 0 * cells, "sampled_points": 0 * cells}, "the same twice"),
             ({"sampled_weights": -arrays["sampled_weights"]}, "sampled_weights"),
             ({"training": "{"}, "training is no JSON"),
         ]  # fmt: skip
+        few = {name: arrays[name][:2] for name in arrays if name.startswith("sampled_")}
+        cases.append((few, "too few points"))
     else:
         cases = [
             ({"count": 5}, "5 superelements for 6"), ({"degree": 1}, "degree"),
             ({"ends_1": arrays["ends_1"] + 1}, "not between its vertebrae"),
+            ({"coefficients_2": -arrays["coefficients_2"]}, "superelement 2 is not positive"),
+            ({"scaling_0": 0 * arrays["scaling_0"]}, "superelement 0 is not positive"),
             ({"rest_volumes": 0 * arrays["rest_volumes"]}, "rest_volumes"),
         ]  # fmt: skip
     for change, told in cases:
