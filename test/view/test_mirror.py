@@ -5,7 +5,7 @@ import threading
 import numpy as np
 import pytest
 
-from softrobot_twin.view import Drawn, RerunMirror, ViewError
+from softrobot_twin.view import RerunMirror, ViewError
 from softrobot_twin.view.recording import CAN_SERVE
 
 pytestmark = pytest.mark.libraries
@@ -64,13 +64,13 @@ def test_a_file_can_be_thinned(stage, make_frame, tmp_path, read_recording):
     assert (mirror.frames_offered, mirror.frames_logged, mirror.frames_dropped) == (8, 3, 0)
 
 
-def test_a_frame_that_does_not_fit_the_stage_is_reported_and_the_run_continues(
+def test_a_frame_that_cannot_be_drawn_is_reported_and_the_run_continues(
     stage, make_frame, tmp_path, read_recording
 ):
     with RerunMirror(stage, serve=False, record=tmp_path / "run.rrd") as mirror:
-        wrong = {"/targets": Drawn(np.ones((3, 3)))}
+        wrong = {"/targets": None}
         offer_all(mirror, [make_frame(0), make_frame(1, wrong), make_frame(2)])
-        assert "/targets" in mirror.failure
+        assert mirror.failure
     assert (mirror.frames_logged, mirror.frames_failed) == (2, 1)
     steps = read_recording(tmp_path / "run.rrd").at_steps("/plots/residual", "Scalars:scalars") \
         or read_recording(tmp_path / "run.rrd").curves("/plots/residual")
