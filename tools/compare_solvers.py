@@ -177,7 +177,8 @@ def recorded_problems(case: BenchCase, count: int) -> ProblemSet:
         count: How many.
     """
     recorder = RecordingSolver()
-    simulation = Simulation(case.scene, qp_solver=recorder)
+    simulation = Simulation(case.scene)
+    simulation.inverse.solver.qp_solver, simulation.inverse.solver.uses_warm_start = recorder, False
     commands = circle_targets(simulation)
     recorder.recorded.clear()
     while len(recorder.recorded) < count:

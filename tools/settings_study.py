@@ -103,7 +103,10 @@ def vary_settings(scene: Scene, step_count: int = STEPS) -> Iterator[SettingErro
 
     def inverse(solver) -> FollowedPath:
         commands = [FollowTargets(target, path.time_step) for target in targets]
-        return follow(ready_simulation(scene, 1, {"qp_solver": solver}), start, commands)
+        simulation = ready_simulation(scene, 1, {})
+        found_by = simulation.inverse.solver
+        found_by.qp_solver, found_by.uses_warm_start = solver, False
+        return follow(simulation, start, commands)
 
     direct = partial(follow_lengths, scene, path, start)
     for iterations in ITERATIONS:

@@ -145,8 +145,7 @@ class Simulation(Readouts):
 
     def __init__(
         self, scene: Scene, now: Callable[[], float] = perf_counter,
-        factorization_type: type | None = None, qp_solver: Any = None,
-        with_warnings: bool = True, mounted: Mounted | None = None,
+        factorization_type: type | None = None, with_warnings: bool = True, mounted: Mounted | None = None,
     ):
         """Build a scene.
 
@@ -154,7 +153,6 @@ class Simulation(Readouts):
             scene: The scene.
             now: Gives the time that stages and budgets are measured by [s].
             factorization_type: Class to factorize with, in place of the scene's.
-            qp_solver: Solver of quadratic programs, without a warm start; None for DAQP with one.
             with_warnings: Whether to look for what looks wrong, see `build_model`, and for a body that
                 buckles at given tensions.
             mounted: Where a robot of this structure was mounted, from which this one is; None to begin
@@ -183,7 +181,7 @@ class Simulation(Readouts):
         self.direct = DirectActuation(self.model)
         if self.model.is_dynamic:
             self._beginners = (*self._beginners, self.newton)
-        self.inverse = build_inverse(self.model, self.direct, qp_solver)
+        self.inverse = build_inverse(self.model, self.direct)
         self._optimises = "optimise" in self.model.stages
         # The result of the last step, as long as somebody keeps it and nobody has read it.
         self._unread: weakref.ref[StepResult] | None = None

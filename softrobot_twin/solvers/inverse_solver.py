@@ -99,29 +99,26 @@ def proved_efforts(
 
 
 class InverseSolver:
-    """Finds the optimum of each problem, starting from the last active set."""
+    """Finds the optimum of each problem, starting from the last active set.
 
-    def __init__(
-        self,
-        qp_solver: Any = None,
-        most_programs: int = MOST_PROGRAMS,
-        uses_warm_start: bool = True,
-        is_exact: bool = False,
-    ):
+    Attributes:
+        qp_solver: General solver of quadratic programs.
+        uses_warm_start: False where the general solvers themselves are studied.
+    """
+
+    def __init__(self, most_programs: int = MOST_PROGRAMS, is_exact: bool = False):
         """Start without a last solution.
 
         Args:
-            qp_solver: General solver of quadratic programs; DAQP unless given.
             most_programs: Programs that one problem with contacts may solve.
-            uses_warm_start: False where the general solvers themselves are studied.
             is_exact: True to solve problems without contacts to round-off too, by the search that
                 solves those with contacts: where contacts come and go, what a general solver
                 leaves at its tolerance would keep a robot from coming to rest.
         """
         self._is_exact = is_exact
-        self._qp_solver = qp_solver or DAQPSolver()
+        self.qp_solver: Any = DAQPSolver()
         self._most_programs = most_programs
-        self._uses_warm_start = uses_warm_start
+        self.uses_warm_start = True
         self.reset()
 
     def reset(self) -> None:
@@ -131,7 +128,7 @@ class InverseSolver:
     @property
     def guess(self) -> np.ndarray | None:
         """The last active set, where a problem without contacts may be solved from it; else None."""
-        return self.active if self._uses_warm_start else None
+        return self.active if self.uses_warm_start else None
 
     def solve(
         self,
@@ -171,7 +168,7 @@ class InverseSolver:
         active = self.active
         if active is None or len(active) != count:
             active = np.zeros(count, dtype=np.int64)
-        if self._uses_warm_start:
+        if self.uses_warm_start:
             proved, z, objective, _, active, _ = optimum_from_active_set(
                 *problem, NO_CONTACTS, active
             )
@@ -190,7 +187,7 @@ class InverseSolver:
             whitened = whiten(problem)
         except np.linalg.LinAlgError:
             return None
-        found = self._qp_solver.solve(whitened)
+        found = self.qp_solver.solve(whitened)
         return found if found.solved else None
 
 

@@ -121,7 +121,8 @@ def test_with_contacts_the_branches_are_searched_again_only_where_some_meet(robo
 
 def test_an_exact_solver_searches_branches_also_with_a_single_branch():
     exact = InverseSolver(is_exact=True)
-    usual = InverseSolver(DAQPSolver(tolerance=1e-12))
+    usual = InverseSolver()
+    usual.qp_solver = DAQPSolver(tolerance=1e-12)
     for problem in circle_problems(4, 0):
         held = np.zeros(len(problem.g))
         found, expected = exact.solve(problem, held), usual.solve(problem, held)

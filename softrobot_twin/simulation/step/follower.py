@@ -120,9 +120,9 @@ class Place(NamedTuple):
 class Follower(InverseActuation):
     """Finds actuation that brings effectors nearer to targets, as far as it is trusted."""
 
-    def __init__(self, model: Model, direct: DirectActuation, qp_solver: Any = None):
+    def __init__(self, model: Model, direct: DirectActuation):
         """See `InverseActuation`."""
-        super().__init__(model, direct, qp_solver)
+        super().__init__(model, direct)
         self._positions = slice(model.effectors.position_row_count)
         self._model, self._at_rest = model, np.zeros(len(self._scales))
         self._ones = np.ones(model.effectors.position_row_count)
@@ -616,7 +616,7 @@ class Follower(InverseActuation):
         """
         best, chosen, least = here, self._branch, (1.0 - LEAST_LEAP) * self._now
         self._looked, radius, self.move_limit = self._now, self.move_limit, GREATEST
-        remembered = self._solver.active, self._touching, self._wait, self._next_wait
+        remembered = self.solver.active, self._touching, self._wait, self._next_wait
         # In unstable places the radius vanishes, which says nothing of the stable one that it has come to.
         is_settled = self._situation.is_balanced and self._situation.is_stable
         here_too = [self._branch] if is_settled and radius < GREATEST else []
@@ -625,7 +625,7 @@ class Follower(InverseActuation):
             if rows is not None and not (rows.gradient.compliance > 0.0).all():
                 continue
             found = self._best(asked, branch)
-            self._solver.active, self._touching, self._wait, self._next_wait = remembered
+            self.solver.active, self._touching, self._wait, self._next_wait = remembered
             if found is not None:
                 left = self._situation.tracking(self._places(asked.linear, found, rows))
                 if left < least:

@@ -411,6 +411,7 @@ class InverseActuation:
         is_departing: Whether they go to a place first, see `depart`.
         least_progress: A step that shortens the way by this share is on its way.
         seeks_once: Whether the first linearization of a step in contact alone seeks the actuators.
+        solver: Finds the optimum of each problem.
     """
 
     least_progress = 1.0
@@ -422,13 +423,12 @@ class InverseActuation:
     is_departing: bool
     move_limit: float
 
-    def __init__(self, model: Model, direct: DirectActuation, qp_solver: Any = None):
+    def __init__(self, model: Model, direct: DirectActuation):
         """Lay out the problem.
 
         Args:
             model: A scene with actuators and effectors.
             direct: Solves for λ at prescribed displacements.
-            qp_solver: Solver of quadratic programs, without a warm start; None for DAQP with one.
         """
         self._direct, self._contacts = direct, model.contacts
         self._steps, self._row_weights = TargetSteps(model), model.target_rows.weights
@@ -459,16 +459,14 @@ class InverseActuation:
         self._learns = not model.is_dynamic
         self._tolerance = model.reach_tolerance
         self._posed = model if model.effectors.orientations else None
-        self._solver = InverseSolver(
-            qp_solver, MOST_PROGRAMS, uses_warm_start=qp_solver is None, is_exact=not alone
-        )
+        self.solver = InverseSolver(MOST_PROGRAMS, is_exact=not alone)
         self.reset()
 
     def reset(self) -> None:
         """Forget the last solution, the contacts that bore it, and all moves."""
         self._touching: dict[tuple[int, int], bool] | None = None
         self._wait = self._next_wait = 0
-        self._solver.reset()
+        self.solver.reset()
         self.forget()
         if self._posed is not None:
             self._posed.effectors.forget_targets()
@@ -649,7 +647,7 @@ class InverseActuation:
             held: What holds the actuators where they are.
             bounds: Bounds of efforts and displacements.
         """
-        active, count = self._solver.guess, len(self._none)
+        active, count = self.solver.guess, len(self._none)
         stiffness = reference = self._none
         if linear.augmentation is not None:
             stiffness, reference, _ = linear.augmentation
@@ -664,7 +662,7 @@ class InverseActuation:
         )  # fmt: skip
         if not proved:
             return None
-        self._solver.active, self._touching = active, {}
+        self.solver.active, self._touching = active, {}
         self._direct.remember(efforts)
         return Actuation(efforts, within, True, WARM_START, ContactLoads(NO_FORCES, sweeps=1))
 
@@ -802,7 +800,7 @@ class InverseActuation:
             none = np.zeros(0, dtype=bool)
             last = None if self._touching is None else none
             self._touching = {}
-            return self._solver.solve(
+            return self.solver.solve(
                 problem, unknowns.stack(efforts, forces), none, last
             )
         taut = efforts[unknowns.commanded]
@@ -822,7 +820,7 @@ class InverseActuation:
             start[len(taut) :] = False
             return start
 
-        solution = self._solver.solve(
+        solution = self.solver.solve(
             problem, unknowns.stack(efforts, forces), touching, last,
             second_start=second_start if len(forces) else None,
         )  # fmt: skip
@@ -865,14 +863,14 @@ class InverseActuation:
         missed = _missed(linear, unknowns, first.unknowns, errors, weights)
         shifted = errors.copy()
         shifted[: len(missed)] += missed
-        second = self._solver.solve(
+        second = self.solver.solve(
             pose(shifted), first.unknowns, first.touching, first.touching
         )
         if second.solved:
             left = _missed(linear, unknowns, second.unknowns, errors, weights)
             if np.linalg.norm(left) < MUCH_LOWER * np.linalg.norm(missed):
                 return second
-        self._solver.active = first.active
+        self.solver.active = first.active
         return first
 
     def _contact_keys(self, linear: Linearized) -> list[tuple[int, int]]:

@@ -21,15 +21,12 @@ def why_not_followed(model: Model) -> str:
     return ""
 
 
-def build_inverse(
-    model: Model, direct: DirectActuation, qp_solver: Any = None
-) -> InverseActuation | None:
+def build_inverse(model: Model, direct: DirectActuation) -> InverseActuation | None:
     """The inverse of a scene; None for a scene that cannot follow targets.
 
     Args:
         model: The built scene; its notes tell of a weight that is too small to be used.
         direct: Finds λ of what is commanded or held.
-        qp_solver: See `InverseActuation`.
     """
     if why_not_followed(model):
         return None
@@ -41,4 +38,4 @@ def build_inverse(
         )
     rubs = model.contacts is not None and model.contacts.rubs
     kind = InverseWithFriction if rubs else Follower
-    return kind(model, direct, qp_solver)
+    return kind(model, direct)

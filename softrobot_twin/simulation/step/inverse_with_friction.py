@@ -572,16 +572,15 @@ class Search:
 class InverseWithFriction(Follower):
     """Finds actuation and contact forces that bring effectors to their targets, with friction."""
 
-    def __init__(self, model: Model, direct: DirectActuation, qp_solver: Any = None):
+    def __init__(self, model: Model, direct: DirectActuation):
         """Lay out the problem.
 
         Args:
             model: A scene with actuators, effectors and friction.
             direct: See `InverseActuation`.
-            qp_solver: See there.
         """
         self._grips = Grips.of(model)
-        super().__init__(model, direct, qp_solver)
+        super().__init__(model, direct)
         self._place_count = model.effectors.position_row_count
         # Squares of misses that make no difference, of weight one.
         self._negligible = NO_MATTER * self._tolerance
@@ -780,8 +779,8 @@ class InverseWithFriction(Follower):
         Returns:
             It; and whether that search would hardly find anything nearer.
         """
-        own, best, is_good = (self._solver, self._touching), None, False
-        self._solver, self._touching = self._among_open_ones, {}
+        own, best, is_good = (self.solver, self._touching), None, False
+        self.solver, self._touching = self._among_open_ones, {}
         for _ in range(MOST_ROUNDS):
             made = self._made(task, at, system, bounds, closes=True)
             if made is None:
@@ -790,7 +789,7 @@ class InverseWithFriction(Follower):
             is_good |= self._is_good(task, made, bounds)
             if made.missed - made.promise <= SO_NEAR * task.before + task.negligible:
                 break
-        self._solver, self._touching = own
+        self.solver, self._touching = own
         return best and best.actuation, is_good
 
     def _is_good(self, task: Task, made: Made, bounds: Bounds) -> bool:
