@@ -159,11 +159,16 @@ def read_poses(
     Raises:
         SoftRobotTwinError: A file cannot be used.
     """
-    poses, words = [], []
-    for source in sources:
+    poses, words, sources = [], [], list(sources)
+    names = [Path(source).name if isinstance(source, Path | str) else "" for source in sources]
+    for source, name in zip(sources, names, strict=True):
         is_run = isinstance(source, Path | str) and Path(source).suffix == SUFFIX
         found, told = (poses_of_run(Path(source), simulation) if is_run
                        else poses_of_table(source, simulation, axes))  # fmt: skip
+        if name and names.count(name) > 1:
+            # Files of one name in several folders are several sessions.
+            found = [pose._replace(origin=f"{source}{pose.origin.removeprefix(name)}") for pose in found]
+            told = f"{source}{told.removeprefix(name)}"
         poses += found
         words.append(told)
     return poses, words

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.control.rest_watch import MOST_POSES, RestPose, RestWatch, Sample
-from softrobot_twin.record.rest_poses import poses_of_run, poses_of_table
+from softrobot_twin.record.rest_poses import poses_of_run, poses_of_table, read_poses
 from softrobot_twin.scene import load_scene
 from softrobot_twin.scene.scene_parameters import changed_scene
 from softrobot_twin.simulation import Simulation
@@ -134,6 +134,20 @@ def test_the_table_of_a_watch_is_read_again(simulation, tmp_path):
     for one, own in zip(poses, watch.found, strict=True):
         for name in ("setpoints", "markers", "effectors", "efforts", "forces"):
             assert np.allclose(getattr(one, name), getattr(own, name), rtol=1e-8, equal_nan=True), name
+
+
+def test_files_of_one_name_in_two_folders_are_told_apart(simulation, tmp_path):
+    files = [tmp_path / day / "poses.csv" for day in ("monday", "tuesday")]
+    for file in files:
+        file.parent.mkdir()
+        watch = RestWatch(simulation)
+        watch.found.append(RestPose(simulation.rest_setpoints, simulation.marker_positions(), np.full((1, 3), np.nan),
+                                    np.full(4, np.nan), np.zeros((0, 3))))  # fmt: skip
+        file.write_text(watch.table())
+    poses, words = read_poses(files, simulation)
+    assert [pose.origin for pose in poses] == [f"{file}, line 2" for file in files]
+    assert all(told.startswith(str(file)) for file, told in zip(files, words, strict=True))
+    assert read_poses(files[:1], simulation)[0][0].origin == "poses.csv, line 2"
 
 
 def test_what_is_kept_of_a_long_run_is_bounded(simulation):
