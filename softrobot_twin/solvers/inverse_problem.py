@@ -228,10 +228,6 @@ def tracking_and_energy(motion, W, is_move, effectors, weights, energy_weight, p
     if not s > 0.0:
         s = moves
     if not s > 0.0:
-        # Targets of contact forces alone.
-        for i in range(actuators, n):
-            s += P[i, i] / own[i] / (n - actuators)
-    if not s > 0.0:
         # Nothing to track: the energy alone decides.
         s, energy_weight, proximal_weight = 1.0, 1.0, 0.0
     for i in range(n):

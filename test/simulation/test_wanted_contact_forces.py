@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.errors import SceneError
+from softrobot_twin.errors import CommandError, SceneError
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets
-from softrobot_twin.simulation.runs.input_tables import read_targets
-from softrobot_twin.study.offline_run import columns_of, run
 from test.builder import builder
 from test.scene_changes import built, repeat_step
 
@@ -60,26 +58,6 @@ def test_what_a_linearization_says_of_the_force_is_its_slope(finger):
     np.testing.assert_allclose(found, -np.diff(ends, axis=1)[:, 0] / 2e-6, rtol=1e-5)
 
 
-def test_a_wanted_force_is_reached_and_changed_while_bodies_touch_and_named_in_files(finger, tmp_path):
-    robot, path = finger(), tmp_path / "targets.csv"
-    bend(robot)
-    for force in (0.05, 0.2):
-        assert follow(robot, force, steps=4) == ("ok", pytest.approx(force, abs=1e-5))
-    path.write_text("time_s,touch_force_N\n0,0.1\n5,0.1\n")
-    table = read_targets(path, robot)
-    columns = columns_of(robot, table)
-    told = dict(zip(columns.names, columns.cells(list(run(robot, table, 0, columns))[-1]), strict=True))
-    assert (told["touch_force_N"], told["touch_target_force_N"]) == (pytest.approx(0.1, abs=1e-5), 0.1)
-
-
-def test_a_place_leads_to_the_touch_and_a_force_of_more_weight_decides_there(finger):
-    robot = finger(effector={"weight": 0.01})
-    for force in (0.05, 0.2):
-        assert follow(robot, force, x=0.0085) == ("unreachable", pytest.approx(force, abs=2e-4))
-    # Apart, no command changes the force.
-    assert follow(finger(), 0.1)[1] == 0.0
-
-
 @pytest.mark.parametrize("sensor, contact, words", [
     ({**TOUCH, "contact": ["finger", "wal"]}, {}, "no pair of contact.between, which has finger with wall"),
     ({**TOUCH, "full_scale": None}, {}, "full_scale.*goes with contact"),
@@ -88,3 +66,8 @@ def test_a_place_leads_to_the_touch_and_a_force_of_more_weight_decides_there(fin
 def test_what_does_not_fit_is_refused(finger, sensor, contact, words):
     with pytest.raises(SceneError, match=words):
         finger(sensor, contact=contact)
+
+
+def test_a_force_without_a_place_beside_it_is_refused(finger):
+    with pytest.raises(CommandError, match="another sensor beside it"):
+        follow(finger(), 0.1)

@@ -337,14 +337,16 @@ class TargetGoal(Goal):
     def _add_sensors(self, asked: np.ndarray | None) -> None:
         """Take wanted values of sensors, each in its unit, and refuse those of sensors without a weight."""
         own = self._goals.wanted_sensors
-        values = np.full(len(own), np.nan)
-        if asked is not None:
-            values = fitting("sensors", asked, values.shape, True)
+        values = np.full(len(own), np.nan) if asked is None else fitting("sensors", asked, (len(own),), True)
         for (name, is_wanted), value in zip(own.items(), values, strict=True):
             if not is_wanted and np.isfinite(value):
                 raise CommandError(name, "is a sensor without a weight: it is told, not wanted")
         if self._sensors is not None:
             self._of_sensors = self._sensors.lengths * values[list(own.values())]
+            forces = self._sensors.by_contacts()[0] if self._sensors.shows_contacts else slice(0)
+            others = np.append(self.wanted, np.delete(self._of_sensors, forces))
+            if np.isfinite(self._of_sensors[forces]).any() and not np.isfinite(others).any():
+                raise CommandError("sensors", "a contact force needs the target of a place or of another sensor beside it")
             self.wanted = np.concatenate([self.wanted, self._of_sensors])
 
     def misses_of_sensors(self, positions: np.ndarray) -> np.ndarray:
