@@ -45,8 +45,9 @@ class ConstraintTerm(Protocol):
             adds. Where friction makes ∂δ/∂q another matrix than H, it has a method
             `displacement_entries` that gives its entries: their rows, unknowns and blocks.
         shows_contacts: Whether rows of it, of effectors, are sums of contact forces, and no change of the
-            unknowns alone changes them. Then its method `by_contacts` gives these rows, a slice, and their
-            change by λ of the contacts detected last; its values are those of the last solution.
+            unknowns alone changes them. Then `contact_rows` are these rows, a slice, and its method
+            `by_contacts` gives their change by λ of the contacts detected last; its values are those of the
+            last solution.
         compliance: C = ∂δ/∂λ at held unknowns, at the state evaluated last and the told efforts
             [unit of δ / unit of λ], shape (k, k), symmetric; of terms that yield diagonal, so that C λ
             is exact. Only terms that yield or take efforts have it.
@@ -69,6 +70,7 @@ class ConstraintTerm(Protocol):
     yields: ClassVar[bool] = False
     takes_efforts: ClassVar[bool] = False
     shows_contacts: bool = False
+    contact_rows: slice
     compliance: np.ndarray
     dense_rows: DenseRows | None = None
     memory_name: ClassVar[str] = ""
@@ -291,6 +293,6 @@ def rows_that_move_nothing(term: ConstraintTerm, nodes: Nodes) -> np.ndarray:
         blocks[own] *= nodes.free_axes[term.entry_nodes[own]]
     np.add.at(sizes[1], term.entry_rows, np.abs(blocks).sum(axis=1))
     idle = sizes[1] <= ROUND_OFF * sizes[0]
-    if getattr(term, "shows_contacts", False):
-        idle[term.by_contacts()[0]] = False
+    if term.shows_contacts:
+        idle[term.contact_rows] = False
     return np.flatnonzero(idle)

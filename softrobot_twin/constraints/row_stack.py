@@ -101,7 +101,7 @@ class RowStack:
         self._make_room()
         self.constant_terms = constant = [(term, rows) for term, _, rows in self._constant_parts]
         self._told_parts = [(term, rows) for term, rows in constant if term.takes_efforts]
-        self._showing = next((one for one in constant if getattr(one[0], "shows_contacts", False)), None)
+        self._showing = next((one for one in constant if one[0].shows_contacts), None)
         self._yielding = [(term, rows) for term, rows in constant if term.yields]
         self.told = self.is_told = None
         # Rows that follow from the positions alone are evaluated once at a state.
@@ -326,8 +326,9 @@ class RowStack:
         """Rows that show contact forces, and their change by those; see `ConstraintTerm`. None without any."""
         if self._showing is None:
             return None
-        (term, rows), (own, columns) = self._showing, self._showing[0].by_contacts()
-        return slice(rows.start + own.start, rows.start + own.stop), columns
+        term, rows = self._showing
+        own = term.contact_rows
+        return slice(rows.start + own.start, rows.start + own.stop), term.by_contacts()
 
     def stretch_compliance(self) -> np.ndarray | None:
         """Compliance of each actuator row of a term that yields, zero for the others.

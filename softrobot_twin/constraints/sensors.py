@@ -6,7 +6,7 @@ inverse problem, in metres as those of effectors: ℓ m, with a length ℓ per u
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -60,9 +60,9 @@ class Sensors(ConstraintTerm):
             self._places.append((rows, entries))
             first, entry = rows.stop, entries.stop
         self.row_count, self.row_weights = first, np.asarray(weights, float)
-        self._showing: list[tuple[slice, Any]] = [
-            (rows, part.term) for part, (rows, _) in zip(parts, self._places) if part.term.shows_contacts]
-        self.shows_contacts = bool(self._showing)
+        showing = [(rows, part.term) for part, (rows, _) in zip(parts, self._places) if part.term.shows_contacts]
+        self.shows_contacts = bool(showing)
+        self.contact_rows, self._showing = showing[0] if showing else (slice(0, 0), None)
         self.entry_rows = np.concatenate(
             [part.term.entry_rows + rows.start for part, (rows, _) in zip(parts, self._places)])
         self.entry_nodes = np.concatenate([part.term.entry_nodes for part in parts])
@@ -79,10 +79,9 @@ class Sensors(ConstraintTerm):
         blocks *= self.lengths[self.entry_rows, None]
         values *= self.lengths
 
-    def by_contacts(self) -> tuple[slice, np.ndarray]:
+    def by_contacts(self) -> np.ndarray:
         """See `ConstraintTerm` [m/N]."""
-        rows, term = self._showing[0]
-        return rows, term.by_contacts()[1] * self.lengths[rows, None]
+        return self._showing.by_contacts() * self.lengths[self.contact_rows, None]
 
     def readings(self, positions: np.ndarray) -> np.ndarray:
         """What the sensors show, each in its unit, shape (row_count,).
@@ -193,9 +192,9 @@ class PressingForces(ConstraintTerm):
         memory = self._contacts.memory
         values[:] = self._pairs @ np.bincount(memory.pairs, memory.forces[:, 0], self._pairs.shape[1])
 
-    def by_contacts(self) -> tuple[slice, np.ndarray]:
+    def by_contacts(self) -> np.ndarray:
         """See `ConstraintTerm`; shape (row_count, contact_row_count)."""
         contacts = self._contacts
         columns = np.zeros((self.row_count, contacts.row_count))
         columns[:, contacts.row_starts[:-1]] = self._pairs[:, contacts.pair[: contacts.count]]
-        return slice(0, self.row_count), columns
+        return columns

@@ -5,6 +5,8 @@ import pytest
 
 from softrobot_twin.errors import CommandError, SceneError
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets
+from softrobot_twin.simulation.runs.input_tables import read_targets
+from softrobot_twin.study.offline_run import columns_of, run
 from test.builder import builder
 from test.scene_changes import built, repeat_step
 
@@ -66,6 +68,16 @@ def test_what_a_linearization_says_of_the_force_is_its_slope(finger):
 def test_what_does_not_fit_is_refused(finger, sensor, contact, words):
     with pytest.raises(SceneError, match=words):
         finger(sensor, contact=contact)
+
+
+def test_a_place_leads_to_the_touch_and_a_force_of_more_weight_decides_there_also_from_a_file(finger, tmp_path):
+    robot, path = finger(effector={"weight": 0.01}), tmp_path / "targets.csv"
+    for force in (0.05, 0.2):
+        assert follow(robot, force, x=0.0085) == ("unreachable", pytest.approx(force, abs=2e-4))
+    path.write_text("time_s,tip_x_m,tip_y_m,tip_z_m,touch_force_N\n0,0.0085,0.005,0.06,0.1\n5,0.0085,0.005,0.06,0.1\n")
+    columns = columns_of(robot, table := read_targets(path, robot))
+    told = dict(zip(columns.names, columns.cells(list(run(robot, table, 0, columns))[-1]), strict=True))
+    assert (told["touch_force_N"], told["touch_target_force_N"]) == (pytest.approx(0.1, abs=2e-4), 0.1)
 
 
 def test_a_force_without_a_place_beside_it_is_refused(finger):

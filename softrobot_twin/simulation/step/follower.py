@@ -473,9 +473,7 @@ class Follower(InverseActuation):
         self._task, drives = None, asked.held.drives(self._limits)
         bounds = self._near(drives, asked.commanded, asked.bounds, GREATEST)
         goal = self._limits.drives_within(self._goal, bounds)
-        found = self._direct.at_drives(asked.linear, goal, bounds)
-        limits = self._limits_met(found.contact.multipliers)
-        return found._replace(contact=found.contact._replace(limits=limits))
+        return self._with_limits(self._direct.at_drives(asked.linear, goal, bounds))
 
     def _lets_go(self) -> bool:
         """Let go, then lead effectors back, once each, where the robot was caught; whether it does."""

@@ -343,11 +343,15 @@ class TargetGoal(Goal):
                 raise CommandError(name, "is a sensor without a weight: it is told, not wanted")
         if self._sensors is not None:
             self._of_sensors = self._sensors.lengths * values[list(own.values())]
-            forces = self._sensors.by_contacts()[0] if self._sensors.shows_contacts else slice(0)
-            others = np.append(self.wanted, np.delete(self._of_sensors, forces))
-            if np.isfinite(self._of_sensors[forces]).any() and not np.isfinite(others).any():
-                raise CommandError("sensors", "a contact force needs the target of a place or of another sensor beside it")
             self.wanted = np.concatenate([self.wanted, self._of_sensors])
+            if self._sensors.shows_contacts:
+                self._refuse_forces_alone()
+
+    def _refuse_forces_alone(self) -> None:
+        """Refuse targets of contact forces beside none of a place or another sensor."""
+        force_count = np.isfinite(self._of_sensors[self._sensors.contact_rows]).sum()
+        if force_count and force_count == np.isfinite(self.wanted).sum():
+            raise CommandError("sensors", "a contact force needs the target of a place or of another sensor beside it")
 
     def misses_of_sensors(self, positions: np.ndarray) -> np.ndarray:
         """How far each sensor that may have a target is from it [m], NaN without one.

@@ -523,9 +523,8 @@ class InverseActuation:
         if any_commanded:
             held = self._direct.at_drives(linear, np.where(commanded, most, drives), bounds)
         # Where nothing is left to choose, how hard contacts press is told all the same.
-        limits = self._limits_met(held.contact.multipliers)
-        if limits:
-            held = held._replace(contact=held.contact._replace(limits=limits))
+        if len(held.contact.multipliers):
+            held = self._with_limits(held)
         if (any_commanded and commanded.all()) or self.rests:
             return held, held
         return self._follow(Asked(linear, target_rows, held, bounds, commanded, stiffness)), held
@@ -913,6 +912,11 @@ class InverseActuation:
             path, bounds.displacement_min, bounds.displacement_max, self._round_off, within
         )
         return efforts, path, within, are_kept
+
+    def _with_limits(self, found: Actuation) -> Actuation:
+        """An actuation with the names of the limits of contact force that it meets."""
+        limits = self._limits_met(found.contact.multipliers)
+        return found._replace(contact=found.contact._replace(limits=limits))
 
     def _limits_met(self, forces: np.ndarray) -> tuple[str, ...]:
         """Names of pairs that press as hard as they may, and of those that cannot but exceed it."""

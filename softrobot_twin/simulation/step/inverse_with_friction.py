@@ -627,10 +627,8 @@ class InverseWithFriction(Follower):
             done: What they do.
             sought: What was sought.
         """
-        contact = done.contact._replace(limits=self._limits_met(done.contact.multipliers))
-        return done._replace(
-            qp_solver=sought.qp_solver, is_refused=sought.is_refused, contact=contact
-        )
+        done = self._with_limits(done)
+        return done._replace(qp_solver=sought.qp_solver, is_refused=sought.is_refused)
 
     def _note_motion(self, target_rows: np.ndarray) -> None:
         """Note how targets move from step to step; other ones are sought anew."""
