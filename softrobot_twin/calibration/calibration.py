@@ -538,6 +538,14 @@ class Estimate(NamedTuple):
         """The numbers, each in its unit, shape (p,)."""
         return np.array([one.value(z) for one, z in zip(self.unknowns, self.z, strict=True)])
 
+    def changes(self, scene: Scene) -> dict[str, float]:
+        """The numbers by the keys of a scene, each in its unit.
+
+        Args:
+            scene: The scene.
+        """
+        return joint_changes(scene, [one.parameter for one in self.unknowns], self.values)
+
     @property
     def intervals(self) -> np.ndarray:
         """Ends of the 95 % intervals of the numbers, shape (p, 2)."""
@@ -835,7 +843,7 @@ class Calibration(NamedTuple):
     @property
     def values(self) -> dict[str, float]:
         """The fitted numbers by their keys, each in its unit."""
-        return joint_changes(self.start, [one.parameter for one in self.estimate.unknowns], self.estimate.values)
+        return self.estimate.changes(self.start)
 
     @property
     def systematic_error(self) -> float:
@@ -1022,7 +1030,7 @@ def calibrate(
         model = RestModel(scene, [one.parameter for one in unknowns], [*used, *judges])
     fit = _fitted(model, own, unknowns, bool(keys), aside)
     kept = fit.found.without(fit.unused)
-    fitted = changed_scene(scene, joint_changes(scene, [one.parameter for one in kept.unknowns], kept.values))
+    fitted = changed_scene(scene, kept.changes(scene))
     told = dict(zip((one.parameter.key for one in kept.unknowns), kept.values, strict=True))
     # What was not told stays as the scene has it.
     values = np.array([told.get(one.parameter.key, one.parameter.read(scene)) for one in fit.wide.unknowns])

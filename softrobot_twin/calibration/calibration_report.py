@@ -30,7 +30,7 @@ from softrobot_twin.record.run_description import files_named
 from softrobot_twin.scene import load_scene
 from softrobot_twin.scene.loading import changes_of
 from softrobot_twin.scene.scene_editing import EditedValue, edited_text
-from softrobot_twin.scene.scene_parameters import full_keys, joint_changes
+from softrobot_twin.scene.scene_parameters import full_keys
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.mounting import MountingError
 from softrobot_twin.simulation.runs.input_tables import Axes
@@ -331,8 +331,7 @@ def write_scene(found: Calibration, path: Path, written: Path, data: str) -> Non
         OutputError: It cannot be written.
     """
     estimate, day = found.estimate, f"{datetime.now(timezone.utc):%Y-%m-%d}"
-    told = joint_changes(found.start, [one.parameter for one in estimate.unknowns],
-                         (float(f"{value:.{DIGITS}g}") for value in estimate.values))  # fmt: skip
+    told = {key: float(f"{value:.{DIGITS}g}") for key, value in found.values.items()}
     numbers = dict[str, EditedValue]()
     for one, value, ends in zip(estimate.unknowns, estimate.values, estimate.intervals, strict=True):
         words = (f"calibrated {day} by {data}: {_name(one.parameter.key)} {value:.5g}, 95 % "

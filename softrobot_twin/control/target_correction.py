@@ -19,6 +19,7 @@ from softrobot_twin.control.inputs import Misfit
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.control.model_history import Moment
+from softrobot_twin.geometry.shortened_vectors import shortened
 from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.simulation import Simulation, Status
 
@@ -173,20 +174,6 @@ def approach(positions: np.ndarray, aims: np.ndarray, reach: float) -> np.ndarra
     """
     near = np.empty_like(aims)
     return near if shorten_ways(positions, aims, reach, near) else aims
-
-
-def shortened(
-    vectors: np.ndarray, longest: float, per_unit: np.ndarray | float = 1.0
-) -> np.ndarray:
-    """Vectors, those that are longer made as long as a limit.
-
-    Args:
-        vectors: The vectors, NaN rows stay NaN, shape (n, 3).
-        longest: Greatest length.
-        per_unit: What a unit of the vectors counts in that of the limit, shape (n,).
-    """
-    lengths = np.maximum(np.linalg.norm(vectors, axis=1) * per_unit, np.finfo(float).tiny)
-    return vectors * np.minimum(1.0, longest / lengths)[:, np.newaxis]
 
 
 def approach_poses(

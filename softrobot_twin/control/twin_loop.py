@@ -47,10 +47,10 @@ from softrobot_twin.control.target_correction import (
     TargetCorrection,
     approach,
     approach_poses,
-    shortened,
 )
 from softrobot_twin.control.target_lead import TargetLead
 from softrobot_twin.control.voices import CONTESTED_TIME, NOISE_SHARE
+from softrobot_twin.geometry.shortened_vectors import shortened
 from softrobot_twin.simulation import (
     Command,
     CommandEfforts,

@@ -64,7 +64,8 @@ def closed_surface(triangles: np.ndarray, point_count: int) -> ClosedSurface:
         The surface.
 
     Raises:
-        MeshError: A triangle refers to one point twice, or an edge is not shared by exactly two triangles with opposite directions along it.
+        MeshError: A triangle refers to one point twice, or an edge is not shared by exactly two
+            triangles with opposite directions along it.
     """
     triangles = np.ascontiguousarray(triangles, dtype=np.int64)
     starts, ends = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()

@@ -32,19 +32,20 @@ _MEASURED = ("markers.", "device.", "measured_angles.", "measured_pressures.", "
 EXAMPLE = "north_length_m,marker_4_x_m,marker_4_y_m,marker_4_z_m"
 
 
-def poses_of_run(path: Path, simulation: Simulation) -> tuple[list[RestPose], str]:
+def poses_of_run(path: Path, simulation: Simulation, name: str = "") -> tuple[list[RestPose], str]:
     """Poses at rest of a recorded run, and how many were found and dropped, in words.
 
     Args:
         path: The file of the run.
         simulation: The model that takes them: markers are in its order.
+        name: What the poses are said to be from; empty for the name of the file.
 
     Raises:
         RunFileError: The file cannot be used.
     """
     file = RunFile(path)
     loop = Replay(file).loop
-    watch, began = RestWatch(loop.simulation, path.name), None
+    watch, began = RestWatch(loop.simulation, name or path.name), None
     for entry in file.entries():
         content = entry.content
         if entry.kind == CALL and content["to"].startswith(_MEASURED) and content["answer"] is None:
@@ -68,7 +69,7 @@ def poses_of_run(path: Path, simulation: Simulation) -> tuple[list[RestPose], st
 
 
 def poses_of_table(
-    source: Path | str | Mapping, simulation: Simulation, axes: Axes = Axes()
+    source: Path | str | Mapping, simulation: Simulation, axes: Axes = Axes(), name: str = ""
 ) -> tuple[list[RestPose], str]:
     """Poses at rest of a CSV file or a table of columns, and how many were dropped, in words.
 
@@ -80,13 +81,14 @@ def poses_of_table(
         source: The file or the table.
         simulation: The model.
         axes: How the table names them.
+        name: What the poses are said to be from; empty for the name of the file.
 
     Raises:
         TableFileError: The table cannot be used.
     """
     columns = open_columns(source, EXAMPLE)
     axes.turn(columns, simulation.actuators)
-    name = columns.source.name
+    name = name or columns.source.name
     actuators = simulation.actuators
     setpoints = _setpoints(columns, simulation)
     efforts = np.full(setpoints.shape, np.nan)
@@ -161,14 +163,12 @@ def read_poses(
     """
     poses, words, sources = [], [], list(sources)
     names = [Path(source).name if isinstance(source, Path | str) else "" for source in sources]
-    for source, name in zip(sources, names, strict=True):
+    for source, own in zip(sources, names, strict=True):
+        # Files of one name in several folders are several sessions.
+        name = str(source) if own and names.count(own) > 1 else own
         is_run = isinstance(source, Path | str) and Path(source).suffix == SUFFIX
-        found, told = (poses_of_run(Path(source), simulation) if is_run
-                       else poses_of_table(source, simulation, axes))  # fmt: skip
-        if name and names.count(name) > 1:
-            # Files of one name in several folders are several sessions.
-            found = [pose._replace(origin=f"{source}{pose.origin.removeprefix(name)}") for pose in found]
-            told = f"{source}{told.removeprefix(name)}"
+        found, told = (poses_of_run(Path(source), simulation, name) if is_run
+                       else poses_of_table(source, simulation, axes, name))  # fmt: skip
         poses += found
         words.append(told)
     return poses, words

@@ -592,22 +592,6 @@ def _tell_round(number: int, done: Round) -> None:
     )
 
 
-def train_once(training: Training) -> tuple[Trained, States]:
-    """Train with a given number of states.
-
-    Args:
-        training: The training.
-    """
-    options, body = training.options, training.body
-    # Fresh ones in the same run of the workers.
-    fresh = [training.fresh_samples(options.states, FRESH_SEED)] if options.states else []
-    states = training.states(f"{training.scene.name}: states of the full model",
-                             training.training_samples(options.snapshots or SNAPSHOTS), *fresh)[0]  # fmt: skip
-    with terminal_status("modes and sampled points"):
-        K = rest_stiffness(body)
-        return train(body, K, states, options.modes, options, options.tolerance, training.vibrations), states
-
-
 def reduce(path: Path, options: TrainingOptions) -> int:
     """Make the reduced model of a body, and judge it.
 
@@ -629,7 +613,13 @@ def reduce(path: Path, options: TrainingOptions) -> int:
         if options.error is not None:
             trained, states, rounds, is_met = _train_by_need(training)
         else:
-            trained, states = train_once(training)
+            # Fresh ones in the same run of the workers.
+            others = [training.fresh_samples(options.states, FRESH_SEED)] if options.states else []
+            states = training.states(f"{training.scene.name}: states of the full model",
+                                     training.training_samples(options.snapshots or SNAPSHOTS), *others)[0]  # fmt: skip
+            with terminal_status("modes and sampled points"):
+                trained = train(training.body, rest_stiffness(training.body), states, options.modes, options,
+                                options.tolerance, training.vibrations)  # fmt: skip
         training_time = time.perf_counter() - begin
         made = _said(path, training.options, trained, states, training_time) | _targets_said(training, states)
         reduction = reduction_of(training.body, trained, np.full(2, np.nan), made)

@@ -48,8 +48,6 @@ ZEROS = {"Pa": 1.0e3}
 TOUCHING = ("contact", "obstacles", "rigid_bodies")
 # This share of all loads may be out of balance.
 UNBALANCED = 1.0e-2
-# Differences below this share of the loads, or of the robot's size, are taken for round-off.
-ROUND_OFF = 1.0e-10
 
 
 class SensitivityError(NamedError):
@@ -64,13 +62,11 @@ class Loads(NamedTuple):
         displacements: By which each actuator with a row is held further in the direction in which
             its effort does work, in its unit, shape (actuator_row_count, ...).
         effectors: Of the effectors while unknowns stay [m], shape (effector_count, 3, ...).
-        roughness: See `Sensitivity`.
     """
 
     forces: np.ndarray
     displacements: np.ndarray
     effectors: np.ndarray
-    roughness: float | np.ndarray = 0.0
 
 
 class Answer(NamedTuple):
@@ -89,21 +85,20 @@ class Answer(NamedTuple):
 class Sensitivity(NamedTuple):
     """Derivatives of an equilibrium by parameters.
 
+    Where slopes to both sides of a number differ, as where a point lies on a face between elements, the
+    derivative is their mean.
+
     Attributes:
         parameters: The parameters, p of them.
         effectors: Of the effectors' positions [m per unit], shape (effector_count, 3, p).
         efforts: Of the actuators' efforts, in their units, shape (actuator_count, p).
         moves: Of the unknowns [m per unit], shape (free_node_count, 3, p).
-        roughness: By how much the slopes to both sides of each number differ, as a share of them,
-            shape (p,). The derivative is their mean: where a point lies on a face between elements,
-            its slopes are those of both.
     """
 
     parameters: tuple[Parameter | JointParameter, ...]
     effectors: np.ndarray
     efforts: np.ndarray
     moves: np.ndarray
-    roughness: np.ndarray
 
 
 class AtState(NamedTuple):
@@ -250,13 +245,13 @@ class Sensitivities(HeldTangent):
         """
         count, (_, a) = len(parameters), self._system()
         none = (np.empty((*shape, 0)) for shape in
-                ((self._model.nodes.free_node_count, 3), (a,), (self._count, 3), ()))  # fmt: skip
-        forces, displacements, explicit, roughness = (
+                ((self._model.nodes.free_node_count, 3), (a,), (self._count, 3)))  # fmt: skip
+        forces, displacements, explicit = (
             (np.stack(parts, -1) for parts in zip(*loads, strict=True)) if count else none)
         answer = self.solve_sensitivity(forces, displacements)
         carried = self._effectors @ answer.moves.reshape(self._effectors.shape[1], count)
         effectors = explicit + carried.reshape(self._count, 3, count)
-        return Sensitivity(tuple(parameters), effectors, answer.efforts, answer.moves, roughness)
+        return Sensitivity(tuple(parameters), effectors, answer.efforts, answer.moves)
 
     def loads(self, parameter: Parameter | JointParameter, holds_setpoints: bool | np.ndarray = True) -> Loads:
         """What a parameter changes per its unit, while unknowns and efforts stay.
@@ -289,13 +284,7 @@ class Sensitivities(HeldTangent):
         for other in sides.values():
             self._check(parameter.key, other)
         middle, *others = (one.loads(holds_setpoints) for one in (self._middle, *sides.values()))
-        found = [_derivative(tuple(sides), step, *parts) for parts in zip(middle, *others, strict=True)]
-        slopes, differences = zip(*found[:-1], strict=True)
-        round_off = self._round_off() / step
-        roughness = max(
-            float(np.abs(difference).max(initial=0.0) / max(np.abs(slope).max(initial=0.0), least))
-            for slope, difference, least in zip(slopes, differences, round_off, strict=True))
-        return Loads(*slopes, roughness)
+        return Loads(*(_derivative(tuple(sides), step, *parts) for parts in zip(middle, *others, strict=True)))
 
     def _load(self) -> float:
         """Sum of the weight and of the forces of the actuators, by magnitude [N]."""
@@ -310,11 +299,6 @@ class Sensitivities(HeldTangent):
         if scene.integration == "quasi_static" and not self._held.contact_count and left > most:
             raise SensitivityError("state", f"is not in balance: forces of {left:.2g} N are left in "
                                    f"all, more than {most:.2g} N; let it settle first")
-
-    def _round_off(self) -> np.ndarray:
-        """Differences of forces [N], displacements and places [m] that are taken for round-off."""
-        length, load = self._model.nodes.finite_size, self._load()
-        return ROUND_OFF * np.array([load or 1.0, length, length])
 
     def _scale(self, parameter: Parameter | JointParameter) -> float:
         """The size of a number, of which a small share is its difference."""
@@ -438,8 +422,8 @@ def _touches(forces: Iterable) -> list[TouchLoads]:
 
 def _derivative(
     sides: tuple[int, int], step: float, middle: np.ndarray, first: np.ndarray, second: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Derivative of an array by a number, and by how much its slopes to both sides differ.
+) -> np.ndarray:
+    """Derivative of an array by a number.
 
     Args:
         sides: Steps from the number to the two others.
@@ -449,4 +433,4 @@ def _derivative(
     at, to = sides
     one, other = (first - middle) / (at * step), (second - middle) / (to * step)
     # The parabola through the three.
-    return (to * one - at * other) / (to - at), other - one
+    return (to * one - at * other) / (to - at)

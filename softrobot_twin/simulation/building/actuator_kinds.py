@@ -111,14 +111,12 @@ class ActuatorKind(Protocol):
         is_effort_driven: Whether its setpoint is an effort, as where a regulator holds the pressure
             of a cavity; else the setpoint is a displacement from its value at rest.
         least_setpoint: Least possible setpoint, such as 0 for a length.
-
-    A kind whose actuator stops where the bodies hold it, when its effort is at a limit, has one
-    attribute more: `stalls`, True. Actuators of other kinds reach the set displacement even then: a
-    cable at its greatest tension slips.
+        acts_at_rest: Whether its effort moves something at rest, unlike that of a modulus.
+        stalls: Whether it stops where the bodies hold it, when its effort is at a limit. Actuators of
+            other kinds reach the set displacement even then: a cable at its greatest tension slips.
 
     A kind that is effort-driven has one more: `extent`, the quantity that the displacement changes,
-    such as a volume. Of other kinds it is the setpoint. One whose effort moves nothing at rest, such as
-    a modulus, has `acts_at_rest`, False.
+    such as a volume. Of other kinds it is the setpoint.
     """
 
     section: str
@@ -132,6 +130,8 @@ class ActuatorKind(Protocol):
     takes_efforts: bool = True
     is_effort_driven: bool = False
     least_setpoint: float = -np.inf
+    acts_at_rest: bool = True
+    stalls: bool = False
 
     def build(self, layout: Layout, entries: tuple[ActuatorEntry, ...], notes: list[str]) -> ActuatorGroup:
         """The actuators of a scene.
@@ -210,7 +210,8 @@ def group_of(
         "names": tuple(entry.name for entry in owners), "moves": None, "rest_setpoints": np.zeros(count),
         "displacement_bounds": np.tile([-np.inf, np.inf], (count, 1)), "rates": numbers_of(owners, "rate"),
         "kinds": (kind,) * count, "limit_names": ((f"{word}_min", f"{word}_max"),) * count,
-        "entries": tuple(owners), "flows": np.full(count, np.inf), "effort_zeros": np.zeros(count), "effort_gains": np.ones(count),
+        "entries": tuple(owners), "flows": np.full(count, np.inf),
+        "effort_zeros": np.zeros(count), "effort_gains": np.ones(count),
     }  # fmt: skip
     fields = {"rest_extents": others.get("rest_setpoints", np.zeros(count))} | usual | others
     return ActuatorGroup(

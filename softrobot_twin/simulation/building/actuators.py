@@ -103,7 +103,7 @@ class Actuators:
         )  # fmt: skip
         self.takes_efforts = np.array([kind.takes_efforts for kind in self.kinds], bool)
         self.one_sided = np.array([kind.one_sided for kind in self.kinds], bool)
-        self.stalls = np.array([getattr(kind, "stalls", False) for kind in self.kinds], bool)
+        self.stalls = np.array([kind.stalls for kind in self.kinds], bool)
         self.pulleys = Pulleys(scene, self.names, self._rest_extents)
 
     def _joined(self, field: str) -> np.ndarray:
@@ -321,7 +321,7 @@ def build_groups(layout: Layout, notes: list[str]) -> list[ActuatorGroup]:
     kinds = [kind for kind in actuator_kinds() if entries[kind.section]]
     groups = [kind.build(layout, entries[kind.section], notes) for kind in kinds]
     for kind, group in zip(kinds, groups, strict=True):
-        if getattr(kind, "acts_at_rest", True) and group.term is not None:
+        if kind.acts_at_rest and group.term is not None:
             for index in rows_that_move_nothing(group.term, layout.nodes):
                 owner = (group.entries or entries[kind.section])[index]
                 key = next(key for key, entry in layout.scene.keyed(kind.section) if entry is owner)

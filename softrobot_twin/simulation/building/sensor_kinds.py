@@ -39,13 +39,12 @@ class SensorKind(NamedTuple):
 
     Attributes:
         quantity: What it measures.
-        build: Makes the rows of its entries, given with their keys.
-        of_contacts: Whether it shows contact forces, and is given the contacts too.
+        build: Makes the rows of its entries, given with their keys; takes the contacts of the scene too,
+            None without any.
     """
 
     quantity: Quantity
-    build: Callable[..., SensedTerm]
-    of_contacts: bool = False
+    build: Callable[[Layout, Keyed, list[str], Contacts | None], SensedTerm]
 
 
 def _of_paths(layout: Layout, paths: list[CablePath]) -> SensedTerm:
@@ -55,7 +54,7 @@ def _of_paths(layout: Layout, paths: list[CablePath]) -> SensedTerm:
     return SensedTerm(term, term.rest_lengths, -1.0, np.ones(len(paths)), term.rest_lengths)
 
 
-def _strings(layout: Layout, entries: Keyed, notes: list[str]) -> SensedTerm:
+def _strings(layout: Layout, entries: Keyed, notes: list[str], contacts: Contacts | None) -> SensedTerm:
     """Lengths of strings through bodies."""
     return _of_paths(layout, [
         CablePath(one.name, layout.carried(one.on, one.string, f"{key}.string", notes),
@@ -63,7 +62,7 @@ def _strings(layout: Layout, entries: Keyed, notes: list[str]) -> SensedTerm:
         for key, one in entries])  # fmt: skip
 
 
-def _cables(layout: Layout, entries: Keyed, notes: list[str]) -> SensedTerm:
+def _cables(layout: Layout, entries: Keyed, notes: list[str], contacts: Contacts | None) -> SensedTerm:
     """Lengths of the paths of cables, of which the cables have told their notes."""
     known = {cable.name: (key, cable) for key, cable in layout.scene.keyed("cables")}
     return _of_paths(layout, [cable_path(layout, *known[one.cable], []) for _, one in entries])
@@ -74,7 +73,7 @@ def _of_angles(layout: Layout, term: ConstraintTerm) -> SensedTerm:
     return SensedTerm(term, np.zeros(count), 1.0, np.full(count, layout.nodes.finite_size), np.ones(count))
 
 
-def _bends(layout: Layout, entries: Keyed, notes: list[str]) -> SensedTerm:
+def _bends(layout: Layout, entries: Keyed, notes: list[str], contacts: Contacts | None) -> SensedTerm:
     """Angles between the first and the last piece of a line."""
     lines = []
     for key, one in entries:
@@ -91,7 +90,7 @@ def _bends(layout: Layout, entries: Keyed, notes: list[str]) -> SensedTerm:
     return _of_angles(layout, Bends(lines, axes, layout.nodes.free_index))
 
 
-def _hinges(layout: Layout, entries: Keyed, notes: list[str]) -> SensedTerm:
+def _hinges(layout: Layout, entries: Keyed, notes: list[str], contacts: Contacts | None) -> SensedTerm:
     """Angles of hinges, within half a turn of rest."""
     hinges = [hinge_of(layout, one.hinge, one.at, one.name, key) for key, one in entries]
     limits, stiffness = np.zeros((len(hinges), 2)), np.ones(len(hinges))
@@ -116,18 +115,18 @@ def _walls_of(layout: Layout, name: str | None) -> tuple[str, str, tuple]:
     return key, entry.name, entry.walls
 
 
-def _volumes(layout: Layout, entries: Keyed, notes: list[str]) -> SensedTerm:
+def _volumes(layout: Layout, entries: Keyed, notes: list[str], contacts: Contacts | None) -> SensedTerm:
     """Volumes of cavities, which have told the notes of their walls."""
     return _volumes_of(_cavities(layout, [_walls_of(layout, one.volume) for _, one in entries], []))
 
 
-def _chambers(layout: Layout, entries: Keyed, notes: list[str]) -> SensedTerm:
+def _chambers(layout: Layout, entries: Keyed, notes: list[str], contacts: Contacts | None) -> SensedTerm:
     """Volumes of chambers that are nothing else."""
     walls = [(key, one.name, one.walls) for key, one in entries]
     return _volumes_of(_cavities(layout, walls, notes))
 
 
-def _pressures(layout: Layout, entries: Keyed, notes: list[str]) -> SensedTerm:
+def _pressures(layout: Layout, entries: Keyed, notes: list[str], contacts: Contacts | None) -> SensedTerm:
     """Gauge pressures of sealed gas."""
     volumes = _cavities(layout, [_walls_of(layout, one.pressure) for _, one in entries], [])
     sealed = {one.name: one for one in layout.scene.sealed_cavities}
@@ -139,7 +138,7 @@ def _pressures(layout: Layout, entries: Keyed, notes: list[str]) -> SensedTerm:
     return SensedTerm(term, np.zeros(len(gas)), 1.0, lengths, absolute)
 
 
-def _forces(layout: Layout, entries: Keyed, notes: list[str]) -> SensedTerm:
+def _forces(layout: Layout, entries: Keyed, notes: list[str], contacts: Contacts | None) -> SensedTerm:
     """Forces of springs, positive where they pull, k (L - L₀); the springs have told their notes.
 
     A force counts in metres as it changes the length of its spring.
@@ -178,7 +177,7 @@ SENSOR_KINDS: dict[str, SensorKind] = {
     "bend": SensorKind(ANGLE, _bends), "hinge": SensorKind(ANGLE, _hinges),
     "volume": SensorKind(VOLUME, _volumes), "walls": SensorKind(VOLUME, _chambers),
     "pressure": SensorKind(PRESSURE, _pressures), "spring": SensorKind(FORCE, _forces),
-    "contact": SensorKind(FORCE, _contacts, True),
+    "contact": SensorKind(FORCE, _contacts),
 }  # fmt: skip
 """The kinds, by the key of an entry that has them."""
 
@@ -230,7 +229,7 @@ def sensor_term(layout: Layout, notes: list[str], contacts: Contacts | None, wan
     for key, kind in SENSOR_KINDS.items():
         own = [keyed for keyed in chosen if kind_of(keyed[1]) == key]
         if own:
-            parts.append(kind.build(layout, own, notes, *([contacts] if kind.of_contacts else ())))
+            parts.append(kind.build(layout, own, notes, contacts))
     weights = [one.weight if one.weight is not None else 1.0 for _, one in chosen]
     term = Sensors(parts, np.array(weights)) if parts else None
     for index in rows_that_move_nothing(term, layout.nodes) if term is not None and wanted else ():

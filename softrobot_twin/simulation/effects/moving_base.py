@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.errors import CommandError
+from softrobot_twin.geometry.shortened_vectors import shortened
 from softrobot_twin.mechanics.gravity import Gravity
 from softrobot_twin.mechanics.rotation import rotation_from_quaternion, vector_from_rotation
 from softrobot_twin.simulation.building.model import Model
@@ -103,14 +104,8 @@ class BaseTrack:
             acceleration, spin = (velocity - last[3]) / h, (turning - last[4]) / h
         self._last = time, place, R, velocity, turning
         limits = self._most, np.sqrt(self._most_spin), self._most_spin
-        felt = map(_shortened, (acceleration, turning, spin), limits)
+        felt = map(shortened, (acceleration, turning, spin), limits)
         self.motion = BaseMotion(R, *(R.T @ one for one in felt))
-
-
-def _shortened(vector: np.ndarray, most: float) -> np.ndarray:
-    """A vector, no longer than may be."""
-    size = float(np.linalg.norm(vector))
-    return vector if size <= most else vector * (most / size)
 
 
 class MovingBase(StepPart):
