@@ -28,6 +28,7 @@ from softrobot_twin.simulation.building.actuator_kinds import (
     Quantity,
     actuator_kinds,
     group_of,
+    ActuatorKind,
     register_actuator,
 )
 from softrobot_twin.simulation.runs.input_tables import TableFileError, read_targets
@@ -116,15 +117,14 @@ class Chambers(ConstraintTerm):
                     np.add.at(storage, places, blocks[kept, i, j])
 
 
-class ChamberActuator:
+class ChamberActuator(ActuatorKind):
     """See `ActuatorKind`."""
 
     section, entry, noun = "chambers", Chamber, "chamber"
     setpoint = Quantity("volume", "m3")
     displacement = Quantity("expansion", "m3")
     effort = Quantity("pressure", "Pa")
-    sign, one_sided, takes_efforts, least_setpoint = 1, False, True, 0.0
-    is_effort_driven = False
+    least_setpoint = 0.0
 
     def build(self, layout, entries, notes) -> ActuatorGroup:
         rest = layout.nodes.rest_positions
