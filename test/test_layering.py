@@ -27,8 +27,8 @@ ALLOWED_ROOMS = {
     # Names of what is registered there: laws and factorizations; where a helix begins.
     "scene": {"geometry", "mechanics", "solvers"},
     "simulation": CORE - {"simulation"},
-    # The quadratic program of predictive control.
-    "control": {"simulation", "solvers"},
+    # The quadratic program of predictive control, and lengths of vectors.
+    "control": {"geometry", "simulation", "solvers"},
     "view": {"simulation"},
     "record": CORE | {"control"},
     "ros": CORE | {"control", "view", "record"},

@@ -176,7 +176,7 @@ def run_until_ready(command: list, environment: dict[str, str], folder: Path) ->
 
 
 # What other libraries show only by such a name: numba's overloads, named tuples, pages of a notebook.
-SHOWN = {"_overload_func", "_replace", "_fields", "_repr_html_", "_ipython_display_", "_exit"}
+SHOWN = {"_overload_func", "_replace", "_fields", "_ipython_display_", "_exit"}
 
 
 def test_no_test_uses_a_private_name():

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from softrobot_twin.scripting.named_commands import unknown
-from softrobot_twin.scripting.notebook_html import table_html, text_html
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -59,7 +58,3 @@ class LabelledMatrix:
         lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))
                  for row in cells]
         return "\n".join([f"{self.meaning}:", *lines])
-
-    def _repr_html_(self) -> str:
-        rows = [[row, *own] for row, own in zip(self.rows, self.values, strict=True)]
-        return text_html(self.meaning) + table_html(["", *self.columns], rows)

@@ -32,7 +32,6 @@ from softrobot_twin.scripting.named_commands import (
     finite_numbers,
     unknown,
 )
-from softrobot_twin.scripting.notebook_html import table_html, text_html
 from softrobot_twin.simulation import CommandEfforts, Simulation
 from softrobot_twin.simulation.command import DEFAULT_TIME_STEP
 
@@ -237,24 +236,14 @@ class Design:
         with output_file(path) as file:
             file.write_text(text_of(self.scene), encoding="utf-8")
 
-    def _lines(self) -> tuple[str, list[list[Any]]]:
-        """The objective in words, and the rows of a table."""
+    def __repr__(self) -> str:
         unit = f" {self.unit}" if self.unit else ""
         words = (f"objective {self.before:.4g}{unit} -> {self.after:.4g}{unit} in "
                  f"{self.found.trials} trials; flatness for a change of {self.tolerance:.3g}{unit}")
-        return words, [[name, value, self.flatness[name], self.units[name]]
-                       for name, value in self.values.items()]
-
-    def __repr__(self) -> str:
-        words, rows = self._lines()
         width = max(map(len, self.values))
-        lines = [f"  {name:<{width}}  {value:.6g} ± {flat:.2g} {unit}" for name, value, flat, unit in rows]
+        lines = [f"  {name:<{width}}  {value:.6g} ± {self.flatness[name]:.2g} {self.units[name]}"
+                 for name, value in self.values.items()]
         return "\n".join([words, *lines, *(f"  {note}" for note in self.notes)])
-
-    def _repr_html_(self) -> str:
-        words, rows = self._lines()
-        return (text_html(words) + table_html(["variable", "value", "flatness ±", "unit"], rows)
-                + "".join(map(text_html, self.notes)))
 
 
 def _untold(names: list[str], found: Found) -> list[str]:

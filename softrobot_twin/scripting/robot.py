@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, cast
 
@@ -21,7 +20,7 @@ from softrobot_twin.control.force_observer import ForceObserver
 from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.errors import CommandError
 from softrobot_twin.harness.equilibrium import is_at_rest
-from softrobot_twin.harness.figure import MissingExtraError, load_pyplot
+from softrobot_twin.harness.figure import load_pyplot
 from softrobot_twin.scene import Scene, load_scene, scene_from_mapping
 from softrobot_twin.scene.scene_parameters import Parameter, changed_scene, parameters
 from softrobot_twin.scripting.entries_in_python import IN_PYTHON, plain_entries
@@ -46,13 +45,6 @@ from softrobot_twin.scripting.named_design import (
     optimised,
     poses_of,
     variables_of,
-)
-from softrobot_twin.scripting.notebook_html import (
-    actuators_html,
-    actuators_of,
-    effectors_html,
-    figure_html,
-    text_html,
 )
 from softrobot_twin.scripting.robot_view import RobotView
 from softrobot_twin.scripting.run_table import (
@@ -297,20 +289,6 @@ class Robot:
         if simulation.state.step_count:
             parts.append(f"after {simulation.state.time:.6g} s")
         return "; ".join(part for part in parts if part)
-
-    def _repr_html_(self) -> str:
-        """What a notebook shows: its parts, effectors and actuators; a picture with matplotlib."""
-        simulation, state = self.simulation, self.simulation.state
-        moved = simulation.actuators.displacements(state.setpoints, state.positions)
-        parts = [
-            text_html(self.name, "h3"), text_html(self._summary()),
-            effectors_html(self.effector_names, simulation.effector_positions()),
-            actuators_html(actuators_of(simulation), state.setpoints, moved,
-                           simulation.actuators.told_efforts(state.efforts)),
-        ]  # fmt: skip
-        with suppress(MissingExtraError):
-            parts.append(figure_html(self.plot(), f"{self.name} at {state.time:.6g} s"))
-        return "".join(parts)
 
     # --- where it stands -------------------------------------------------------------------------
 

@@ -7,7 +7,6 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from softrobot_twin.scripting.notebook_html import table_html
 from softrobot_twin.simulation.channels import WANTED
 from softrobot_twin.simulation.command import Command, FollowTargets
 from softrobot_twin.simulation.runs.run_columns import (
@@ -19,14 +18,6 @@ from softrobot_twin.simulation.runs.run_columns import (
 
 Table: TypeAlias = Any
 """A `pandas.DataFrame` where pandas is installed, else a structured numpy array."""
-
-
-class RowsTable(np.ndarray):
-    """A structured array of rows, which a notebook shows as a table."""
-
-    def _repr_html_(self) -> str | None:
-        names = self.dtype.names
-        return None if names is None or self.ndim != 1 else table_html(names, self.tolist())
 
 
 def run_table(columns: RunColumns, rows: Iterable[RunRow]) -> Table:
@@ -51,7 +42,7 @@ def run_table(columns: RunColumns, rows: Iterable[RunRow]) -> Table:
         pass
     else:
         return pandas.DataFrame(by_name)
-    table = RowsTable(len(cells), [(name, array.dtype) for name, array in by_name.items()])
+    table = np.empty(len(cells), [(name, array.dtype) for name, array in by_name.items()])
     for name, array in by_name.items():
         table[name] = array
     return table

@@ -9,12 +9,6 @@ import numpy as np
 
 from softrobot_twin.errors import CommandError
 from softrobot_twin.scripting.named_commands import unknown
-from softrobot_twin.scripting.notebook_html import (
-    actuators_html,
-    actuators_of,
-    effectors_html,
-    text_html,
-)
 from softrobot_twin.simulation import Command, Simulation, Status, StepReport, StepResult
 from softrobot_twin.simulation.appearance import Pose, named_poses
 from softrobot_twin.simulation.building.table_columns import STEP, column
@@ -57,7 +51,7 @@ class Result:
         self.outcome, self.is_at_rest = outcome, is_at_rest
         self._columns, self._command, self._model = columns, command, simulation.model
         self._effectors, self._touches = simulation.effector_names, simulation.touch_names
-        self._actuators = actuators_of(simulation)
+        self._efforts = [column(name, kind.effort) for name, kind in simulation.actuators.kind_of.items()]
 
     def __getstate__(self) -> dict[str, Any]:
         """All numbers, without the simulation that they come from."""
@@ -169,24 +163,13 @@ class Result:
             error = self.errors[name]
             missed = f" ({1e3 * error:.2g} mm from its target)" if np.isfinite(error) else ""
             parts.append(f"{name} at [{place}] mm{missed}")
-        efforts = [column(one.name, one.quantities[-1]) for one in self._actuators]
-        shown = [f"{name} {self.values[name]:.4g}" for name in efforts]
+        shown = [f"{name} {self.values[name]:.4g}" for name in self._efforts]
         if len(shown) > _MOST_SHOWN:
             shown = [*shown[:_MOST_SHOWN], f"and {len(shown) - _MOST_SHOWN} more"]
         parts += shown
         if self.active_limits:
             parts.append(f"at {', '.join(self.active_limits[:_MOST_SHOWN])}")
         return f"<Result {'; '.join(parts)}>"
-
-    def _repr_html_(self) -> str:
-        """What a notebook shows: its status and active limits, effectors and actuators."""
-        outcome, limits = self.outcome, ", ".join(self.active_limits)
-        text = f"{self.status.value} at {self.time:.6g} s{limits and f'; at limits: {limits}'}"
-        efforts = [self.values[column(one.name, one.quantities[-1])] for one in self._actuators]
-        return (text_html(text)
-                + effectors_html(self._effectors, outcome.effector_positions, outcome.effector_errors)
-                + actuators_html(self._actuators, outcome.setpoints, outcome.displacements,
-                                 np.array(efforts)))  # fmt: skip
 
 
 class UnknownNameError(CommandError, KeyError):

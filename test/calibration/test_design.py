@@ -241,9 +241,9 @@ def test_a_design_is_written_shown_and_taken_over(tmp_path, finger):
     other = finger.copy()
     other.change(design.changes)
     assert [point[2] for point in other.scene.cables[0].points] == places
-    shown, html = repr(design), design._repr_html_()
+    shown = repr(design)
     for word in ("base", "end", "±", "flatness"):
-        assert word in shown and word in html
+        assert word in shown
 
 
 def test_the_volume_of_a_hull_has_derivatives(drawn_rng):
