@@ -22,9 +22,7 @@ from softrobot_twin.scene.entry import values_below
 from softrobot_twin.simulation.building.actuators import Actuators
 from softrobot_twin.simulation.building.beam_bodies import build_section
 from softrobot_twin.simulation.building.model import Model
-from softrobot_twin.simulation.command import LONG, CommandSetpoints
 from softrobot_twin.simulation.step.merit import OVERSHOOT
-from softrobot_twin.simulation.step.step_part import Steppable
 
 # A slide's travel of more than this number of sizes of the largest body is reported.
 MOST_SIZES = 20.0
@@ -59,13 +57,8 @@ TOLERANCE = 1.0e-4
 """An equilibrium is found when no node moves by more than this share of the size."""
 UNLIKELY_SHARE = 10.0
 """A setpoint or effort of more than this many times a large one is reported as unlikely."""
-# All cables are wound in by these shares of what they may be, one after the other, and the body comes
-# near rest at each: before that its stiffness is another.
-SHARES, STEPS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6), 3
 FOR_JOINTS = 5
 """Linearizations of a step that joints of rigid bodies take."""
-# The check takes the time of some steps: of larger scenes nobody waits for it.
-MOST_FREE_NODES = 2000
 
 
 def scene_warnings(scene: Scene, size: float) -> Iterator[str]:
@@ -477,38 +470,3 @@ def _forget_motion(model: Model) -> None:
         if term.remembers_start:
             time_step = 1.0 if term.name == "rigid inertia" else np.inf
             term.begin_step(model.nodes.rest_positions, still, time_step)
-
-
-def stability_notes(simulation: Steppable) -> Iterator[str]:
-    """Tell of a body that buckles at given tensions of its cables.
-
-    Args:
-        simulation: The simulation; at rest afterwards.
-
-    Yields:
-        A sentence, where there is something to tell.
-    """
-    model = simulation.model
-    actuators, entries = model.actuators, model.scene.deformables
-    travel = actuators.limits.displacement_max
-    if (
-        model.is_dynamic or not entries or any(entry.element == "linear" for entry in entries)
-        or model.nodes.free_node_count > MOST_FREE_NODES or not actuators.row_count
-        or not actuators.one_sided.all() or actuators.is_effort_driven.any()
-        or not np.isfinite(travel).all() or not actuators.conserves or model.scene.motors
-    ):  # fmt: skip
-        return
-    names = " and ".join(body.name for body in model.bodies)
-    for share in SHARES:
-        for _ in range(STEPS):
-            result = simulation.step(CommandSetpoints(actuators.setpoints(share * travel), LONG))
-        if result.status.is_failure or result.report.projected_tangent:
-            break
-        if simulation.newton.tangent.is_augmented:
-            yield (
-                f"{names}: where all cables are wound in by {100.0 * share:g} % of what they may "
-                f"be, it is stable only because they hold their lengths; at the same tensions, "
-                f"{result.efforts.max():.3g} N, it buckles: command lengths or targets there"
-            )
-            break
-    simulation.reset()

@@ -31,7 +31,6 @@ from softrobot_twin.simulation.effects.moving_base import MovingBase
 from softrobot_twin.simulation.mounting import Mounted, branch_notes, mount
 from softrobot_twin.simulation.readouts import Readouts
 from softrobot_twin.simulation.result import Status, StepResult
-from softrobot_twin.simulation.scene_warnings import stability_notes
 from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.step.actuation import INVERSION, PASSING, Actuation
 from softrobot_twin.simulation.step.direct_actuation import DirectActuation
@@ -153,8 +152,7 @@ class Simulation(Readouts):
             scene: The scene.
             now: Gives the time that stages and budgets are measured by [s].
             factorization_type: Class to factorize with, in place of the scene's.
-            with_warnings: Whether to look for what looks wrong, see `build_model`, and for a body that
-                buckles at given tensions.
+            with_warnings: Whether to look for what looks wrong, see `build_model`.
             mounted: Where a robot of this structure was mounted, from which this one is; None to begin
                 with the drawn one.
 
@@ -190,9 +188,8 @@ class Simulation(Readouts):
         self._find_surface()
         self._take_parts(parts)
         self.reset()
-        if with_warnings:
-            self.model.notes.extend(stability_notes(self))
-            self.model.notes.extend(branch_notes(self) if scene.mounting else ())
+        if with_warnings and scene.mounting:
+            self.model.notes.extend(branch_notes(self))
 
     def _take_parts(self, parts: tuple[StepPart, ...]) -> None:
         """Step with these optional effects around."""
