@@ -232,7 +232,8 @@ def slide(conversion: Conversion, component: SceneComponent) -> str | None:
     if not conversion.is_static:
         raise NotConverted("moves a frame in motion in time: slides are built with a StaticSolver")
     body = conversion.needed_carrier(state, whole_of(component, "indices"))
-    if not any(one["name"] == body and one.get("motion") == "guided" for one in conversion.scene.get("rigid_bodies", ())):
+    rigid_bodies = conversion.scene.get("rigid_bodies", ())
+    if not any(one["name"] == body and one.get("motion") == "guided" for one in rigid_bodies):
         raise NotConverted("moves a frame that nothing holds along the other axes, or that of a beam")
     limits = add_actuator(conversion, component, "slides", {"name": name, "body": body, "axis": rounded(direction[:3])})
     return f"slide {name} of {body}{limits}"

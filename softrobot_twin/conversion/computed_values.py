@@ -393,7 +393,8 @@ def _sparse_grid_of(component: SceneComponent) -> LoadedMesh:
     cell = np.full(3, width) if width > 0.0 else (high - low) / (counts - 1)
     is_kept = np.zeros(counts - 1, bool)
     for triangle in (surface.points[surface.triangles] - low) / cell:
-        least, most = (np.clip(ends.astype(int), 0, counts - 2) for ends in (triangle.min(axis=0), triangle.max(axis=0)))
+        ends = triangle.min(axis=0), triangle.max(axis=0)
+        least, most = (np.clip(end.astype(int), 0, counts - 2) for end in ends)
         near = least + np.indices(most - least + 1).reshape(3, -1).T
         # No plane along an edge of both, or along the triangle, lies between it and the cell.
         sides = np.roll(triangle, -1, axis=0) - triangle

@@ -198,7 +198,8 @@ def plane(conversion: Conversion, component: SceneComponent) -> str | None:
     contact = conversion.scene.get("contact", {})
     normal = array_of(component, 3, "normal", otherwise=[[0.0, 1.0, 0.0]])[0]
     size = np.linalg.norm(normal)
-    away = number_of(component, "d", otherwise=0.0) / size * conversion.units.metre - contact.get("contact_distance", 0.0)
+    away = number_of(component, "d", otherwise=0.0) / size * conversion.units.metre
+    away -= contact.get("contact_distance", 0.0)
     name = conversion.name(f"{component.node.name}_plane" if component.name == component.kind else component.name)
     conversion.add("obstacles", component, {
         "name": name, "plane": {"point": rounded(away * normal / size), "normal": rounded(normal / size)}})  # fmt: skip

@@ -174,6 +174,7 @@ KNOWN: dict[str, Any] = {
     **{name: partial(make, name) for name in TABLE}, "Scene": Scene, "Rigidify": rigidify,
     "addOrientedBoxRoi": oriented_box_roi, "setData": set_data, "SofaPrefab": lambda made: made,
     "animate": lambda *given, **named: Recorder.note_unknown("animate"), "AnimationManager": Nothing(),
-    "loadPointListFromFile": lambda file: json.loads(Path(file).read_text()), "ShowGrid": Nothing(), "SofaObject": object,
+    "loadPointListFromFile": lambda file: json.loads(Path(file).read_text()),
+    "ShowGrid": Nothing(), "SofaObject": object,
 }  # fmt: skip
 """What the helper packages offer, by name; behind ``inverse.`` what those for inverse problems do."""

@@ -126,7 +126,8 @@ def transform_positions(position: Any, translation: Any = (0.0, 0.0, 0.0), *give
 
 
 NUMERICS: dict[str, Any] = {
-    **{key: value for key, value in vars(math).items() if not key.startswith("_")}, "numpy": np, "Vec3": Vec3, "Quat": Quat,
+    **{key: value for key, value in vars(math).items() if not key.startswith("_")},
+    "numpy": np, "Vec3": Vec3, "Quat": Quat,
     "to_radians": lambda v: [math.radians(one) for one in v] if isinstance(v, list) else math.radians(v),
     "TRS_to_matrix": transform, "transformPositions": transform_positions, "transformPosition": transform_position,
     **{key: lambda a, b, _by=by: _by(np.asarray(a, float), b).tolist() for key, by in
