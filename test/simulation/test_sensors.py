@@ -169,7 +169,7 @@ def test_a_file_and_python_give_targets_and_a_run_is_given_back(bellows, tmp_pat
     assert {"spine_length_m"} <= told.keys()
     output = tmp_path / "run.csv"
     output.write_text("\n".join([",".join(columns.names), *(",".join(columns.texts(row)) for row in rows)]))
-    np.testing.assert_array_equal(read_targets(output, robot).sensors, table.sensors)
+    np.testing.assert_array_equal(read_targets(output, robot).wanted["sensors"], table.wanted["sensors"])
     scripted = st.Robot(bellows([{**FLEX, "weight": 1.0}, SPINE]).scene)
     result = scripted.settle(st.targets(flex_angle_rad=0.2))
     assert result["flex_angle_rad"] == pytest.approx(0.2, abs=1e-4)

@@ -133,8 +133,8 @@ POSED = "time_s,tip_x_m,tip_y_m,tip_z_m,tip_qx,tip_qy,tip_qz,tip_qw"
 def test_a_targets_file_may_give_orientations(tmp_path):
     table = read(tmp_path, f"{POSED}\n0,1,2,3,0,0,0,1\n1,1,2,3,0,1.005,0,0\n", robot(oriented=(True, False)))
     np.testing.assert_array_equal(table.values[:, 0], [[1, 2, 3]] * 2)
-    np.testing.assert_allclose(table.orientations[:, 0], [[0, 0, 0, 1], [0, 1, 0, 0]])
-    assert np.isnan(table.values[:, 1]).all() and np.isnan(table.orientations[:, 1]).all()
+    np.testing.assert_allclose(table.wanted["orientations"][:, 0], [[0, 0, 0, 1], [0, 1, 0, 0]])
+    assert np.isnan(table.values[:, 1]).all() and np.isnan(table.wanted["orientations"][:, 1]).all()
     command = table.command(1)
     np.testing.assert_allclose(command.orientations[0], [0, 1, 0, 0])
 
@@ -145,11 +145,12 @@ STIFF = "time_s,tip_x_m,tip_y_m,tip_z_m,tip_kz_N_per_m"
 def test_a_targets_file_may_give_stiffnesses_along_some_axes(tmp_path):
     stiff = robot(stiff=(True, False))
     table = read(tmp_path, f"{STIFF}\n0,1,2,3,300\n1,1,2,3,350\n", stiff)
-    np.testing.assert_array_equal(table.stiffness[:, 0], [[np.nan, np.nan, 300.0], [np.nan, np.nan, 350.0]])
-    assert np.isnan(table.stiffness[:, 1]).all() and table.orientations is None
-    np.testing.assert_array_equal(table.command(1).stiffness, table.stiffness[1])
+    stiffness = table.wanted["stiffness"]
+    np.testing.assert_array_equal(stiffness[:, 0], [[np.nan, np.nan, 300.0], [np.nan, np.nan, 350.0]])
+    assert np.isnan(stiffness[:, 1]).all() and set(table.wanted) == {"stiffness"}
+    np.testing.assert_array_equal(table.command(1).stiffness, stiffness[1])
     plain = read(tmp_path, "time_s,tip_x_m,tip_y_m,tip_z_m\n0,1,2,3\n", stiff)
-    assert plain.stiffness is None and plain.command(0).stiffness is None
+    assert not plain.wanted and plain.command(0).stiffness is None
 
 
 @pytest.mark.parametrize("text, simulation, reason", [

@@ -21,7 +21,7 @@ from functools import cached_property
 from itertools import compress
 from pathlib import Path
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -424,21 +424,15 @@ class TargetTable:
             that the file does not name; or setpoints or efforts of the actuators, such as lengths
             [m], pressures [Pa] or tensions [N], shape (row_count, actuator_count), NaN for those
             that hold.
-        orientations: Wanted turns of effectors from rest as unit quaternions (x, y, z, w), shape
-            (row_count, effector_count, 4), NaN where the file gives none; None in a file without.
-        stiffness: Wanted stiffnesses of effectors [N/m], shape (row_count, effector_count, 3), NaN
-            where the file gives none; None in a file without.
-        sensors: Wanted values of sensors, each in its unit, shape (row_count, sensor_count), NaN where
-            the file gives none; None in a file without.
+        wanted: What the file asks for beside targets, a row for each of its rows, NaN where it gives
+            none: `orientations`, `stiffness` and `sensors` of `FollowTargets`.
     """
 
     kind: str
     times: np.ndarray
     time_steps: np.ndarray
     values: np.ndarray
-    orientations: np.ndarray | None = None
-    stiffness: np.ndarray | None = None
-    sensors: np.ndarray | None = None
+    wanted: Mapping[str, Any]
 
     def command(self, row: int) -> Command:
         """Command of a row, counted from 0.
@@ -448,10 +442,7 @@ class TargetTable:
         """
         values, step = self.values[row], float(self.time_steps[row])
         if self.kind == TARGETS:
-            turns = None if self.orientations is None else self.orientations[row]
-            stiffness = None if self.stiffness is None else self.stiffness[row]
-            sensors = None if self.sensors is None else self.sensors[row]
-            return FollowTargets(values, step, None, turns, stiffness, sensors=sensors)
+            return FollowTargets(values, step, **{name: rows[row] for name, rows in self.wanted.items()})
         return _OF_ACTUATORS[self.kind](values, step)
 
 
@@ -520,25 +511,24 @@ def read_targets(source: Path | str | Mapping, simulation: Simulation, axes: Axe
     if columns.is_output and not keep_targets(columns, simulation.effector_names, simulation.sensor_columns):
         _keep_what_drove(columns, simulation)
     times = columns.times()
-    kind, values = TARGETS, None
+    kind, wanted = TARGETS, {}
     if any(own in columns for own in target_columns(simulation)):
         _refuse_partial(columns, simulation.effector_names)
-        places, *others = [_targets_of(columns, simulation, channel) for channel in WANTED]
-        if places is None:
-            places = np.full((len(columns), len(simulation.effector_names), 3), np.nan)
+        given = {one.target: _targets_of(columns, simulation, one) for one in WANTED}
         names = list(simulation.sensor_columns)
         for own, name in simulation.sensor_columns.items():
             if own in columns and not simulation.wanted_sensors[name]:
                 raise columns.error(own, "the sensor has no weight in the scene: it is told, not wanted")
-        wanted = places, *others, columns.pop_given(names, np.nan)
+        given["sensors"] = columns.pop_given(names, np.nan)
+        wanted = {name: rows for name, rows in given.items() if rows is not None}
+        values = wanted.pop(TARGETS, np.full((len(columns), len(simulation.effector_names), 3), np.nan))
     else:
         kind, values = _actuator_values(columns, simulation)
-        wanted = values, None, None, None
     if columns.left:
         _refuse_column(columns, simulation)
     if kind == HOLD:
         raise TableFileError(columns.source, f"the header names nothing to drive besides {TIME}", 1)
-    return TargetTable(kind, times, _time_steps(times), *wanted)
+    return TargetTable(kind, times, _time_steps(times), values, wanted)
 
 
 def read_path(source: Path | str, effector: str) -> Waypoints:
