@@ -19,7 +19,7 @@ _PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 
 
 class TargetPath(Protocol):
-    """A position for every time."""
+    """A position for every time, and of some paths an orientation."""
 
     def position(self, time: float) -> np.ndarray:
         """Position [m], shape (3,), at a time since the path began [s].
@@ -28,9 +28,17 @@ class TargetPath(Protocol):
             time: Time since the path began [s].
         """
 
+    def orientation(self, time: float) -> np.ndarray | None:
+        """Orientation (x, y, z, w) at a time since the path began [s]; None of a path without.
+
+        Args:
+            time: Time since the path began [s].
+        """
+        return None
+
 
 @dataclass(frozen=True)
-class ClosedCurve:
+class ClosedCurve(TargetPath):
     """Common parameters of a circle and a lemniscate.
 
     Attributes:
@@ -147,10 +155,10 @@ class AlternatingPaths:
             time: Time since the first path began [s].
         """
         path, before, since = self._at(time)
-        now = orientation_at(path, since)
+        now = path.orientation(since)
         if before is None:
             return now
-        left = orientation_at(before, since + self.duration)
+        left = before.orientation(since + self.duration)
         return left if now is None else _blend_turns(left, now, since, self.ramp_time)
 
     def _at(self, time: float) -> tuple[TargetPath, TargetPath | None, float]:
@@ -190,19 +198,8 @@ class RampedIn:
         Args:
             time: Time since the path began [s].
         """
-        now = orientation_at(self.path, time)
+        now = self.path.orientation(time)
         return None if now is None else _blend_turns(self.turn, now, time, self.ramp_time)
-
-
-def orientation_at(path: TargetPath, time: float) -> np.ndarray | None:
-    """Orientation (x, y, z, w) of a path at a time since it began [s]; None of one without.
-
-    Args:
-        path: The path.
-        time: Time since it began [s].
-    """
-    find = getattr(path, "orientation", None)
-    return None if find is None else find(time)
 
 
 def has_orientations(path: TargetPath) -> bool:
@@ -211,7 +208,7 @@ def has_orientations(path: TargetPath) -> bool:
     Args:
         path: The path.
     """
-    return any(orientation_at(one, 0.0) is not None for one in getattr(path, "paths", (path,)))
+    return any(one.orientation(0.0) is not None for one in getattr(path, "paths", (path,)))
 
 
 @dataclass(frozen=True)
