@@ -525,7 +525,7 @@ class Robot:
         measured: list[Any] = [] if touched is None else [touched]
         if self._observer is not None:
             measured.append(self._observer.found)
-        outcome = self.simulation.step(asked, None, measured or None)
+        outcome = self.simulation.step(asked, None, measured)
         self._remember(outcome, asked)
         return Result(
             outcome, self.simulation, self._columns.of(asked), asked,

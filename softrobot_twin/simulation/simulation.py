@@ -399,6 +399,7 @@ class Simulation(Readouts):
         """
         clock = StageClock(self.now)
         self._make_result()
+        measured = _each(measured)
         in_place = self._planner.step_in_place(self, command, budget, measured)
         if in_place is not None:
             return in_place
@@ -524,7 +525,7 @@ class Simulation(Readouts):
             load += self.newton.balance.constant_load
         self.inverse.begin_step(self.is_balanced, is_stable, loads, load, places)
 
-    def _begin_parts(self, command: Command, measured: object | None) -> tuple[Command, bool]:
+    def _begin_parts(self, command: Command, measured: list) -> tuple[Command, bool]:
         """Let all parts begin a step.
 
         Args:
@@ -534,7 +535,7 @@ class Simulation(Readouts):
         Returns:
             What is to be done, and whether the stiffness is another than before.
         """
-        left, changes = _each(measured), False
+        left, changes = measured, False
         self._recall_parts()
         for part in self._parts_with["begin"]:
             own = [one for one in left if part.takes is not None and isinstance(one, part.takes)]

@@ -248,14 +248,13 @@ class Explorer(StepPart, Planner):
             before.end(result)
 
     def step_in_place(
-        self, simulation: Steppable, command: Command, budget: float | None, measured: object | None
+        self, simulation: Steppable, command: Command, budget: float | None, measured: list
     ) -> StepResult | None:
         """A step of a trial; None where the robot steps itself. See `Planner`."""
         exploration = self._exploration
         if exploration is None:
             return None
-        is_other = measured is not None and measured.is_any
-        if is_other or not simulation.asks_as(exploration.command, command):
+        if any(one.is_any for one in measured) or not simulation.asks_as(exploration.command, command):
             if not exploration.is_found:
                 simulation.forget_solvers()
             self._exploration = None
@@ -274,7 +273,7 @@ class Explorer(StepPart, Planner):
 
     def _try(
         self, simulation: Steppable, exploration: Exploration, command: Command,
-        budget: float | None, measured: object | None,
+        budget: float | None, measured: list,
     ) -> StepResult:  # fmt: skip
         """Make a step of a trial in place of one of the robot, which would keep its state."""
         newton, inverse = simulation.newton, simulation.inverse

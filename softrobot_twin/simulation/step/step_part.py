@@ -199,7 +199,7 @@ class Planner:
         """
 
     def step_in_place(
-        self, simulation: Steppable, command: Command, budget: float | None, measured: object | None
+        self, simulation: Steppable, command: Command, budget: float | None, measured: list
     ) -> StepResult | None:
         """Take the place of a step.
 
@@ -207,7 +207,7 @@ class Planner:
             simulation: The simulation, before the step.
             command: What is asked.
             budget: Time for the step [s], or None.
-            measured: What is measured; see `Simulation.step`.
+            measured: All that is measured; see `Simulation.step`.
 
         Returns:
             Its result; None where the step is to be made as usual.

@@ -10,6 +10,7 @@ from scipy.optimize import minimize
 import softrobot_twin as st
 from softrobot_twin.simulation import FollowTargets
 from softrobot_twin.simulation.effects.exploration import NEARER, RANDOM_MOVES, Exploration
+from test.control.conftest import coarse
 from test.scene_changes import repeat_step
 
 MOST = 2000
@@ -83,6 +84,15 @@ def test_another_command_ends_an_exploration_and_begins_from_the_robots_state(li
     for _ in range(3):
         one, other = twin.step(home), fresh.step(home)
         np.testing.assert_array_equal(one.outcome.state.positions, other.outcome.state.positions)
+
+
+def test_a_touch_ends_an_exploration():
+    scene = coarse("diamond", "diamond_400")
+    twin = st.build(**scene | dict(solver=dict(exploration=True), touches=[dict(name="hand", points=[[0.0, 0.0, 0.125]])]))
+    asked = st.targets(tip=[0.5, 0.0, 0.0])
+    until(twin, asked, lambda report: report.is_exploring)
+    touched = twin.step(asked, touches={"hand_force_N": [0.0, 0.1, 0.0]})
+    assert not touched.outcome.report.is_exploring
 
 
 def test_a_trial_that_raises_leaves_the_robot_where_it_is(limited, monkeypatch):
