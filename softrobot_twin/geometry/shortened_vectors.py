@@ -5,6 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 
+# Shorter vectors count as this long, whose inverse is finite times any limit.
+_TINY = 1.0e-200
+
+
 def shortened(vectors: np.ndarray, longest: float, per_unit: np.ndarray | float = 1.0) -> np.ndarray:
     """Vectors, those that are longer made as long as a limit.
 
@@ -13,5 +17,5 @@ def shortened(vectors: np.ndarray, longest: float, per_unit: np.ndarray | float 
         longest: Greatest length.
         per_unit: What a unit of the vectors counts in that of the limit, shape (...).
     """
-    lengths = np.maximum(np.linalg.norm(vectors, axis=-1) * per_unit, np.finfo(float).tiny)
+    lengths = np.maximum(np.linalg.norm(vectors, axis=-1) * per_unit, _TINY)
     return vectors * np.minimum(1.0, longest / lengths)[..., np.newaxis]
