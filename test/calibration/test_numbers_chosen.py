@@ -67,7 +67,7 @@ def test_another_robot_on_cables_is_found_to_its_noise(seed):
 
 @pytest.mark.exhaustive
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize("seed", [101, 102])
+@pytest.mark.parametrize("seed", [101])
 def test_another_emio_is_found_to_its_noise(seed):
     """Of thirty such robots, seeds 350923 to 350942 and 59100 to 59109, the worst was found to 1.10 of its noise."""
     rng, scene = np.random.default_rng(seed), load_scene(SCENE)

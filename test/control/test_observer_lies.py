@@ -182,7 +182,7 @@ def followed(twin, real, seed):
 
 
 @pytest.mark.parametrize("run", [
-    pytest.param(run, marks=[pytest.mark.exhaustive] if run else []) for run in range(20)])
+    pytest.param(run, marks=[pytest.mark.exhaustive] if run else []) for run in range(10)])
 def test_honest_markers_are_followed_no_worse_with_an_observer(simulation, observing, real, seed, run):
     without, _ = followed(simulation, real, seed)
     errors, move = followed(observing, real, seed)
