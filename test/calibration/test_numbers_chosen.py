@@ -55,7 +55,7 @@ def error_and_share_inside(scene, robot, drawn, rng, size=1.0, counts=(45, 25)):
     return found.after[MARKERS] / floor, found.inside[MARKERS]
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1])
 def test_another_robot_on_cables_is_found_to_its_noise(seed):
     """A tenth of the noise of the Emio: the bar is a third as large. Few poses tell eight numbers less well."""
     rng, scene = np.random.default_rng(seed), scene_from_mapping(BAR)
