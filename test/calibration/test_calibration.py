@@ -501,7 +501,7 @@ def test_what_is_known_is_refused_where_it_is_no_number(files, known):
         run(files[0], "--data", files[1], "--fit", E, "--known", known)
 
 
-@pytest.mark.parametrize("section", ["observer: {systematic_error: 0.3}  # guessed"])
+@pytest.mark.parametrize("section", ["observer: {}", "observer: {systematic_error: 0.3}  # guessed"])
 def test_the_proposal_tells_the_observer_what_the_model_is_off(files, capsys, section):
     scene, table = files
     third = "0.0095]}, {id: 9, point: [0.03, 0.002, 0.0095]}]"
