@@ -186,6 +186,9 @@ def block() -> Callable:
 
     from softrobot_twin.geometry.tet_mesh import TetMesh
 
+    # Odd permutations give mirrored tetrahedra, so two nodes are swapped.
+    paths = [(path, np.linalg.det(np.eye(3)[list(path)]) > 0) for path in itertools.permutations(range(3))]
+
     def make(size=(0.2, 0.3, 0.4), cells=(2, 3, 4), shake=0.2) -> TetMesh:
         counts = np.array(cells) + 1
         grid = np.array(list(itertools.product(*(range(count) for count in counts))), float)
@@ -194,14 +197,12 @@ def block() -> Callable:
         index = np.arange(len(grid)).reshape(counts)
         tets = []
         for cell in itertools.product(*(range(count) for count in cells)):
-            for path in itertools.permutations(range(3)):
-                corner = np.array(cell)
-                tet = [index[tuple(corner)]]
+            for path, even in paths:
+                corner = list(cell)
+                tet = [index[cell]]
                 for axis in path:
                     corner[axis] += 1
                     tet.append(index[tuple(corner)])
-                # Odd permutations give mirrored tetrahedra, so two nodes are swapped.
-                even = np.linalg.det(np.eye(3)[list(path)]) > 0
                 tets.append(tet if even else [tet[0], tet[2], tet[1], tet[3]])
         return TetMesh(grid * np.array(size) / np.array(cells), np.array(tets))
 
