@@ -112,8 +112,7 @@ def record(file: Path) -> dict:
         The tree as `to_plain` writes it, with ``missing`` modules, and with ``error`` and where it is, ``at``,
         if the file stopped.
     """
-    sys.meta_path.insert(0, _StandIns(is_last=False))
-    sys.meta_path.append(_StandIns(is_last=True))
+    sys.meta_path[:] = [_StandIns(is_last=False), *sys.meta_path, _StandIns(is_last=True)]
     folder = file.resolve().parent
     sys.path.insert(0, str(folder))
     sys.argv = [str(file)]

@@ -185,7 +185,7 @@ def test_on_another_robot_forces_are_found_after_a_calibration(small_scene_mappi
     told = []
     for _ in range(2):
         poses = []
-        for _ in range(20):
+        for _ in range(14):
             setpoints = pose(model, rng)
             real.reset()
             hold(real, setpoints, 40)
