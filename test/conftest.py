@@ -63,11 +63,15 @@ def pytest_ignore_collect(collection_path, config):
 
 
 def pytest_collection_modifyitems(items):
-    """Marks as `exhaustive` what `make test` leaves out of a test of many cases."""
+    """Marks as `exhaustive` what `make test` leaves out of a test of many cases.
+
+    The longest, which have a limit of their own, begin first: at the end, one would run alone.
+    """
     drawn = Counter()
     for item in items:
         if is_left_out(item, drawn):
             item.add_marker(pytest.mark.exhaustive)
+    items.sort(key=lambda item: item.get_closest_marker("timeout") is None)
 
 
 # Processor time [s] that a case of `make test` may take, with its own fixtures and processes.
