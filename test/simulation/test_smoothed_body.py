@@ -60,6 +60,7 @@ def test_smoothing_adds_no_unknown(beam):
     assert smoothed == linear
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("law", ["corotational", "neo_hookean"])
 @pytest.mark.parametrize("poisson", [0.3, 0.45, 0.49])
 def test_the_sag_is_nearly_that_of_quadratic_elements(beam, law, poisson):
