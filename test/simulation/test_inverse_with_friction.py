@@ -438,6 +438,7 @@ def test_moving_targets_are_followed_also_where_all_contacts_stick(finger, itera
     assert np.median(errors) < 5e-5 and errors.max() < 3e-4
 
 
+@pytest.mark.exhaustive
 def test_a_finger_that_rolls_on_a_roller_follows_moving_targets():
     robot, leader = (Simulation.from_scene_file(FINRAY) for _ in range(2))
     errors = lag(robot, leader, 0.15 + 0.12 * np.sin(np.arange(120) / 40.0 - 1.2)[:, None])[5:]

@@ -109,6 +109,7 @@ def test_three_fingers_at_one_pressure_are_turned_by_a_third(change, aside):
     assert np.linalg.norm(rest[:, :2], axis=1).min() - np.linalg.norm(first[:2]) > 8e-3
 
 
+@pytest.mark.exhaustive
 def test_the_layer_keeps_the_inner_side_of_a_finger_from_stretching():
     def stretch(change):
         """Share by which the middle line of a finger's inner side grows."""
