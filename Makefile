@@ -32,7 +32,7 @@ SHARED := -p xdist -n 3 --dist worksteal $(addprefix --ignore ,$(AGAINST_THE_CLO
 .DEFAULT_GOAL := help
 # Also with make -j: both test runs start ROS nodes and use all cores.
 .NOTPARALLEL:
-.PHONY: help setup setup-oldest setup-both demo bench pictures docs types kernels test test-all test-rest test-oldest build dist clean
+.PHONY: help setup setup-oldest setup-both demo bench pictures docs types kernels checks test test-all test-rest test-oldest build dist clean
 
 help: ## list the targets
 	@echo 'make [ROBOT=$(ROBOT)] TARGET'
@@ -66,9 +66,13 @@ types: setup ## check the types of the Python interface
 kernels: setup ## compile the kernels of all scenes and of usual combinations, on two cores
 	$(VENV)/bin/python tools/compile_kernels.py
 
+# One core would wait while types are checked alone.
+checks:
+	@$(VENV)/bin/python -m mypy & types=$$!; $(VENV)/bin/python tools/compile_kernels.py && wait $$types
+
 # Of the oldest versions: all that the package names exists and takes its arguments, kernels are
 # compiled, and a robot steps. What else depends on them needs kernels compiled by the oldest numba.
-test: setup-both types kernels ## run the tests that every change must pass: about 8 minutes, 12 from a clean clone
+test: setup-both checks ## run the tests that every change must pass: about 8 minutes, 12 from a clean clone
 	$(PYTEST) $(SHARED) -m "not exhaustive" $(PYTEST_ARGUMENTS)
 	@$(PYTEST) $(AGAINST_THE_CLOCK) -m "not exhaustive" $(PYTEST_ARGUMENTS) & clock=$$!; \
 	$(PYTEST_OLDEST) $(FEW) -m "not exhaustive" $(PYTEST_ARGUMENTS); few=$$?; wait $$clock && exit $$few

@@ -62,6 +62,9 @@ LATER_IMPORTS = {
     "control/mesh_error_watch.py": "numpy must be imported after the process has lowered its "
                                    "priority, because threads of its libraries inherit it",
     "control/reduction_error_watch.py": "as control/mesh_error_watch.py",
+    "conversion/prefabs.py": "as conversion/stand_ins.py",
+    "conversion/scene_process.py": "as conversion/stand_ins.py",
+    "conversion/stand_ins.py": "a scene that reads no values imports neither scipy nor numba",
     "ros/process.py": "a node listens to signals before rclpy and the node's room are imported",
     "ros/twin_node.py": "only a recorded run loads the room that writes it",
     "view/mirror.py": "only an open view needs rerun",

@@ -12,14 +12,8 @@ from __future__ import annotations
 import ast
 import re
 import sys
-import tokenize
 from pathlib import Path
 from typing import NamedTuple
-
-_WITHOUT_CODE = {
-    tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT,
-    tokenize.ENDMARKER, tokenize.ENCODING,
-}  # fmt: skip
 
 
 class Count(NamedTuple):
@@ -36,16 +30,17 @@ class Count(NamedTuple):
 
 def code_lines(path: Path) -> int:
     """The lines of code of a file."""
-    with path.open("rb") as file:
-        tokens = [token for token in tokenize.tokenize(file.readline)
-                  if token.type not in _WITHOUT_CODE]  # fmt: skip
-    lines = {line for token in tokens for line in range(token.start[0], token.end[0] + 1)}
-    for node in ast.walk(ast.parse(path.read_bytes())):
+    text, without = path.read_text(encoding="utf-8"), set()
+    lines = {number for number, line in enumerate(text.splitlines(), start=1)
+             if line.strip() and not line.lstrip().startswith("#")}  # fmt: skip
+    for node in ast.walk(ast.parse(text)):
         is_text = (isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
                    and isinstance(node.value.value, str))  # fmt: skip
         if is_text or isinstance(node, ast.Import | ast.ImportFrom):
-            lines -= set(range(node.lineno, node.end_lineno + 1))
-    return len(lines)
+            without.update(range(node.lineno, node.end_lineno + 1))
+        elif isinstance(node, ast.Constant | ast.JoinedStr):  # lines of a long text may look like others
+            lines.update(range(node.lineno, node.end_lineno + 1))
+    return len(lines - without)
 
 
 def count_rooms(folder: Path) -> dict[str, Count]:

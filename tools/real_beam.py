@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 from rich.table import Table
-from scipy.signal import find_peaks
 
 from specimens import column_mesh
 
@@ -149,6 +148,8 @@ def swing_centre(times: np.ndarray, heights: np.ndarray) -> float:
 
 def _turning_points(times, heights) -> tuple[np.ndarray, np.ndarray]:
     """Moments and heights where it turns back, from the lowest point on."""
+    from scipy.signal import find_peaks  # it loads slowly, in each process that collects tests
+
     lowest = int(np.argmin(heights))
     least = LEAST_SWING * (heights[lowest:].max() - heights[lowest])
     turns = np.concatenate(

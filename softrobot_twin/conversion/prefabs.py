@@ -13,9 +13,7 @@ from typing import Any
 
 import numpy as np
 import yaml
-from scipy.spatial.transform import Rotation
 
-from softrobot_twin.conversion.computed_values import value_of
 from softrobot_twin.conversion.stand_ins import Node, Nothing, Recorder
 
 _LOADERS = {"msh": "MeshGmshLoader", "gidmsh": "GIDMeshLoader", "stl": "MeshSTLLoader", "obj": "MeshOBJLoader"}
@@ -112,6 +110,8 @@ def oriented_box_roi(
         eulerRotation: Its angles [degrees].
         scale: Its edges.
     """
+    from scipy.spatial.transform import Rotation
+
     corners = 0.5 * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0]]) * np.asarray(scale, float)
     turned = Rotation.from_euler("xyz", list(eulerRotation), degrees=True).apply(corners) + translation
     more = {} if position is None else {"position": position}
@@ -128,6 +128,10 @@ def rigidify(targetObject: Node, sourceObject: Node, groupIndices: Any, frames: 
         frames: Frame of each: angles [degrees] or a quaternion, perhaps behind a place.
         name: Name of the new node.
     """
+    from scipy.spatial.transform import Rotation
+
+    from softrobot_twin.conversion.computed_values import value_of
+
     state = sourceObject.getMechanicalState()
     points = np.asarray(value_of(state, "position")).reshape(-1, 3)
     groups = [np.asarray(list(group), int) for group in groupIndices]

@@ -24,7 +24,6 @@ import numpy as np
 
 from softrobot_twin.conversion import prefabs, stand_ins
 from softrobot_twin.conversion.scene_tree import json_value, to_plain
-from softrobot_twin.conversion.splib_numerics import NUMERICS
 from softrobot_twin.conversion.stand_ins import Controller, Node, Nothing, Prefab
 
 SOFA = ("Sofa", "SofaRuntime", "SofaGui", "SofaImGui", "SofaTypes", "SofaDeformable")
@@ -43,7 +42,10 @@ class _Module(stand_ins.Attributes, types.ModuleType):
         self.__file__ = f"<{name}>"
         is_known = name.split(".")[0] in HELPERS
         known = prefabs.KNOWN if is_known else {}
-        known = known | NUMERICS if is_known and "numerics" in name.split(".") else known
+        if is_known and "numerics" in name.split("."):
+            from softrobot_twin.conversion.splib_numerics import NUMERICS
+
+            known = known | NUMERICS
         if "inverse" in name.split("."):
             known = known | {key.removeprefix("inverse."): one for key, one in known.items() if "." in key}
         self.__all__ = [key for key in known if "." not in key]
@@ -110,8 +112,7 @@ def record(file: Path) -> dict:
         The tree as `to_plain` writes it, with ``missing`` modules, and with ``error`` and where it is, ``at``,
         if the file stopped.
     """
-    sys.meta_path.insert(0, _StandIns(is_last=False))
-    sys.meta_path.append(_StandIns(is_last=True))
+    sys.meta_path[:] = [_StandIns(is_last=False), *sys.meta_path, _StandIns(is_last=True)]
     folder = file.resolve().parent
     sys.path.insert(0, str(folder))
     sys.argv = [str(file)]

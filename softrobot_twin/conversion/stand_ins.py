@@ -11,7 +11,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from softrobot_twin.conversion.computed_values import value_of
 from softrobot_twin.conversion.scene_tree import (
     KINDS,
     UNKNOWN,
@@ -147,6 +146,9 @@ class Data(Attributes):
         if isinstance(self.owner, SceneNode):
             return _as_read(self.owner.fields.get(self.label))
         try:
+            # Most scenes read nothing, and it imports scipy and numba.
+            from softrobot_twin.conversion.computed_values import value_of
+
             return _as_read(value_of(self.owner, self.label))
         except (NotConverted, RecursionError, ValueError, IndexError):
             return None

@@ -55,10 +55,9 @@ def error_and_share_inside(scene, robot, drawn, rng, size=1.0, counts=(45, 25)):
     return found.after[MARKERS] / floor, found.inside[MARKERS]
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_another_robot_on_cables_is_found_to_its_noise(seed):
+def test_another_robot_on_cables_is_found_to_its_noise():
     """A tenth of the noise of the Emio: the bar is a third as large. Few poses tell eight numbers less well."""
-    rng, scene = np.random.default_rng(seed), scene_from_mapping(BAR)
+    rng, scene = np.random.default_rng(1), scene_from_mapping(BAR)
     lengths = RestModel(scene, [], []).simulation.rest_setpoints
     error, inside = error_and_share_inside(
         scene, another(scene, CABLES, rng), lambda n: lengths - rng.uniform(0.001, 0.006, (n, 3)), rng, 0.1, (24, 12))  # fmt: skip
@@ -67,10 +66,9 @@ def test_another_robot_on_cables_is_found_to_its_noise(seed):
 
 @pytest.mark.exhaustive
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize("seed", [101, 102])
-def test_another_emio_is_found_to_its_noise(seed):
+def test_another_emio_is_found_to_its_noise():
     """Of thirty such robots, seeds 350923 to 350942 and 59100 to 59109, the worst was found to 1.10 of its noise."""
-    rng, scene = np.random.default_rng(seed), load_scene(SCENE)
+    rng, scene = np.random.default_rng(101), load_scene(SCENE)
     error, inside = error_and_share_inside(
         scene, another(scene, EMIO, rng), lambda n: rng.uniform(-0.6, 0.9, (n, 4)), rng)
     assert error < 1.15 and inside > 0.8, (error, inside)

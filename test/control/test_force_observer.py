@@ -166,13 +166,6 @@ def pushes(observed, pushed, rng, count, is_marred=True):
 
 @pytest.mark.exhaustive
 def test_a_push_at_a_known_place_is_found_with_an_outlier_and_two_lost_markers(observed, pushed, rng):
-    error, _, spread = pushes(observed, pushed, rng, 12)
-    assert error < 0.1
-    assert spread < 0.5
-
-
-@pytest.mark.exhaustive
-def test_deviations_of_a_hundred_pushes_hold(observed, pushed, rng):
     error, inside, spread = pushes(observed, pushed, rng, 100)
     assert error < 0.1
     assert inside >= 0.88
@@ -181,7 +174,7 @@ def test_deviations_of_a_hundred_pushes_hold(observed, pushed, rng):
 
 @pytest.mark.exhaustive
 def test_on_another_robot_forces_are_found_after_a_calibration(small_scene_mapping, rng):
-    """Another mesh, E 15 % off, cables 1 mm off, three calibrations of poses drawn anew."""
+    """Another mesh, E 15 % off, cables 1 mm off, two calibrations of poses drawn anew."""
     device = coarse("diamond", "diamond_600")
     device["body"]["material"]["young_modulus"] = 0.85 * 180e3
     for cable, off in zip(device["cables"], ([1, 0, 0], [0, 0, 1], [0, 0, -1], [0, -1, 0])):
@@ -190,9 +183,9 @@ def test_on_another_robot_forces_are_found_after_a_calibration(small_scene_mappi
     real, model = built(exact(device)), built(small_scene_mapping)
     tip = ObservedForce(name="tip", points=(tuple(TIP),))
     told = []
-    for _ in range(3):
+    for _ in range(2):
         poses = []
-        for _ in range(20):
+        for _ in range(14):
             setpoints = pose(model, rng)
             real.reset()
             hold(real, setpoints, 40)
@@ -210,7 +203,7 @@ def test_on_another_robot_forces_are_found_after_a_calibration(small_scene_mappi
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize(("frames", "count"), [(12, 61), (1, 61)])
+@pytest.mark.parametrize(("frames", "count"), [(12, 31), (1, 31)])
 def test_a_push_at_an_unknown_place_is_found(searching, small_scene_mapping, rng, frames, count):
     """One that grows, and one that is there at once."""
     real = built(exact(observing(small_scene_mapping, {"name": "push"})))
@@ -400,8 +393,7 @@ def test_what_an_observer_costs_is_told_beside_a_step(small_scene_mapping, rng):
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("delay", [2, 5])
-@pytest.mark.parametrize("closed", [False, True])
+@pytest.mark.parametrize("closed, delay", [(False, 2), (True, 5)])
 def test_a_load_at_the_tip_is_compensated_in_its_delay_and_four_ticks(closed, delay, rng):
     """1 N aside; commands act a tick late, and frames with noise come the rest of the delay later.
 
@@ -432,7 +424,7 @@ def compensated(twin, real, force, closed, delay, rng):
     tick, target = 0.025, np.array([0.008, 0.0, 0.136])
     driver = Driver(twin, rate=1.0 / tick, closed_loop=closed)
     sent, away, seen = [], [], []
-    for k in range(90):
+    for k in range(70):
         if k >= delay - 1:
             markers, setpoints = seen[k - delay + 1]
             driver.see(markers + rng.normal(0.0, 1e-4, (8, 3)), age=tick * (delay - 1))
@@ -442,10 +434,10 @@ def compensated(twin, real, force, closed, delay, rng):
         setpoints = sent[-2] if k else real.rest_setpoints
         for _ in range(3):
             real.step(CommandSetpoints(setpoints, tick / 3.0), None,
-                      Touched(force[None] * (k > 50), np.full((1, 3), np.nan)))  # fmt: skip
+                      Touched(force[None] * (k > 30), np.full((1, 3), np.nan)))  # fmt: skip
         seen.append((real.marker_positions(), np.array(real.state.setpoints)))
         away.append(np.linalg.norm(real.effector_positions()[0] - target))
-    return np.array(away[51:]), driver.loop.observer.found.wrenches[0, :3]
+    return np.array(away[31:]), driver.loop.observer.found.wrenches[0, :3]
 
 
 def test_a_scene_without_an_observer_has_nothing_of_it(drive, simulation):

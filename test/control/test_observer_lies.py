@@ -115,13 +115,10 @@ LIES = {
     "collapsed": lambda robot: lambda markers: np.tile(markers.mean(axis=0), (len(markers), 1)),
     "swapped": ordered(3, 6, 0, 5, 1, 7, 2, 4),
     "frozen": late(1000),
-    "mirrored in y": mapped(np.diag([1.0, -1.0, 1.0])),
-    "mirrored about rest in x": about_rest(np.diag([-1.0, 1.0, 1.0])),
     "at rest": about_rest(np.zeros((3, 3))),
     "twice as far": about_rest(2.0 * np.eye(3)),
     "half as far": about_rest(0.5 * np.eye(3)),
     "larger": mapped(1.05 * np.eye(3)),
-    "smaller": mapped(0.95 * np.eye(3)),
     "6 mm aside": moved([0.006, 0.0, 0.0]),
     "15 mm aside": moved([0.015, 0.0, 0.0]),
     "10 mm down": moved([0.0, 0.0, -0.01]),
@@ -182,7 +179,7 @@ def followed(twin, real, seed):
 
 
 @pytest.mark.parametrize("run", [
-    pytest.param(run, marks=[pytest.mark.exhaustive] if run else []) for run in range(20)])
+    pytest.param(run, marks=[pytest.mark.exhaustive] if run else []) for run in range(10)])
 def test_honest_markers_are_followed_no_worse_with_an_observer(simulation, observing, real, seed, run):
     without, _ = followed(simulation, real, seed)
     errors, move = followed(observing, real, seed)

@@ -74,6 +74,7 @@ def test_every_setting_is_drawn():
     assert VALUES.keys() == {field.name for field in fields(LoopSettings)}
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("use_device", (False, True))
 def test_changed_parameters_in_every_order_break_no_rate(drive, use_device, drawn_rng):
     draw = drawn_rng

@@ -159,8 +159,8 @@ def settled(delay, factor, *options):
     return np.array(left), past[delay + 1:]
 
 
-@pytest.mark.parametrize("delay", [0, 1, 3, 8, 12])
-@pytest.mark.parametrize("factor", [0.1, 0.5, 1.0, 1.5, 2.0])
+@pytest.mark.parametrize("delay", [0, 3, 12])
+@pytest.mark.parametrize("factor", [0.1, 1.0, 2.0])
 def test_the_misfit_settles_with_any_delay_and_a_robot_that_moves_more_or_less(delay, factor):
     """A right model does not overshoot."""
     left, _ = settled(delay, factor, MISFIT_SHARE, 1.0)

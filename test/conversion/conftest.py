@@ -41,18 +41,29 @@ def folder(tmp_path_factory) -> Path:
     return made
 
 
+@pytest.fixture(scope="module")
+def conversions() -> dict:
+    """The last conversion of each name: what it was asked, and what it gave."""
+    return {}
+
+
 @pytest.fixture
-def convert(folder, capsys):
-    """Converts a scene of the folder, or a text that is written there."""
+def convert(folder, conversions, capsys):
+    """Converts a scene of the folder, or a text that is written there; what is there already is not made again."""
 
     def run(name: str, text: str | None = None, *options: str) -> Converted:
+        output = folder / f"{Path(name).stem}.yaml"
+        asked, found = conversions.get(output, (None, None))
+        if asked == (name, text, options):
+            return found
         if text is not None:
             (folder / name).write_text(text)
-        output = folder / f"{Path(name).stem}.yaml"
         output.unlink(missing_ok=True)
         code = main(["convert", str(folder / name), "--output", str(output), "--force", *options])
         told = capsys.readouterr()
-        return Converted(code, output, told.out + told.err)
+        found = Converted(code, output, told.out + told.err)
+        conversions[output] = (name, text, options), found
+        return found
 
     return run
 

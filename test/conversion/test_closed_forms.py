@@ -45,6 +45,7 @@ def deflection(stiffness: np.ndarray, mass: float) -> np.ndarray:
     return np.linalg.solve(stiffness, mass / 4.0 * np.array([20.0, -9000.0, 3000.0]))
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("method", ["small", "large", "polar"])
 @pytest.mark.parametrize("ratio", [0.0, 0.3, 0.45])
 def test_a_tetrahedron_yields_as_its_matrix_says(movement, method, ratio):

@@ -91,6 +91,7 @@ def floor(cells, scale, seed):
     return flatten_regions(scale * points, triangles), triangles
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("cells, scale, seed", [
     (2, 1e-3, 0), (2, 1.0, 1), (2, 10.0, 2), (8, 1e-3, 1), (8, 1.0, 2), (8, 10.0, 3),
     (30, 1e-3, 2), (30, 1.0, 3), (30, 10.0, 0),

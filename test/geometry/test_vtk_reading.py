@@ -103,6 +103,7 @@ def bomb(form: str) -> bytes:
     return text.encode() + data + b"</AppendedData></VTKFile>"
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("form", ["one block", "many blocks"])
 @pytest.mark.parametrize("read", [read_mesh_file, lambda p: read_solid_surface(p, notes=[])])
 def test_a_file_that_unpacks_to_gigabytes_is_refused_before_they_are_there(form, read, tmp_path):

@@ -95,6 +95,7 @@ def nodes() -> list[ast.AST]:
     return [node for tree in trees for node in ast.walk(tree)]
 
 
+@pytest.mark.exhaustive
 def test_a_kernel_that_is_read_where_it_is_called_is_called_at_one_place(nodes):
     named = Counter(node.id for node in nodes if isinstance(node, ast.Name))
     named.update(node.attr for node in nodes if isinstance(node, ast.Attribute))

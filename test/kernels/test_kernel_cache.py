@@ -121,7 +121,7 @@ def entries(package: Path) -> set[Path]:
     ("inner", "SIZE * x", "SIZE * x + 1.0", (17.0, 1)),
     # A law is compiled into a kernel of a file that does not import it.
     ("law", "10.0", "20.0", (26.0, 1)),
-    ("other", "1.0", "7.0", (16.0, 0)),
+    pytest.param("other", "1.0", "7.0", (16.0, 0), marks=pytest.mark.exhaustive),
     # A module that is there already becomes one of the imports.
     ("inner", "from softrobot_twin.size import", "from softrobot_twin.other import OTHER\n"
      "from softrobot_twin.size import", (16.0, 1)),

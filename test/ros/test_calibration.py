@@ -18,7 +18,7 @@ TRUE_MODULUS, TRUE_ZERO = 1.5e5, 8.0e-4
 E, ZERO = "body.material.young_modulus", "cables.*.offset"
 ROBOT = [f"body.material.young_modulus={TRUE_MODULUS}", f"cables.north.offset={TRUE_ZERO}"]
 PLACES = [(0.0, 0.0, 0.128), (0.008, 0.0, 0.132), (-0.006, 0.007, 0.130), (0.0, -0.009, 0.126),
-          (0.007, 0.006, 0.124), (-0.008, -0.004, 0.128), (0.004, -0.007, 0.133)]  # fmt: skip
+          (0.007, 0.006, 0.124)]
 """Targets of the tip [m]."""
 STAY = 2.5
 """How long the robot has for each: it goes there, and rests for more than a second [s]."""

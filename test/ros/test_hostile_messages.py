@@ -46,8 +46,8 @@ NODES = (TwinNode, DeviceNode, TargetNode)
 """In the order of `ALL_TABLES`."""
 AIR = 101325.0
 MESHES = {"diamond": "diamond_200", "trunk": "trunk_700"}
-COUNTS, EVERY = [1_000, pytest.param(6_000, marks=pytest.mark.exhaustive)], 40
-"""Number of messages of each of 18 cases, more than a hundred thousand in all, and number per tick.
+COUNTS, EVERY = [1_000, pytest.param(4_000, marks=pytest.mark.exhaustive)], 40
+"""Number of messages of each of 18 cases, more than seventy thousand in all, and number per tick.
 Each run draws other ones.
 """
 _MANY = 40

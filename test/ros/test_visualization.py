@@ -10,8 +10,6 @@ from softrobot_twin.ros.topics import NEWEST
 from softrobot_twin.ros.twin_node import TwinNode
 from softrobot_twin.ros.visualization import RobotMarkers
 
-pytestmark = pytest.mark.libraries
-
 TOPIC = "/twin/visualization"
 
 

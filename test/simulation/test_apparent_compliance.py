@@ -257,6 +257,7 @@ def test_a_body_reduced_to_vertebrae():
     check(simulation, 1e-4, np.full(6, 1.0), 1e-4)
 
 
+@pytest.mark.exhaustive
 def test_the_flexo_of_ribs_hubs_and_fingers():
     simulation = Simulation(load_scene(SCENES / "flexo.yaml"), with_warnings=False)
     drives = np.zeros(12)

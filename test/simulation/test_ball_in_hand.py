@@ -31,7 +31,7 @@ def follow(held, way, steps):
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("way", [(2, 0, 0), (0, -2, 0), (0, 0, -0.5)])
+@pytest.mark.parametrize("way", [(2, 0, 0), (0, 0, -0.5)])
 def test_a_ball_is_held_for_ten_seconds_where_the_fingers_reach(held_ball, way):
     results, left = follow(held_ball, 1e-3 * np.array(way), 550)
     assert left[50:].max() < HELD and left[-1] < 1e-5
@@ -51,6 +51,7 @@ def test_a_target_beyond_reach_is_missed_with_its_limit_named_and_the_ball_stays
     assert np.min(margins[-50:]) > LEAST - 0.01
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("way", [(0, 0, 2), (6, 0, 0)])
 def test_a_restored_state_takes_the_step_at_a_least_margin_that_it_would_have_taken(held_ball, way):
     simulation, state = held_ball

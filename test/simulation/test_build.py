@@ -75,6 +75,7 @@ def test_a_scene_builds_only_the_terms_it_names(diamond):
     assert bare.step(Hold()).report.residual == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("element, node_count", [("linear", 4), ("quadratic", 10)])
 @pytest.mark.parametrize("law", ["corotational", "linear"])
 def test_only_the_named_law_and_element_are_built(diamond, element, node_count, law):

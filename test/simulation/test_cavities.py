@@ -32,6 +32,7 @@ def volume_of(simulation):
     return simulation.actuators.terms[0].volumes(simulation.state.positions)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
 def test_a_volume_and_its_pressure_lead_to_the_same_state(inflatable, element):
     by_volume = inflatable(control="volume", body={"element": element})

@@ -6,7 +6,7 @@ import pytest
 from softrobot_twin.simulation import FollowTargets
 
 STEP, RAMP, TURN = 0.02, 2.0, 10.0  # s
-RUNS = 4
+RUNS = 2
 MEAN, LARGEST = 2.0e-6, 1.0e-4  # m
 BALL = [-0.022, 0.0, 0.150]  # m
 # Centre, radius [m] and second axis of each circle.

@@ -103,6 +103,7 @@ def test_the_first_grip_and_the_first_lift_compile_nothing(late):
     assert late == []
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("friction", [0.0, 0.3])
 def test_the_first_contact_in_the_inverse_compiles_nothing(late, friction):
     file = ROOT / "config" / "scenes" / "trunk_cylinders.yaml"

@@ -70,6 +70,7 @@ def collision(scene_of, write_block, /, kinds, friction) -> Simulation:
     return simulation
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("friction", [0.0, 0.5])
 @pytest.mark.parametrize(
     "kinds", [("rigid", "rigid"), ("rigid", "soft"), ("soft", "soft")], ids="-".join

@@ -69,6 +69,7 @@ def test_dynamic_and_quasi_static_contact_forces_agree(finger):
         np.testing.assert_allclose(other.efforts, statics.efforts, rtol=2e-3)
 
 
+@pytest.mark.exhaustive
 def test_contact_forces_do_not_depend_on_the_time_step(finger):
     found = []
     for step in (1e-3, 1e-2, 1.0):

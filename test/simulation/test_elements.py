@@ -68,6 +68,7 @@ def test_newton_converges_faster_than_linearly(diamond, change):
     assert ratios[quickest] < 1e-3 and np.all(np.diff(ratios[: quickest + 1]) < 0.0)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("change", [quadratic, linear_law, both])
 def test_targets_in_the_workspace_are_met(diamond, circle, change):
     simulation = diamond(change)

@@ -78,6 +78,7 @@ def test_energy_never_grows_whatever_the_element(
     assert np.diff(found).max() <= 1e-9 * (found[0] - found.min())
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
 @pytest.mark.parametrize("damping", [{"stiffness": 0.01}, {"mass": 10.0}])
 def test_damping_dissipates_energy_and_adds_none(

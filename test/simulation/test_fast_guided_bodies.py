@@ -46,6 +46,7 @@ def bar_of(simulation):
     return simulation.state.positions[: len(simulation.model.bodies[0].mesh.node_positions)]
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("reach", [0.004, 0.015, 0.07])
 @pytest.mark.parametrize("integration", ["quasi_static", "dynamic"])
 @pytest.mark.parametrize("shape", list(SHAPES))

@@ -49,6 +49,7 @@ def test_each_step_over_the_range_is_solved_and_more_pressure_curls_it_more(fing
     assert np.radians(160.0) < angles[-1] < np.radians(190.0)
 
 
+@pytest.mark.exhaustive
 def test_it_curls_in_its_plane_and_its_paper_keeps_its_length(finger):
     _, result, rest = finger
     assert abs(result.effector_positions[0, 1]) < 1e-3

@@ -65,7 +65,7 @@ def test_closing_the_hand_loads_the_arm_and_the_inverse_corrects_it(flexo):
         assert moved > 3e-3 and corrected < 1e-5
 
 
-@pytest.mark.parametrize("radius", [0.06, 0.1])
+@pytest.mark.parametrize("radius", [0.1])
 def test_the_tip_follows_a_circle_at_100_hz(flexo, radius):
     start = bend(flexo, radius, 0.0)
     lengths = flexo.rest_setpoints[HAND] - 0.02

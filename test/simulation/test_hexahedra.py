@@ -194,6 +194,7 @@ def test_a_target_in_reach_of_the_pressure_is_met(chamber):
 # --- collapse (hard case 5) and refusals ---------------------------------------------------------
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("collapse", ["plane", "point", "mirror", "random"])
 def test_a_collapsed_bar_comes_back_or_says_that_it_is_inside_out(bar, recovers, collapse):
     recovers(bar(lambda mapping: mapping.update(cables=[])), collapse, 40)

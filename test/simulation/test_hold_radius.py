@@ -58,6 +58,7 @@ def test_prescribed_lengths_are_met_with_a_patch():
     np.testing.assert_allclose(result.displacements, 0.004, atol=1e-9)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("leaving", [0.0, 1.0], ids=["along the surface", "out of the body"])
 def test_the_weights_of_a_patch_have_continuous_derivatives_by_radius_and_place(drawn_rng, leaving):
     """Second differences fall by the square of the step: a kink would let them fall by the step."""

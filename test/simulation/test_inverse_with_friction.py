@@ -90,10 +90,10 @@ def test_places_that_lengths_lead_to_are_reached_in_contact(finger, rng):
 
 
 def missed_in_contact(simulation, rng, released, steps):
-    """How far the tip stays from six places where pulls lead it, released by a share of them [m]."""
+    """How far the tip stays from four places where pulls lead it, released by a share of them [m]."""
     pull(simulation, BENT)
     start, near = simulation.state, []
-    for bend in rng.uniform(0.011, 0.016, 6):
+    for bend in rng.uniform(0.011, 0.016, 4):
         simulation.restore(start)
         reached = pull(simulation, bend * np.array([1.0, released]))
         assert reached.report.contact_count
@@ -197,17 +197,17 @@ def test_contacts_are_broken_and_made_by_no_more_force_than_it_takes(finger, rng
 
 
 @pytest.mark.exhaustive
-def test_of_100_places_in_contact_nearly_all_are_reached(finger, rng):
+def test_of_60_places_in_contact_nearly_all_are_reached(finger, rng):
     def ends():
         end = rng.uniform(0.006, 0.019)
         return np.array([[end, -0.8 * end + rng.uniform(-0.002, 0.002)]])
 
-    assert missed_places(finger(), ends, 100).max() < 1e-4
+    assert missed_places(finger(), ends, 60).max() < 1e-4
 
 
 @pytest.mark.exhaustive
-def test_of_40_places_that_random_pulls_of_both_cables_lead_to_nearly_all_are_reached(finger, rng):
-    missed_places(finger(), lambda: rng.uniform([0.004, -0.015], [0.019, 0.01], (rng.integers(2, 6), 2)), 40)
+def test_of_25_places_that_random_pulls_of_both_cables_lead_to_nearly_all_are_reached(finger, rng):
+    missed_places(finger(), lambda: rng.uniform([0.004, -0.015], [0.019, 0.01], (rng.integers(2, 6), 2)), 25)
 
 
 def missed_places(simulation, ends, count):
@@ -311,8 +311,8 @@ FRICTIONS = [(MU, None), (10.0, None), (0.0, RUBBING), (MU, RUBBING)]
 
 
 @pytest.mark.parametrize("ticks, friction, change", [
-    *((150, *case) for case in FRICTIONS),
-    pytest.param(10_000, *FRICTIONS[3], marks=[pytest.mark.exhaustive, pytest.mark.timeout(900)]),
+    *((100, *case) for case in FRICTIONS),
+    pytest.param(4_000, *FRICTIONS[3], marks=pytest.mark.exhaustive),
 ])  # fmt: skip
 def test_no_tick_leaves_rates_lengths_tensions_and_the_cone(finger, rng, ticks, friction, change):
     """Row 30; targets jump anywhere, rest, or are those of another robot's state."""
@@ -438,13 +438,14 @@ def test_moving_targets_are_followed_also_where_all_contacts_stick(finger, itera
     assert np.median(errors) < 5e-5 and errors.max() < 3e-4
 
 
+@pytest.mark.exhaustive
 def test_a_finger_that_rolls_on_a_roller_follows_moving_targets():
     robot, leader = (Simulation.from_scene_file(FINRAY) for _ in range(2))
     errors = lag(robot, leader, 0.15 + 0.12 * np.sin(np.arange(120) / 40.0 - 1.2)[:, None])[5:]
     assert np.median(errors) < 2e-5 and np.quantile(errors, 0.9) < 2e-4
 
 
-@pytest.mark.parametrize("count", [3, pytest.param(40, marks=pytest.mark.exhaustive)])
+@pytest.mark.parametrize("count", [3, pytest.param(20, marks=pytest.mark.exhaustive)])
 def test_a_finger_of_many_contacts_goes_to_any_place_that_it_can_rest_at(rng, count):
     """Up to 91 contacts come and go; targets stay, and rates limit the way. It then rests.
 

@@ -31,6 +31,7 @@ def pressed_block(cells, element, share, poisson_ratio, **entries):
     return robot, pose
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("element, cells, poisson_ratio, entries", [
     ("smoothed", [3, 3, 2], 0.475, {}),
     ("linear", [3, 3, 2], 0.475, {"volume": "patches"}),

@@ -34,6 +34,7 @@ def studded_slab(tmp_path, block):
             "surface": {"file": str(tmp_path / "slab.stl")}}  # fmt: skip
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("friction", [0.0, 0.5])
 def test_two_hundred_contacts_share_a_rigid_slabs_weight(scene_of, slab, friction):
     simulation = scene_of(

@@ -40,6 +40,7 @@ def column(simulate, body_of, graded, /, integration="quasi_static", held=True, 
     return simulate(body=body, integration=integration, gravity=[0, 0, -GRAVITY])
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
 @pytest.mark.parametrize("model", [None, *MODELS])
 @pytest.mark.parametrize("integration", ["quasi_static", "dynamic"])

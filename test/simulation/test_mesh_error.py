@@ -295,6 +295,7 @@ def test_the_error_at_given_pressures_and_volumes_is_near_that_against_a_finer_m
     assert [load.load for load in told.own.loads][-1] == "air"
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("control", ["pressure", "volume"])
 def test_the_error_of_an_inflated_state_is_estimated(inflated_column, control):
     simulation = inflated_column(1, control)

@@ -127,6 +127,7 @@ def test_another_number_mounts_from_the_last_mounted_shape(mounted_emio):
     assert np.abs(near.state.positions - mounted_emio.mounted.positions).max() > 1e-4
 
 
+@pytest.mark.exhaustive
 def test_a_robot_snaps_where_the_branch_of_its_mounting_ends():
     """Three quarters of the way two servos that are turned back let the hub over."""
     asked = {"hinge_motors[1].offset": -0.14321, "hinge_motors[2].offset": -0.07197}
@@ -154,6 +155,7 @@ def test_a_cable_is_pretensioned_and_its_length_counts_from_there():
     np.testing.assert_allclose(simulation.state.positions, simulation.mounted.positions, atol=1e-9)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("tension", [0.05, 2.0])
 def test_a_cable_is_wound_to_a_tension_that_it_bears_where_the_robot_is_mounted(tension):
     simulation = Simulation(strip({"actuators": [{"actuator": "up", "tension": tension}]}, cables=[UP]))

@@ -52,6 +52,7 @@ def least_gap(simulation: Simulation) -> float:
     return contacts.gaps(simulation.state.positions).min(initial=1.0)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("kind", ["plane", "sphere", "cylinder", "box", "surface"])
 def test_a_deep_overlap_ends_at_the_push_out_speed(scene_of, write_block, obstacle, kind):
     simulation = overlapping(scene_of, write_block, **obstacle(kind))

@@ -45,6 +45,7 @@ def settled(simulation, setpoints, steps=60, time_step=1.0):
 quadratic = changed({"body.mesh.file": "../../meshes/springy_400.msh", "body.element": "quadratic"})
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("change", [None, quadratic], ids=["smoothed_964", "quadratic_400"])
 def test_an_accordion_grows_by_more_than_its_own_volume_and_stays_straight(change):
     springy = robot("springy", change)
@@ -90,6 +91,7 @@ def about_z(points, turn):
 symmetric = changed({"bodies.*.volume": "per_element"})
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("change, aside", [(symmetric, 1e-7), (None, 1e-3)],
                          ids=["per element", "patches"])  # fmt: skip
 def test_three_fingers_at_one_pressure_are_turned_by_a_third(change, aside):
@@ -107,6 +109,7 @@ def test_three_fingers_at_one_pressure_are_turned_by_a_third(change, aside):
     assert np.linalg.norm(rest[:, :2], axis=1).min() - np.linalg.norm(first[:2]) > 8e-3
 
 
+@pytest.mark.exhaustive
 def test_the_layer_keeps_the_inner_side_of_a_finger_from_stretching():
     def stretch(change):
         """Share by which the middle line of a finger's inner side grows."""

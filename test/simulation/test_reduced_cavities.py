@@ -51,6 +51,7 @@ def walls_of(simulation):
     return skin.positions(simulation.state.positions)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(
     ("entries", "setpoints"),
     [({}, [8e3, 2e4, -1e4]), ({"control": "volume"}, [1.3e-6, 1.8e-6, 0.7e-6])],

@@ -149,6 +149,7 @@ def frequency_and_decay(swings, time_step):
     return 0.5 / half, -np.polyfit(half * np.arange(len(peaks)), np.log(peaks), 1)[0]
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_pulled_and_let_go_it_vibrates_and_decays_as_the_full_model(few, scheme):
     pair = few(scheme, {"mass": 3.0, "stiffness": 1e-3}, (0.0, 0.0, 0.0), lambda mapping: [
@@ -196,6 +197,7 @@ def test_a_spanning_basis_strikes_a_rod_as_the_full_model(spanned, rod, friction
     assert min(counts) == 0 and max(counts) > 0
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_a_body_of_few_modes_strikes_a_rod_and_stays(few, rod, energies, scheme):
     """An impact takes energy, whatever the scheme; the modes have never seen the rod."""
@@ -216,6 +218,7 @@ def test_a_body_of_few_modes_strikes_a_rod_and_stays(few, rod, energies, scheme)
     assert np.diff(totals).max() < 0.01 * np.ptp(totals)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("scheme", [{}, ALPHA])
 def test_the_linear_model_is_that_of_small_steps(scheme, tmp_path):
     """By the weights of the scheme, exactly; see `test_linear_model`."""

@@ -63,6 +63,7 @@ def test_the_contact_forces_on_a_resting_body_equal_its_weight_and_it_stays(
     assert np.abs(result.state.positions - start).max() < 1e-8
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("step", [0.001, 0.01])
 @pytest.mark.parametrize("friction", [0.0, 0.5])
 def test_a_dropped_cube_gains_no_energy_and_comes_to_rest(scene_of, friction, step):

@@ -86,6 +86,7 @@ def test_a_badly_shaped_mesh_is_crushed_without_folding(integration, cube):
     assert checked(simulation, Hold(0.05), 6).status in (Status.OK, Status.SATURATED)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("integration", ["quasi_static", "dynamic"])
 @pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
 def test_cables_that_pull_ten_times_too_much_fold_nothing_and_can_be_let_go(

@@ -50,6 +50,7 @@ def moved(simulation, rotation, shift):
     simulation.restore(State(positions, state.setpoints.copy(), state.efforts.copy()))
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
 def test_a_carried_surface_at_rest_is_the_one_of_the_file(fine_surface, dressed, element):
     path = fine_surface(swelling=1.05)
@@ -63,6 +64,7 @@ def test_a_carried_surface_at_rest_is_the_one_of_the_file(fine_surface, dressed,
     assert count > len(simulation.surface_positions())
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
 def test_a_rigid_motion_of_the_mesh_moves_the_surface_rigidly(fine_surface, dressed, element):
     simulation = dressed(fine_surface(swelling=1.05), element=element)

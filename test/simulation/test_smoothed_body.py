@@ -60,6 +60,7 @@ def test_smoothing_adds_no_unknown(beam):
     assert smoothed == linear
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("law", ["corotational", "neo_hookean"])
 @pytest.mark.parametrize("poisson", [0.3, 0.45, 0.49])
 def test_the_sag_is_nearly_that_of_quadratic_elements(beam, law, poisson):
@@ -98,7 +99,7 @@ def test_a_note_tells_that_smoothed_elements_lock_without_patches(beam):
 
 
 @pytest.mark.exhaustive
-def test_nothing_grows_in_a_hundred_thousand_steps(simulate, body_of, block):
+def test_nothing_grows_in_twenty_thousand_steps(simulate, body_of, block):
     """A free block that was thrown and squeezed: neither energy nor momentum grows."""
     body = body_of(block((0.02, 0.02, 0.02), (1, 1, 1), 0.0), "cube", 1e5, 0.45, element="smoothed")
     body["material"]["law"] = "neo_hookean"
@@ -110,10 +111,10 @@ def test_nothing_grows_in_a_hundred_thousand_steps(simulate, body_of, block):
     inertia = next(term for term in simulation.model.forces if "inertia" in term.name)
     momentum = inertia.momentum(simulation.state.velocities)
     energies = []
-    for step in range(100_000):
+    for step in range(20_000):
         state = simulation.step(Hold(0.002)).state
-        if step % 1000 == 0:
+        if step % 200 == 0:
             stored = sum(term.energy(state.positions) for term in simulation.model.forces)
             energies.append(stored + inertia.kinetic_energy(state.positions, state.velocities))
-    np.testing.assert_allclose(inertia.momentum(state.velocities), momentum, rtol=1e-6)
-    assert max(energies[1:]) <= 1.01 * energies[0]
+    np.testing.assert_allclose(inertia.momentum(state.velocities), momentum, rtol=2e-7)
+    assert max(energies[1:]) <= 1.002 * energies[0]

@@ -76,6 +76,7 @@ def arch(simulate, body_of, block, /, integration):
     return simulate(body=body, cables=[cable], integration=integration, gravity=[0, 0, 0])
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("integration", ["quasi_static", "dynamic"])
 def test_a_soft_arch_snaps_through_once_and_ends_at_its_static_equilibrium(arch, integration):
     scene = arch(integration)

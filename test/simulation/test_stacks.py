@@ -77,7 +77,7 @@ def test_three_cubes_stand_still_whatever_their_masses(scene_of, masses):
     supported(simulation, result, masses)
 
 
-@pytest.mark.parametrize("offset", [0.0, 1e-12, 1e-9, 1e-7, 1e-5, 2e-3])
+@pytest.mark.parametrize("offset", [0.0, 1e-9, 1e-5, 2e-3])
 def test_a_tilted_stack_of_cubes_does_not_creep(scene_of, offset):
     offsets = ((0.0, 0.0), (offset, 0.5 * offset), (0.0, offset))
     simulation = pile(scene_of, stack(EQUAL, offsets), slope=0.3)

@@ -39,6 +39,7 @@ def beam(*stiffeners, change=None, cells=(6, 1, 1)) -> Simulation:
     return built(mapping, change)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("change", [
     {}, {"body.element": "smoothed"}, {"body.element": "hexahedral"}, {"body.volume": "patches"},
     {"body.material.law": "neo_hookean"}, {"body.element": "linear"},

@@ -40,6 +40,7 @@ def reference(finger, command_of):
     return result
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("integration", ["first_order", "dynamic"])
 @pytest.mark.parametrize("time_step", STEPS)
 def test_a_pulled_finger_settles_at_the_static_equilibrium_of_its_tension(
@@ -59,6 +60,7 @@ def test_a_pulled_finger_settles_at_the_static_equilibrium_of_its_tension(
     np.testing.assert_allclose(result.state.velocities, 0.0, atol=1e-5)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("integration", ["first_order", "dynamic"])
 @pytest.mark.parametrize("time_step", [1e-4, 1e-2, 1.0])
 def test_a_tension_gives_the_same_length_at_any_rate(finger, integration, time_step):

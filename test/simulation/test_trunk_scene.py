@@ -123,6 +123,7 @@ def test_without_contact_the_body_crosses_both_cylinders(trunk, path):
     assert depths.min() > 2e-3
 
 
+@pytest.mark.exhaustive
 def test_with_contact_the_tip_moves_between_the_cylinders_and_beyond(trunk, path):
     errors, depths, statuses = follow(trunk("trunk_cylinders"), path)
     assert depths.max() < 5e-5

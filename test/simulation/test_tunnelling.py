@@ -50,6 +50,7 @@ def nodes_of(simulation, kind):
     return x[0] + 0.015 * signs @ (x[1:] - x[0])
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("kind", ["rigid", "upright", "turned"])
 @pytest.mark.parametrize("step", [0.001, 0.005, 0.02])
 @pytest.mark.parametrize("speed", [1.0, 3.0, 10.0])

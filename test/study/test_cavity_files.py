@@ -18,7 +18,7 @@ from softrobot_twin.study.bench_measurement import (
     swept_setpoints,
 )
 from softrobot_twin.study.explain import effects
-from softrobot_twin.study.scene_picture import draw_snapshots, take_snapshot
+from softrobot_twin.study.scene_picture import take_snapshot
 from test.builder import builder
 from test.run_files import rows_of
 from test.scene_changes import LEFT_OUT, change_scene, changed, yaml_file
@@ -203,9 +203,7 @@ def test_explain_lists_cavities_with_volumes_walls_and_limits(simulation_of):
     assert sealed.result == "term sealed_gas"
 
 
-@pytest.mark.exhaustive
-def test_a_picture_shows_walls_of_all_cavities_inside_clear_bodies(simulation_of, tmp_path):
-    image = pytest.importorskip("matplotlib.image")
+def test_a_picture_shows_walls_of_all_cavities_inside_clear_bodies(simulation_of):
     simulation = simulation_of(add_cushion)
     simulation.step(CommandSetpoints([*simulation.rest_setpoints[:1], 400.0], 1.0))
     shot = take_snapshot(simulation, None, "now")
@@ -215,16 +213,6 @@ def test_a_picture_shows_walls_of_all_cavities_inside_clear_bodies(simulation_of
     assert {solid.look for solid in shot.solids if solid.kind != "cavity"} == {"clear", "thin"}
     tops = [cavity.triangles[..., 2].max() for cavity in cavities]
     assert tops[0] > tops[1] > 0.04
-    draw_snapshots([shot], tmp_path / "now.png", "now")
-    colours = image.imread(tmp_path / "now.png")[..., :3].reshape(-1, 3)
-    # The walls under the highest pressure are red, and nothing else is.
-    red = (colours[:, 0] > 0.5) & (colours[:, 1:].max(axis=1) < 0.35)
-    assert red.mean() > 0.01
-
-
-def test_a_picture_without_cavities_has_no_pressures(simulation_of):
-    shot = take_snapshot(simulation_of(lambda content: content.pop("cavities")), None, "now")
-    assert shot.of_kind("cavity") == [] and "mesh" in {solid.look for solid in shot.solids}
 
 
 def test_a_scene_without_effector_is_timed_while_its_actuators_move_over_their_limits(simulation_of, springy):

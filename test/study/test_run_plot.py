@@ -72,28 +72,6 @@ def test_named_columns_are_drawn_and_no_others(tmp_path):
         panels_of(series, ["tip_*", "nose_*"])
 
 
-def test_a_line_has_the_values_of_its_column_and_a_dashed_target(tmp_path):
-    figure = drawn(read_series(written(tmp_path / "run.csv", robot())))
-    lines = {line.get_label(): line for line in figure.axes[0].lines}
-    np.testing.assert_allclose(lines["tip x"].get_ydata(), 10.0 * TIMES)
-    assert lines["target"].get_linestyle() == "--"
-    dashed = [line for line in figure.axes[0].lines
-              if line.get_linestyle() == "--" and len(line.get_xdata())]
-    np.testing.assert_allclose([line.get_ydata() for line in dashed], [11.0 * TIMES] * 3)
-
-
-def test_bands_tell_when_a_status_and_a_limit_held(tmp_path):
-    figure = drawn(read_series(written(tmp_path / "run.csv", robot())))
-    status, limits = figure.axes[-2:]
-    told = [text.get_text() for text in status.get_legend().get_texts()]
-    assert told == ["ok 47.6 %", "saturated 52.4 %"]
-    assert [label.get_text() for label in limits.get_yticklabels()] == [
-        "cable_1.rate", "cable_2.tension_max"]
-    (begin, end), = [(path.vertices[:, 0].min(), path.vertices[:, 0].max())
-                     for path in limits.collections[1].get_paths()]
-    assert (begin, end) == pytest.approx((TIMES[9], TIMES[20]))
-
-
 @pytest.mark.libraries
 def test_tables_of_commands_and_samples_of_a_workspace_are_drawn(tmp_path):
     commands = written(tmp_path / "commands.csv", {

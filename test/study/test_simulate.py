@@ -154,8 +154,8 @@ LARGE = """time_s,servo_1_angle_rad,servo_2_angle_rad,servo_3_angle_rad,servo_4_
 """
 
 
-@pytest.mark.parametrize("last, code, status", [(0.3, 0, "ok"), (2.6, 3, "saturated")])
-@pytest.mark.parametrize("way", [["--targets"], ["--rate", 1, "--commands"]])
+@pytest.mark.parametrize("last, code, status, way", [
+    (0.3, 0, "ok", ["--targets"]), (2.6, 3, "saturated", ["--rate", 1, "--commands"])])
 def test_large_moves_of_a_row_come_into_balance_and_a_limit_that_stops_the_last_one_is_an_exit_code(
     tmp_path, call, last, code, status, way
 ):

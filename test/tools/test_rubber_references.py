@@ -19,7 +19,7 @@ from softrobot_twin.geometry.hexahedral_mesh import HexahedralMesh
 from softrobot_twin.geometry.smoothed_mesh import edge_rings
 from softrobot_twin.mechanics.laws.neo_hookean import NeoHookean
 
-pytestmark = pytest.mark.sampled
+pytestmark = pytest.mark.exhaustive
 
 RUBBER = NeoHookean(1.0, 1.0e4)
 STRETCHES = (1.1, 1.5, 2.0, 3.0)

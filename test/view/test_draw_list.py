@@ -81,14 +81,3 @@ def test_an_effector_that_points_shows_the_one_axis(oriented_rod):
     axes = drawn["/robot/effector_axes"]
     assert axes.vectors == pytest.approx(np.array([[0.0, 0.1 * simulation.model.nodes.size, 0.0]]))
     np.testing.assert_allclose(axes.points, [[0.0, 0.0, 0.2]])
-
-
-def test_each_beam_of_the_one_surface_has_its_label():
-    simulation = Simulation.from_scene_file(SCENES / "flexo.yaml")
-    entities, drawn = listed(simulation)
-    beams = entities["/robot/surface/beams"]
-    skins = simulation.skins[len(simulation.model.bodies):]
-    assert list(beams.labels) == [skin.name for skin in skins]
-    places = drawn[beams.path].points[beams.anchors]
-    for place, points in zip(places, simulation.skin_positions()[-len(skins):], strict=True):
-        assert np.linalg.norm(points - place, axis=1).min() == 0.0

@@ -11,8 +11,6 @@ from softrobot_twin.view import ViewError
 from softrobot_twin.view.simulation_frames import SimulationFrames
 from test.places import SCENES
 
-pytestmark = pytest.mark.libraries
-
 
 @cache
 def shown(name):

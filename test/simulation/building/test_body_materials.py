@@ -45,6 +45,7 @@ def settled(simulation, steps=3, residual=1e-8):
     return simulation
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("ratio", [3.0, 30.0])
 @pytest.mark.parametrize("by", [{"region": "below"}, {"box": BELOW}])
 def test_a_bilayer_beam_bends_as_a_composite_beam(ratio, by, simulate, beam_entry):

@@ -47,6 +47,7 @@ def splits(simulation):
     return [note for note in simulation.notes if "are split into" in note]
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
 def test_a_chamber_of_twelve_triangles_grows_as_that_of_the_meshs_own_faces(
     tmp_path, inflatable, element

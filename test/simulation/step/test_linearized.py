@@ -189,6 +189,7 @@ def pulled(tmp_path, monkeypatch):
     return rubbing_scene(tmp_path / "block.vtk", 12)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("tension", [0.5, 2.0])
 def test_the_path_of_a_pulled_cable_is_that_of_the_whole_linearization(
     pulled, condensed_whole, monkeypatch, tension
