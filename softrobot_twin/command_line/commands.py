@@ -475,7 +475,7 @@ def workspace(
 
 def bench(
     scenes: Sequence[GivenFile] = (), *, output: Path | None = None, steps: PositiveCount = 1000,
-    commands: GivenFile | None = None,
+    commands: GivenFile | None = None, threads: PositiveCount | None = None,
 ) -> int:  # fmt: skip
     """Time a step, stage by stage.
 
@@ -490,12 +490,13 @@ def bench(
         output (FOLDER): Write bench.csv there.
         steps (N): Steps to time for each size (default $default).
         commands (FILE.csv): Time the longest hold of this commands file instead.
+        threads (N): Most threads of large systems, in place of `solver.threads`.
     """
     from softrobot_twin.study.bench import bench as measure
 
     if not scenes:
         refuse("requires a scene to time", commands=commands)
-    return measure(list(scenes), steps, output, commands)
+    return measure(list(scenes), steps, output, commands, threads)
 
 
 def accuracy(
@@ -656,7 +657,7 @@ class NoRosError(SoftRobotTwinError):
 def replay(
     recorded: Path, *, scene: GivenFile | None = None,
     set_: Annotated[Sequence[str] | None, Read(action="extend")] = None,
-    output: Path | None = None,
+    output: Path | None = None, record_view: Path | None = None,
 ) -> int:  # fmt: skip
     """Run a recorded run of a twin again.
 
@@ -672,12 +673,14 @@ def replay(
         scene (FILE.yaml): Another scene, with the same actuators and effectors.
         set_ (KEY=VALUE): Other values of the recorded scene.
         output (FILE.csv): File to write, one row per tick of the replay.
+        record_view (FILE.rrd): File of pictures of the replay, for rerun.
     """
-    if output is not None and output.resolve() == recorded.resolve():
-        raise OptionError("--output", f"{output} would overwrite the run")
+    for option, path in (("--output", output), ("--record-view", record_view)):
+        if path is not None and path.resolve() == recorded.resolve():
+            raise OptionError(option, f"{path} would overwrite the run")
     # The loop is loaded only for a run of it.
     from softrobot_twin.command_line import replay_command
-    return replay_command.replay(recorded, scene, set_ or (), output)
+    return replay_command.replay(recorded, scene, set_ or (), output, record_view)
 
 
 def enable_interrupts() -> None:

@@ -1,7 +1,7 @@
 """``python -m softrobot_twin replay``: runs a recorded run again and says where it differs.
 
 This module connects `record`, which reads and repeats a run, with `study`, which prints and writes
-results. Neither of the two imports the other.
+results, and with `view`. None of the three imports another.
 """
 
 from __future__ import annotations
@@ -20,13 +20,18 @@ from softrobot_twin.record.replay import Comparison, Difference, Replay
 from softrobot_twin.record.run_description import machine
 from softrobot_twin.record.run_file import RunFile
 from softrobot_twin.record.tick_table import TickTable
+from softrobot_twin.view import RerunMirror
+from softrobot_twin.view.simulation_frames import SimulationFrames
 
 DIFFERS = 1
 Taker = Callable[[TickOutcome, int, float], None]
+# How long a frame may take to be drawn [s].
+_LONGEST_DRAWING = 10.0
 
 
 def replay(
     run: Path, scene: Path | None = None, changes: Sequence[str] = (), output: Path | None = None,
+    view_file: Path | None = None,
 ) -> int:  # fmt: skip
     """Replays a run, prints whether all is equal to the bit, and where it is not.
 
@@ -35,6 +40,7 @@ def replay(
         scene: Another scene in place of the recorded one.
         changes: Other values of entries of the recorded scene, each as KEY=VALUE.
         output: CSV file of what the replay gave, one row per tick; None for none.
+        view_file: File of pictures of the replay, .rrd, for rerun; None for none.
 
     Returns:
         Exit code: 0; 1 when the run with its own scene differs, or entries of it were dropped.
@@ -47,12 +53,21 @@ def replay(
     with ExitStack() as stack:
         with terminal_status("building and compiling"):
             again = Replay(file, scene, changes)
-        takers = [] if output is None else [_writer(again, output, stack)]
+        takers: list[Taker] = []
+        if output is not None:
+            takers.append(_writer(again, output, stack))
+        if view_file is not None:
+            takers.append(_drawer(again, view_file, stack))
+
+        def take(*tick) -> None:
+            for taker in takers:
+                taker(*tick)
+
         with terminal_status("replaying"):
-            found = again.all_ticks(*takers)
+            found = again.all_ticks(take)
     _print_result(again, found)
-    if output is not None:
-        print(f"wrote {output}")
+    for path in filter(None, (output, view_file)):
+        print(f"wrote {path}")
     is_whole = not file.lost and found.is_equal
     return 0 if is_whole or not again.is_of_its_scene else DIFFERS
 
@@ -66,6 +81,18 @@ def _writer(again: Replay, path: Path, stack: ExitStack) -> Taker:
         append(ticks.texts(outcome, again.comparison.ticks - 1, seconds))
 
     return write
+
+
+def _drawer(again: Replay, path: Path, stack: ExitStack) -> Taker:
+    """A function that draws a tick, and waits for the thread that does it: none is left out."""
+    frames = SimulationFrames(again.loop.simulation)
+    mirror = stack.enter_context(RerunMirror(frames.stage, serve=False, record=path))
+
+    def draw(outcome: TickOutcome, ros_time: int, seconds: float) -> None:
+        mirror.offer(frames.frame(again.comparison.ticks, ros_time, outcome.result, **outcome.shown()))
+        mirror.wait(_LONGEST_DRAWING)
+
+    return draw
 
 
 def _print_head(file: RunFile) -> None:

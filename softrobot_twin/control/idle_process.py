@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import select
 import signal
 import struct
 import subprocess
@@ -31,9 +32,13 @@ STATE, UNKNOWN = "state", "unknown"
 # Pause before the next request, in durations of the last answer: a fifth of a processor at most.
 _PAUSE = 4.0
 _END_TIMEOUT = 2.0
+LINGER = 10.0
+"""A process without a new state to judge gives its memory back after this time [s]: some 270 MB."""
 PROGRAM = ("from softrobot_twin.control.idle_process import run; from {module} import serve; "
            "run(serve, {yields})")  # fmt: skip
 """Source of a process that answers by `serve` of the module of a watch."""
+_FIRST = "SOFTROBOT_TWIN_FIRST_MESSAGE"
+"""Variable of the environment: file that holds the first message for the program that follows."""
 
 
 def framed(content: object) -> bytes:
@@ -209,14 +214,64 @@ def yield_to_all() -> None:
 
 
 class Requests:
-    """Reads messages from standard input."""
+    """Reads messages from standard input.
+
+    When none has come for `LINGER`, the process becomes that of a new program, which waits for one
+    in a few megabytes, before it loads anything, and goes on from the first message of this one. The
+    twin knows nothing of it, and must not start a process: it would wait for a thread of ordinary
+    priority.
+
+    Attributes:
+        is_again: Whether this program follows another one, which has answered the first message.
+    """
+
+    def __init__(self, stdout: int):
+        """Waits for the message with which a following program begins.
+
+        Args:
+            stdout: The standard output of the process, for the program that follows.
+        """
+        self._stdout, self._first, self._read_first = stdout, b"", False
+        held = os.environ.pop(_FIRST, "")
+        self.is_again = bool(held)
+        if self.is_again:
+            file = int(held)
+            self._first = os.pread(file, os.fstat(file).st_size, 0)
+            os.close(file)
+            select.select([sys.stdin.fileno()], [], [])
 
     def read(self) -> object | None:
         """The next message; None when the other end has closed."""
-        head = sys.stdin.buffer.read(LENGTH.size)
-        size = LENGTH.unpack(head)[0] if len(head) == LENGTH.size else 0
-        body = sys.stdin.buffer.read(size)
-        return pickle.loads(body) if body and len(body) == size else None
+        if self._read_first and not select.select([sys.stdin.fileno()], [], [], LINGER)[0]:
+            self._follow()
+        if self.is_again and not self._read_first:
+            self._read_first = True
+            return pickle.loads(self._first[LENGTH.size :])
+        head = self._take(LENGTH.size)
+        body = self._take(LENGTH.unpack(head)[0]) if len(head) == LENGTH.size else b""
+        if not body or len(body) < LENGTH.unpack(head)[0]:
+            return None
+        if not self._read_first:
+            self._first, self._read_first = head + body, True
+        return pickle.loads(body)
+
+    @staticmethod
+    def _take(size: int) -> bytes:
+        """So many bytes, or fewer where the other end has closed."""
+        content = b""
+        while len(content) < size and (more := os.read(sys.stdin.fileno(), size - len(content))):
+            content += more
+        return content
+
+    def _follow(self) -> None:
+        """Becomes the process of the same program, which begins anew."""
+        file = os.memfd_create("first message")
+        with os.fdopen(os.dup(file), "wb") as stream:
+            stream.write(self._first)
+        os.set_inheritable(file, True)
+        os.dup2(self._stdout, sys.stdout.fileno())
+        os.environ[_FIRST] = str(file)
+        os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
 
 
 class Replies:
@@ -224,13 +279,16 @@ class Replies:
 
     Args:
         stream: Where to.
+        is_again: Whether replies but those to states have been written before.
     """
 
-    def __init__(self, stream: BinaryIO):
-        self._stream = stream
+    def __init__(self, stream: BinaryIO, is_again: bool = False):
+        self._stream, self._is_again = stream, is_again
 
     def __call__(self, *content: object) -> None:
         """Writes one: its kind, then what it holds; of a `STATE` the duration [s] comes last."""
+        if self._is_again and content[0] not in (STATE, UNKNOWN):
+            return
         self._stream.write(framed(content))
         self._stream.flush()
 
@@ -247,10 +305,11 @@ def run(serve: Callable[[Requests, Replies], None], yields: bool = True) -> None
         yield_to_all()
     stdout = os.dup(sys.stdout.fileno())
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # print() must not write between replies
-    reply = Replies(os.fdopen(stdout, "wb"))
+    requests = Requests(stdout)
+    reply = Replies(os.fdopen(stdout, "wb"), requests.is_again)
     with suppress(BrokenPipeError):  # The twin has ended.
         try:
-            serve(Requests(), reply)
+            serve(requests, reply)
         except BrokenPipeError:
             raise
         except Exception as error:  # noqa: BLE001 - the twin reports it; its stderr is not read

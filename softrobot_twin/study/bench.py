@@ -133,7 +133,7 @@ def _shares(counted: Counter[str]) -> str:
 
 
 def bench(scenes: list[Path], steps: int, output: Path | None = None,
-          commands: Path | None = None) -> int:
+          commands: Path | None = None, threads: int | None = None) -> int:
     """Times the steps of scenes, and prints the results.
 
     Args:
@@ -141,6 +141,7 @@ def bench(scenes: list[Path], steps: int, output: Path | None = None,
         steps: Steps to time for each.
         output: Folder for ``bench.csv``, or None.
         commands: Commands file whose longest constant part is timed, or None for a circle.
+        threads: Most threads of a step, or None for those of the scenes.
 
     Returns:
         Exit code, always 0.
@@ -151,6 +152,9 @@ def bench(scenes: list[Path], steps: int, output: Path | None = None,
     if output is not None:
         make_folder(output)
     cases = given_cases(scenes or [default_scene_path()], commands)
+    if threads is not None:
+        cases = [case._replace(scene=case.scene.changed(solver={"threads": threads}))
+                 for case in cases]
     sizes = measure_all(cases, steps)
     shown = console()
     shown.print("Garbage collection off. Effectors move along a circle; robots without\n"

@@ -165,10 +165,11 @@ def test_what_a_replay_gave_is_written_in_the_columns_of_all_runs(recorded, tmp_
         assert row["status"] == outcome.result.status.value
 
 
-def test_a_replay_never_replaces_its_run(recorded, capsys):
+@pytest.mark.parametrize("option", ["--output", "--record-view"])
+def test_a_replay_never_replaces_its_run(recorded, option, capsys):
     before = recorded.path.read_bytes()
-    assert main(["replay", str(recorded.path), "--output", str(recorded.path)]) == 2
-    assert f"--output: {recorded.path} would overwrite the run" in capsys.readouterr().err
+    assert main(["replay", str(recorded.path), option, str(recorded.path)]) == 2
+    assert f"{option}: {recorded.path} would overwrite the run" in capsys.readouterr().err
     assert recorded.path.read_bytes() == before
 
 
