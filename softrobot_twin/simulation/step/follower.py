@@ -11,6 +11,9 @@ that keeps too little is taken back, and the radius shrinks. Where settling alon
 promises, nothing could be learnt from it: then the actuators stay, until the body has settled. They rest
 where the promise vanishes, or the radius. Where targets or loads change in each step, nothing is judged.
 
+Far from the targets a promise counts how effectors curve on their way, as moves before have taught, see
+`Curvature`. Else moves go to and fro across the edge of the workspace.
+
 What targets leave open goes to where its energy is least, by moves that promise nothing and are not
 judged; where they get no shorter, the radius shrinks. Where a robot comes no nearer for long, it goes
 back to the nearest place in stable balance, at once where the body snaps, and on from there a few times,
@@ -38,12 +41,14 @@ from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.result import RATE
 from softrobot_twin.simulation.step.actuation import NO_EFFORT, Actuation
 from softrobot_twin.simulation.step.apparent_stiffness import StiffnessRows
+from softrobot_twin.simulation.step.curvature import Curvature, jacobian_by_drives
 from softrobot_twin.simulation.step.direct_actuation import DirectActuation
 from softrobot_twin.simulation.step.inverse_actuation import (
     Asked,
     InverseActuation,
     rest_rows,
     rows_to_track,
+    with_contacts_closed,
 )
 from softrobot_twin.simulation.step.linearized import Linearized
 from softrobot_twin.simulation.step.situation import Situation, half_squares, longest_move
@@ -93,6 +98,8 @@ class Pending(NamedTuple):
     Attributes:
         now: T before it [m²].
         promised: Decrease of T that it promised [m²].
+        straight: The same without curvature [m²].
+        rise: What the curvature makes T rise by [m²].
         length: How far it went, as a share of the actuators' scales.
         targets: Targets that it was made for [m], shape (m,).
         drives: Where it began, shape (actuator_count,).
@@ -100,6 +107,8 @@ class Pending(NamedTuple):
 
     now: float
     promised: float
+    straight: float
+    rise: float
     length: float
     targets: np.ndarray
     drives: np.ndarray
@@ -122,6 +131,7 @@ class Follower(InverseActuation):
 
     def __init__(self, model: Model, direct: DirectActuation):
         """See `InverseActuation`."""
+        self._curvature = Curvature(model.actuators.limits.drive_scale)
         super().__init__(model, direct)
         self._positions = slice(model.effectors.position_row_count)
         self._model, self._at_rest = model, np.zeros(len(self._scales))
@@ -227,6 +237,7 @@ class Follower(InverseActuation):
         now, greatest, is_same = situation.compared(self._first)
         if not is_same:
             self._begin_anew(situation)
+            self._curvature.forget()
         last, self._situation = self._situation, situation
         self._now, self._reached = now, 0.5 * greatest * self._tolerance**2
         if not self._balanced_places:
@@ -256,12 +267,31 @@ class Follower(InverseActuation):
             self._wake(situation)
         elif self._pending is not None and self._goal is None:
             self._judge(situation)
+            if self._pending is None and self._stays and self._may_settle and now > self._reached:
+                self._learn_curvature(situation, linear, held)
         if self._is_stuck and self._goal is None:
             self._leave()
         elif self._stays and not self.rests and self._goal is None:
             self._look_back(situation)
         self._is_stuck = self._is_refused = False
         self._limit_at_first = self.move_limit
+
+    def _learn_curvature(self, situation: Situation, linear: Linearized, held: Actuation) -> None:
+        """Learn how effectors curve, from how they answer to the drives here."""
+        forces = held.contact.multipliers
+        if len(situation.places) != len(linear.effectors):
+            return
+        W, _ = with_contacts_closed(linear, forces)
+        efforts, augmentation = linear.efforts(held.efforts, forces), linear.augmentation
+        bears = ~self._one_sided | (efforts > NO_EFFORT * efforts.max(initial=0.0))
+        jacobian = jacobian_by_drives(
+            W, linear.groups.effectors, bears & ~self._by_effort, bears,
+            self._none if augmentation is None else augmentation.stiffness,
+        )  # fmt: skip
+        pull = situation.weights * (situation.places - situation.targets)
+        presses = [key for key, force in zip(self._contact_keys(linear), forces, strict=True) if force > 0.0]
+        bearing = bears.tobytes() + repr(presses).encode()
+        self._curvature.learn(self._still(linear, held), jacobian, pull, bearing)
 
     def _begin_anew(self, situation: Situation) -> None:
         """Follow other targets, or under other loads."""
@@ -380,6 +410,7 @@ class Follower(InverseActuation):
         noise = NOISE * max(move.now, self._reached)
         now = half_squares(situation.weights, situation.places, move.targets)
         share = (move.now - now + noise) / (move.promised + noise)
+        self._curvature.compare(move.now - now, move.straight, move.rise)
         if not share >= KEEP:
             self.move_limit = SHRINK * min(move.length, self.move_limit)
             if self._stays:
@@ -514,12 +545,19 @@ class Follower(InverseActuation):
         """Note a move, to judge it in the next step."""
         self._is_noted, length = True, self._length(asked, found)
         drives = asked.held.drives(self._limits)
-        self._pending = Pending(self._now, promised, length, self._situation.targets, drives)
+        rise = self._rise(asked, found)
+        straight = promised + rise if len(self._curvature.rows) else promised
+        self._pending = Pending(self._now, promised, straight, rise, length, self._situation.targets, drives)
 
     def _promised(self, asked: Asked, found: Actuation) -> float:
         """Decrease of T that an actuation promises [m²]."""
         rows = self._in_branch(asked.stiffness, self._branch)
-        return self._now - self._situation.tracking(self._places(asked.linear, found, rows))
+        promised = self._now - self._situation.tracking(self._places(asked.linear, found, rows))
+        return promised - self._rise(asked, found) if len(self._curvature.rows) else promised
+
+    def _rise(self, asked: Asked, found: Actuation) -> float:
+        """By how much the curvature makes T rise [m²]."""
+        return self._curvature.rise(self._still(asked.linear, found) - self._still(asked.linear, asked.held))
 
     def _length(self, asked: Asked, found: Actuation) -> float:
         """How far an actuation moves the actuators, as a share of their scales."""
@@ -576,12 +614,26 @@ class Follower(InverseActuation):
         rows = self._in_branch(asked.stiffness, branch)
         errors, weights, extra = rows_to_track(linear, steps, weights, rows)
         bounds = self._bearing(rows, branch, self._within_radius(asked))
+        if len(self._curvature.rows) and rows is None and branch is None:
+            errors, weights, extra = self._curved(asked, errors, weights)
         given = linear, errors, weights, held, bounds
         if extra is None and branch is None and not asked.commanded.any():
             found = self.guessed(*given)
             if found is not None:
                 return found
         return self._over_branches(*given, asked.commanded, extra, branch)
+
+    def _curved(
+        self, asked: Asked, errors: np.ndarray, weights: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Errors and weights with rows of the curvature below, and how multipliers change these rows."""
+        linear, L = asked.linear, self._curvature.rows
+        a, _, c = linear.groups
+        by = np.concatenate([linear.W[a, a], linear.W[a, c]], axis=1)
+        by = np.where(self._by_effort[:, None], np.eye(*by.shape), by)
+        free = np.where(self._by_effort, 0.0, linear.violation[a])
+        errors = np.concatenate([errors, L @ (free - self._still(linear, asked.held))])
+        return errors, np.concatenate([weights, np.ones(len(L))]), L @ by
 
     def _contact_keys(self, linear: Linearized) -> list[tuple[int, int]]:
         # Shorter moves are solved for when contacts were detected elsewhere already.

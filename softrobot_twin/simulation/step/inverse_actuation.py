@@ -957,7 +957,7 @@ class InverseActuation:
         count = linear.groups.actuators.stop - linear.move_count
         if count == 0 or self._energy_weight <= LEAST_ENERGY_WEIGHT:
             return False
-        W, free = _with_contacts_closed(linear, held.contact.multipliers)
+        W, free = with_contacts_closed(linear, held.contact.multipliers)
         now, efforts, e = linear.effectors_now, held.efforts[:count], linear.groups.effectors
         asked, weights = self._steps.asked(target_rows, now)
         energy_weight = self._weight_of_energy(linear, asked)
@@ -1092,7 +1092,7 @@ def _with_stiffness(
     )  # fmt: skip
 
 
-def _with_contacts_closed(
+def with_contacts_closed(
     linear: Linearized, forces: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """W and δ_free of actuators and effectors, where contacts that press stay closed."""

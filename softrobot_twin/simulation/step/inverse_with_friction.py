@@ -900,6 +900,9 @@ class InverseWithFriction(Follower):
         self.move_limit = min(0.5 * self._tried_length, self.move_limit) if moves else SHRINK * self.move_limit
         self._pending = None
 
+    def _learn_curvature(self, situation: Situation, linear: Linearized, held: Actuation) -> None:
+        """Nothing: contacts that stick or slip bend the way more than the bodies do."""
+
     def _branches(self, asked: Asked) -> Iterator[np.ndarray]:
         return iter(())
 
