@@ -6,6 +6,7 @@ import pytest
 from softrobot_twin.simulation import CommandSetpoints
 from softrobot_twin.simulation.step.curvature import Curvature, jacobian_by_drives
 from softrobot_twin.simulation.step.time_budget import StageClock
+from test.scene_changes import repeat_step
 
 SCALES = np.array([0.01, 2.0, 0.5])
 
@@ -25,9 +26,8 @@ def bent(drawn_rng):
 def learnt(bent, moves) -> Curvature:
     """What places from where each move begins teach."""
     pull, jacobian, _ = bent
-    curvature, drives = Curvature(SCALES), np.zeros(3)
-    for move in [np.zeros(3), *moves]:
-        drives = drives + move
+    curvature = Curvature(SCALES)
+    for drives in np.cumsum([np.zeros(3), *moves], axis=0):
         curvature.learn(drives, jacobian(drives), pull, b"")
     return curvature
 
@@ -35,8 +35,8 @@ def learnt(bent, moves) -> Curvature:
 def test_moves_of_each_drive_teach_the_whole_curvature(bent):
     curvature = learnt(bent, np.diag(0.1 * SCALES))
     curvature.compare(decrease=0.0, promised=1.0, rise=1.0)
-    np.testing.assert_allclose(SCALES * (curvature.rows.T @ curvature.rows).T * SCALES[:, None],
-                               SCALES * bent[2] * SCALES[:, None], rtol=0.0, atol=1e-9)  # fmt: skip
+    scaled = np.outer(SCALES, SCALES)
+    np.testing.assert_allclose(scaled * (curvature.rows.T @ curvature.rows), scaled * bent[2], atol=1e-9)
     move = np.array([0.002, -0.3, 0.1])
     assert curvature.rise(move) == pytest.approx(0.5 * move @ bent[2] @ move)
 
@@ -50,35 +50,27 @@ def test_curvature_is_used_only_where_it_told_better_what_came_of_a_move(bent):
     assert not len(curvature.rows)
 
 
-def test_curvature_vanishes_with_the_misses(bent):
+def test_curvature_vanishes_with_the_misses_and_learns_from_no_leap(bent):
     pull, jacobian, _ = bent
     curvature, move = learnt(bent, np.diag(0.1 * SCALES)), 0.1 * SCALES
     whole = curvature.rise(move)
-    for _ in range(2):
-        curvature.learn(np.zeros(3), jacobian(np.zeros(3)), 1e-3 * pull, b"")
-        curvature.learn(move, jacobian(move), 1e-3 * pull, b"")
+    for drives in 2 * (np.zeros(3), move):
+        curvature.learn(drives, jacobian(drives), 1e-3 * pull, b"")
+    # Where other actuators bear, J leaps, and that is no curvature.
+    curvature.learn(-move, jacobian(-9.0 * move), 1e-3 * pull, b"other")
     assert curvature.rise(move) == pytest.approx(1e-3 * whole, rel=1e-6)
-
-
-def test_where_other_actuators_bear_a_leap_of_j_is_no_curvature(bent):
-    pull, jacobian, _ = bent
-    curvature = learnt(bent, [])
-    curvature.learn(0.1 * SCALES, jacobian(0.1 * SCALES), pull, b"other")
-    assert curvature.rise(SCALES) == 0.0
 
 
 def test_j_by_drives_agrees_with_differences(beam):
     simulation = beam(lambda m: m["solver"].update(newton_iterations=20, residual_tolerance=1e-10))
-    setpoints = np.array([0.008, 0.004, 0.0, 0.0])
 
     def places(shortenings):
-        for _ in range(12):
-            result = simulation.step(CommandSetpoints(simulation.actuators.setpoints(shortenings), 1.0))
-        return result.effector_positions.ravel()
+        command = CommandSetpoints(simulation.actuators.setpoints(shortenings), 1.0)
+        return repeat_step(simulation, command, 12).effector_positions.ravel()
 
+    setpoints = np.array([0.008, 0.004, 0.0, 0.0])
     places(setpoints)
-    state = simulation.state
-    bears = state.efforts > 1e-6
+    state, bears = simulation.state, simulation.state.efforts > 1e-6
     linear = simulation.newton.linearize(state.positions.copy(), state.efforts, StageClock())
     J = jacobian_by_drives(linear.W, linear.groups.effectors, bears, bears, np.zeros(4))
     assert bears.any()
