@@ -44,7 +44,13 @@ class Seen(NamedTuple):
 
 
 class Curvature:
-    """S of one simulation towards one set of targets."""
+    """S of one simulation towards one set of targets.
+
+    Attributes:
+        rows: L of its positive part Lᵀ L, by a move of the drives, shape (n, actuator_count).
+        is_known: Whether moves have taught any.
+        is_used: Whether it told better than the linearization alone what came of the last move.
+    """
 
     def __init__(self, scales: np.ndarray):
         """Begin with none.
@@ -52,39 +58,35 @@ class Curvature:
         Args:
             scales: Natural scale of each actuator's drive, shape (actuator_count,).
         """
-        self._scales = scales
-        self.forget()
+        self._scales, count = scales, len(scales)
+        self._S, self.rows = np.zeros((count, count)), np.zeros((0, count))
+        self._last: Seen | None = None
+        self.is_known = self.is_used = False
 
     def forget(self) -> None:
         """Forget all: other targets have another S."""
-        count = len(self._scales)
-        self._S, self._root = np.zeros((count, count)), np.zeros((0, count))
-        self._last: Seen | None = None
-        self._is_used = False
-
-    @property
-    def rows(self) -> np.ndarray:
-        """L of the positive part Lᵀ L of S, by a move of the drives, shape (n, actuator_count); none where not used."""
-        return self._root if self._is_used else self._root[:0]
+        if self._last is not None:
+            self._S[:], self._last = 0.0, None
+            self.is_known = self.is_used = False
 
     def rise(self, move: np.ndarray) -> float:
-        """By how much S makes T = ½ Σ w r² rise along a move [m²], whether it is used or not.
+        """By how much S makes T = ½ Σ w r² rise along a move [m²].
 
         Args:
             move: Change of the drives, shape (actuator_count,).
         """
-        along = self._root @ move
+        along = self.rows @ move
         return 0.5 * float(along @ along)
 
     def compare(self, decrease: float, promised: float, rise: float) -> None:
-        """Use S from now on if it told better what came of the last move.
+        """Use S for the next move if it told better what came of the last one.
 
         Args:
             decrease: Decrease of T [m²].
             promised: What the linearization promised without S [m²].
             rise: What S made T rise by [m²].
         """
-        self._is_used = abs(decrease - promised + rise) < abs(decrease - promised)
+        self.is_used = abs(decrease - promised + rise) < abs(decrease - promised)
 
     def learn(self, drives: np.ndarray, jacobian: np.ndarray, pull: np.ndarray, bearing: bytes) -> None:
         """Learn from where the actuators came to.
@@ -109,9 +111,9 @@ class Curvature:
             S *= min(1.0, abs(float(s @ y)) / told)
         u = y - S @ s
         S += (np.outer(u, s) + np.outer(s, u)) / squared - float(u @ s) / squared**2 * np.outer(s, s)
-        values, vectors = np.linalg.eigh(S)
+        self.is_known, (values, vectors) = True, np.linalg.eigh(S)
         kept = values > LEAST_CURVATURE * max(values[-1], 0.0)
-        self._root = np.sqrt(values[kept])[:, None] * vectors[:, kept].T / self._scales
+        self.rows = np.sqrt(values[kept])[:, None] * vectors[:, kept].T / self._scales
 
 
 def jacobian_by_drives(

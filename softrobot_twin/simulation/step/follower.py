@@ -410,7 +410,8 @@ class Follower(InverseActuation):
         noise = NOISE * max(move.now, self._reached)
         now = half_squares(situation.weights, situation.places, move.targets)
         share = (move.now - now + noise) / (move.promised + noise)
-        self._curvature.compare(move.now - now, move.straight, move.rise)
+        if self._curvature.is_known:
+            self._curvature.compare(move.now - now, move.straight, move.rise)
         if not share >= KEEP:
             self.move_limit = SHRINK * min(move.length, self.move_limit)
             if self._stays:
@@ -545,15 +546,15 @@ class Follower(InverseActuation):
         """Note a move, to judge it in the next step."""
         self._is_noted, length = True, self._length(asked, found)
         drives = asked.held.drives(self._limits)
-        rise = self._rise(asked, found)
-        straight = promised + rise if len(self._curvature.rows) else promised
+        rise = self._rise(asked, found) if self._curvature.is_known else 0.0
+        straight = promised + rise if self._curvature.is_used else promised
         self._pending = Pending(self._now, promised, straight, rise, length, self._situation.targets, drives)
 
     def _promised(self, asked: Asked, found: Actuation) -> float:
         """Decrease of T that an actuation promises [m²]."""
         rows = self._in_branch(asked.stiffness, self._branch)
         promised = self._now - self._situation.tracking(self._places(asked.linear, found, rows))
-        return promised - self._rise(asked, found) if len(self._curvature.rows) else promised
+        return promised - self._rise(asked, found) if self._curvature.is_used else promised
 
     def _rise(self, asked: Asked, found: Actuation) -> float:
         """By how much the curvature makes T rise [m²]."""
@@ -614,7 +615,7 @@ class Follower(InverseActuation):
         rows = self._in_branch(asked.stiffness, branch)
         errors, weights, extra = rows_to_track(linear, steps, weights, rows)
         bounds = self._bearing(rows, branch, self._within_radius(asked))
-        if len(self._curvature.rows) and rows is None and branch is None:
+        if self._curvature.is_used and rows is None and branch is None:
             errors, weights, extra = self._curved(asked, errors, weights)
         given = linear, errors, weights, held, bounds
         if extra is None and branch is None and not asked.commanded.any():
