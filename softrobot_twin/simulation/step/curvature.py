@@ -48,6 +48,7 @@ class Curvature:
 
     Attributes:
         rows: L of its positive part Lᵀ L, by a move of the drives, shape (n, actuator_count).
+        last: Where it learnt last; None before.
         is_known: Whether moves have taught any.
         is_used: Whether it told better than the linearization alone what came of the last move.
     """
@@ -60,14 +61,13 @@ class Curvature:
         """
         self._scales, count = scales, len(scales)
         self._S, self.rows = np.zeros((count, count)), np.zeros((0, count))
-        self._last: Seen | None = None
+        self.last: Seen | None = None
         self.is_known = self.is_used = False
 
     def forget(self) -> None:
         """Forget all: other targets have another S."""
-        if self._last is not None:
-            self._S[:], self._last = 0.0, None
-            self.is_known = self.is_used = False
+        self._S[:], self.last = 0.0, None
+        self.is_known = self.is_used = False
 
     def rise(self, move: np.ndarray) -> float:
         """By how much S makes T = ½ Σ w r² rise along a move [m²].
@@ -97,8 +97,8 @@ class Curvature:
             pull: w r of the effectors' rows [m], shape (m,).
             bearing: Which actuators and contacts bear: J leaps where others do.
         """
-        last, S = self._last, self._S
-        here = self._last = Seen(drives.copy(), jacobian * self._scales, float(np.linalg.norm(pull)), bearing)
+        last, S = self.last, self._S
+        here = self.last = Seen(drives.copy(), jacobian * self._scales, float(np.linalg.norm(pull)), bearing)
         if last is None:
             return
         S *= min(1.0, here.pull / last.pull)

@@ -237,7 +237,6 @@ class Follower(InverseActuation):
         now, greatest, is_same = situation.compared(self._first)
         if not is_same:
             self._begin_anew(situation)
-            self._curvature.forget()
         last, self._situation = self._situation, situation
         self._now, self._reached = now, 0.5 * greatest * self._tolerance**2
         if not self._balanced_places:
@@ -252,6 +251,9 @@ class Follower(InverseActuation):
         if now <= self._reached and not self._back:
             self._path.clear()
             self._greatest = GREATEST
+        # Without misses there is no curvature, and it would hold what targets leave open.
+        if self._curvature.last is not None and not (is_same and now > self._reached):
+            self._curvature.forget()
         if is_same:
             self._see_drift(linear, situation)
         if self._departure is not None:
