@@ -72,7 +72,7 @@ checks:
 
 # Of the oldest versions: all that the package names exists and takes its arguments, kernels are
 # compiled, and a robot steps. What else depends on them needs kernels compiled by the oldest numba.
-test: setup-both checks ## run the tests that every change must pass: about 8 minutes, 12 from a clean clone
+test: setup-both checks ## run the tests that every change must pass: about 6 minutes, 8 from a clean clone
 	$(PYTEST) $(SHARED) -m "not exhaustive" $(PYTEST_ARGUMENTS)
 	@$(PYTEST) $(AGAINST_THE_CLOCK) -m "not exhaustive" $(PYTEST_ARGUMENTS) & clock=$$!; \
 	$(PYTEST_OLDEST) $(FEW) -m "not exhaustive" $(PYTEST_ARGUMENTS); few=$$?; wait $$clock && exit $$few

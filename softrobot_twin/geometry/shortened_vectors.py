@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-
-# Shorter vectors count as this long, whose inverse is finite times any limit.
+# Vectors below count as this long: a limit divided by it is finite.
 _TINY = 1.0e-200
 
 

@@ -33,7 +33,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -282,6 +282,7 @@ class Follower(InverseActuation):
         """Learn how effectors curve, from how they answer to the drives here."""
         forces = held.contact.multipliers
         if len(situation.places) != len(linear.effectors):
+            # Wanted stiffnesses are no places, and curve in other ways.
             return
         W, _ = with_contacts_closed(linear, forces)
         efforts, augmentation = linear.efforts(held.efforts, forces), linear.augmentation
@@ -559,7 +560,7 @@ class Follower(InverseActuation):
         return promised - self._rise(asked, found) if self._curvature.is_used else promised
 
     def _rise(self, asked: Asked, found: Actuation) -> float:
-        """By how much the curvature makes T rise [m²]."""
+        """By how much the curvature makes T rise on the way to an actuation [m²]."""
         return self._curvature.rise(self._still(asked.linear, found) - self._still(asked.linear, asked.held))
 
     def _length(self, asked: Asked, found: Actuation) -> float:

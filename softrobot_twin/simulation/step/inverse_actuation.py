@@ -20,7 +20,7 @@ How far an optimum is trusted is a question of its own: `Follower`.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -1095,7 +1095,15 @@ def _with_stiffness(
 def with_contacts_closed(
     linear: Linearized, forces: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """W and δ_free of actuators and effectors, where contacts that press stay closed."""
+    """W and δ_free of actuators and effectors, where contacts that press stay closed.
+
+    Args:
+        linear: The condensed system.
+        forces: λ of all contact rows [N], shape (contact_row_count,).
+
+    Returns:
+        W [m/N], shape (n, n), and δ_free [m], shape (n,), of the n rows of actuators and effectors.
+    """
     kept = linear.groups.effectors.stop
     W, free = linear.W[:kept, :kept], linear.violation[:kept]
     pressing = linear.groups.contacts.start + np.flatnonzero(forces > 0.0)
