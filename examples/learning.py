@@ -2,7 +2,7 @@
 
 Cross-entropy method: try policies around a mean, keep the best, move the mean there. The policy is
 linear: speeds of both cables = W · observation. One sees the distance to unknown targets fall, and
-``learning.png`` shows how. Needs gymnasium and matplotlib; takes 20 seconds:
+``learning.png`` shows how. Needs gymnasium and matplotlib; takes a minute:
 
     python examples/learning.py [GENERATIONS]
 """
@@ -16,7 +16,7 @@ import numpy as np
 from softrobot_twin.scripting.gym_environment import ReachingEnvironment
 
 ROOT = Path(__file__).resolve().parents[1]
-STEPS, CANDIDATES, ELITE = 12, 12, 4
+STEPS, CANDIDATES, ELITE = 12, 32, 8
 GENERATIONS = int(sys.argv[1]) if len(sys.argv) > 1 else 8
 
 finger = ReachingEnvironment(ROOT / "config/scenes/finger.yaml", most_steps=STEPS)

@@ -22,7 +22,7 @@ from softrobot_twin.scene.entry import values_below
 from softrobot_twin.simulation.building.actuators import Actuators
 from softrobot_twin.simulation.building.beam_bodies import build_section
 from softrobot_twin.simulation.building.model import Model
-from softrobot_twin.simulation.step.merit import OVERSHOOT
+from softrobot_twin.simulation.step.share_rule import OVERSHOOT
 
 # A slide's travel of more than this number of sizes of the largest body is reported.
 MOST_SIZES = 20.0

@@ -730,7 +730,7 @@ class Simulation(Readouts):
 
     def _move_and_settle(
         self, positions: np.ndarray, actuation: Actuation, clock: StageClock,
-        is_judged: bool = True,
+        is_judged: bool = True, is_sought: bool = False,
     ) -> tuple[float, float, Actuation]:  # fmt: skip
         """Correct the positions, by as much of the move as folds nothing.
 
@@ -738,27 +738,28 @@ class Simulation(Readouts):
             positions: Node positions [m], shape (node_count, 3); moved.
             actuation: λ of the optimisation.
             clock: Books the stages.
-            is_judged: Whether the move must lower the merit, too.
+            is_judged: Whether it is judged how far the move goes, too.
+            is_sought: Whether targets chose the actuation.
         """
         newton = self.newton
         share, residual, actuation = self._move(positions, actuation, clock, is_judged)
         if share:
-            settled = newton.settle(positions, share)
+            settled = newton.settle(positions, share, is_sought)
             if settled != share:
                 share, residual = settled, newton.residual(positions, actuation)
-            clock.mark("residual")
+                clock.mark("residual")
         return share, residual, actuation
 
     def _approach(
         self, positions: np.ndarray, actuation: Actuation, held: Actuation, clock: StageClock
     ) -> tuple[float, float, Actuation]:
-        """Correct the positions, in statics, by as much of an actuation as keeps the body near balance."""
+        """Correct the positions, in statics, by the first actuation of which most may be made."""
         newton, inverts, inverse = self.newton, False, self.inverse
         for tried in inverse.tries(actuation, held):
-            share, residual, done = self._move(positions, tried, clock, True)
-            if newton.accepts(positions, share) and (share >= inverse.least_share or tried is held):
+            share, residual, done = self._move_and_settle(positions, tried, clock, is_sought=True)
+            if share > 0.0 and (share >= inverse.least_share or tried is held):
                 break
-            inverts = inverts or newton.inverts
+            inverts = inverts or newton.share_rule.folds_whole
             newton.take_back(positions)
         else:
             tried = held

@@ -7,7 +7,7 @@ from softrobot_twin.simulation import CommandSetpoints
 
 # Steps of three linearizations, and the residual that counts as rest [N].
 MOST_STEPS, AT_REST = 80, 1e-4
-# Shortenings [m] at which Newton's method without a merit cycles, at residuals up to 0.3 N; with
+# Shortenings [m] at which Newton's method cycles where it makes whole moves, at residuals up to 0.3 N; with
 # the last four it did so while level edges were detected at their ends alone.
 CYCLING = [
     [0.015523375982870643, 0.0, 0.0, 0.014918967603526453],

@@ -122,8 +122,8 @@ def test_a_finger_through_the_pad_and_the_greatest_force_are_told_and_undone(pad
     before = follow(pad, 200.0, 40)
     deep = held_below(pad, 0.03, before.touches.points)
     for touched in (deep, Touched(np.array([[0.0, 0.0, -20.0]]), NONE)):
-        statuses = worst_of(pad, touched, before.setpoints)
-        assert not any(status.is_success for status in statuses)
+        # The greatest force is borne, but three steps do not bring the pad to balance.
+        assert Status.OK not in worst_of(pad, touched, before.setpoints)
         for _ in range(40):
             result = pad.step(Hold(STEP))
             if result.status is Status.OK:

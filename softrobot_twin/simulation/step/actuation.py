@@ -85,20 +85,6 @@ class Actuation(NamedTuple):
             return self.displacements
         return np.where(limits.is_effort_driven, self.efforts, self.displacements)
 
-    def blended(self, held: Actuation, share: float) -> Actuation:
-        """A share of the way from what holds the actuators to this; all rows are linear in it.
-
-        Args:
-            held: What the actuators do when they stay.
-            share: The share.
-        """
-        multipliers = _between(held.contact.multipliers, self.contact.multipliers, share)
-        return self._replace(
-            efforts=_between(held.efforts, self.efforts, share),
-            displacements=_between(held.displacements, self.displacements, share),
-            contact=self.contact._replace(multipliers=multipliers),
-        )
-
     @property
     def given_up(self) -> tuple[str, ...]:
         """Active limits other than those of the actuators."""
@@ -109,7 +95,3 @@ class Actuation(NamedTuple):
     def is_exact(self) -> bool:
         """False when the contacts are solved less exactly than the scene requires."""
         return self.contact.converged
-
-
-def _between(begin: np.ndarray, end: np.ndarray, share: float) -> np.ndarray:
-    return begin + share * (end - begin)

@@ -69,8 +69,6 @@ ROUND_OFF = 1.0e-11
 LIMIT_MARGIN = 1.0e-4
 # After each second start in vain, twice as many linearizations pass without one, and at most these.
 LONGEST_WAIT = 7
-# Shares of a move that are tried, where a whole one folds the body or leads away from balance.
-SHARES = (1.0, 0.5, 0.25, 0.125)
 # The path of a cable this near to its limit, as a share of the cable's scale, is at the limit.
 AT_LIMIT = 1.0e-8
 
@@ -541,14 +539,13 @@ class InverseActuation:
         """
 
     def tries(self, found: Actuation, held: Actuation) -> Iterator[Actuation]:
-        """What is tried, one after the other, until the bodies accept a move: ever smaller shares.
+        """What is tried, one after the other, until the bodies accept a move.
 
         Args:
             found: What was found by `solve`.
-            held: What a shorter step begins with.
+            held: What the actuators do when they stay.
         """
-        for share in SHARES:
-            yield found if share == 1.0 else found.blended(held, share)
+        yield found
 
     def refuse(self, is_stuck: bool) -> None:
         """Note that the bodies accepted less than what was found.

@@ -23,11 +23,11 @@ from softrobot_twin.simulation.step.actuation import Actuation
 from softrobot_twin.simulation.step.augmented_tangent import HeldActuators
 from softrobot_twin.simulation.step.force_balance import ForceBalance
 from softrobot_twin.simulation.step.linearized import Linearized
-from softrobot_twin.simulation.step.merit import Merit, Move
-from softrobot_twin.simulation.step.tangent import TOO_SHORT, Tangent
+from softrobot_twin.simulation.step.share_rule import Move, ShareRule
+from softrobot_twin.simulation.step.tangent import Tangent
 from softrobot_twin.simulation.step.time_budget import StageClock
 
-# Where no merit tells how far a linearization holds (in motion, with friction, with slender parts), no
+# Where no rule tells how far a linearization holds (in motion, with slender parts), no
 # node moves further than this share of the body's size in one linearization, seen from slides that carry it.
 LONGEST_MOVE = 0.1
 # Displacements h v that inertia may add to it.
@@ -39,25 +39,13 @@ INERTIAL_SHARE = 1.5
 GREATEST_CONTRACTION = 0.5
 # Beyond this share the factor is worn out: the next linearization makes a new one.
 WORN_CONTRACTION = 0.1
-# Displacements below this share of the body's size are round-off.
-ROUND_OFF = 1.0e-9
 # In motion, a move dq along which forces change from r(0) to r(1) went too far where -r(1)·dq is
 # more than this share of r(0)·dq. Parts that turned are stretched then.
 OVERSHOOT = 0.1
-# Where forces have no energy, a move went too far where -r(1)·dq is more than this share of r(0)·dq.
-# Tries of the share where r·dq is zero, and the share of r(0)·dq that counts as zero.
-OVERSHOOT_WITHOUT_ENERGY, MOST_TRIALS, SLOPE_AT_REST = 0.5, 8, 0.1
-# Factor by which a move by a projected tangent is lengthened where it was far too short, and the most tries.
-LONGER, MOST_LENGTHENINGS = 4.0, 8
 # Moves that a step makes after such a move at least, none longer than it: the first takes the
 # stretch back and hardly moves the body, which the stretch stiffens; the second makes what was
 # missing.
 MOVES_AFTER_OVERSHOOT = 2
-# A move takes the one before it back where it goes at least the first share of that one the other way,
-# and at least the second share of its square lies along that one.
-BACK, ALONG = 0.5, 0.9
-# Halvings of a move that still folds an element.
-MOST_UNFOLDINGS = 40
 
 
 @njit(**KERNEL)
@@ -73,7 +61,7 @@ class Newton:
         balance: The sums of the terms.
         tangent: The tangent, and the condensed system.
         move: The last correction of the positions.
-        merit: What its length is judged by, where it `judges`.
+        share_rule: How much of it is made.
         last_move: Longest displacement of a node in it [m].
     """
 
@@ -84,24 +72,13 @@ class Newton:
             model: The built scene.
         """
         self._model, self._rows = model, model.rows
-        self._stays_upright = any(term.stays_upright for term in model.forces)
         self.balance, self.move = ForceBalance(model, self._make_whole), Move(model)
-        self.merit = Merit(model, self.move, self.balance.gather_forces)
-        self._whole_limit = np.inf if self.merit.judges else LONGEST_MOVE * model.nodes.size
+        self.share_rule = ShareRule(model, self.move, self.balance)
+        self._whole_limit = np.inf if self.share_rule.judges else LONGEST_MOVE * model.nodes.size
         self._step_limit = self._whole_limit
         self.last_move = self._slope = 0.0
         self._moves_to_make = 0
-        self._conserves, is_slender = model.actuators.conserves, any(t.is_slender for t in model.forces)
-        # Whole moves of slender bodies push back, and converge all the same.
-        self._searches = not (self._conserves or is_slender)
-        self._judged: Actuation | None = None
         self._judges_projection = False
-        # What the last move of the step displaced, where contacts may lead to and fro.
-        may_swing = self._rows.varies and not (self.merit.judges or model.is_dynamic)
-        self._last_way = np.zeros_like(self.move.displacement) if may_swing else None
-        # A single point has no size, and no round-off that could be told from a move.
-        finite = np.isfinite(model.nodes.size)
-        self._round_off = ROUND_OFF * model.nodes.size if finite else 0.0
         self._was_folded = False
         self._longest, self._work, self._limit = np.zeros((3, 1))
         self.tangent = Tangent(model, self.balance)
@@ -110,7 +87,7 @@ class Newton:
         """Forget what earlier states taught: the next linearization starts from nothing."""
         self.balance.forget()
         self.tangent.forget()
-        self.merit.forget()
+        self.share_rule.forget()
 
     def begin_step(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:
         """Allow longer moves to nodes that inertia carries on.
@@ -125,8 +102,7 @@ class Newton:
         inertial = INERTIAL_SHARE * time_step * self._model.nodes.longest(velocities)
         self._step_limit = self._whole_limit + inertial
         self._moves_to_make = 0
-        if self._last_way is not None:
-            self._last_way[:] = 0.0
+        self.share_rule.begin_step()
         if time_step != self.balance.time_step:
             self.tangent.factor_age = None
         self.expect(time_step)
@@ -185,7 +161,7 @@ class Newton:
         self._was_folded = self.balance.is_folded
         if self._rows.varies:
             self._rows.detect(positions)
-            self.merit.see_overlaps()
+            self.share_rule.see_overlaps()
             self._rows.choose_stiffness(held is not None and held.is_prescribed)
             clock.mark("detect")
 
@@ -225,7 +201,7 @@ class Newton:
         Args:
             positions: Node positions [m], shape (node_count, 3); moved.
             actuation: λ of the optimisation.
-            is_judged: Whether `accepts` or `settle` judges the move afterwards.
+            is_judged: Whether `settle` judges the move afterwards.
 
         Returns:
             Share of the move that was made: one, less where it was too long for a
@@ -240,7 +216,7 @@ class Newton:
             self._limit[0] = self._step_limit
             if balance.make_whole(positions):
                 self.last_move = float(self._longest[0])
-                is_judged = is_judged and self.last_move > self._round_off
+                is_judged = is_judged and self.last_move > self.share_rule.round_off
                 self._note(actuation, is_judged, float(self._work[0]))
                 return 1.0, actuation
         move = tangent.linear.expand(balance.multipliers)
@@ -251,7 +227,7 @@ class Newton:
             share = min(share, self._rows.largest_share(positions, move))
             self.last_move = share * longest
             actuation = tangent.true_efforts(actuation)
-            self._note(actuation, is_judged and longest > self._round_off)
+            self._note(actuation, is_judged and longest > self.share_rule.round_off)
             self.move.make(positions, share)
         else:
             share = 0.0
@@ -279,29 +255,23 @@ class Newton:
         return True
 
     def _note(self, actuation: Actuation, is_judged: bool, slope: float | None = None) -> None:
-        """Note a move for `asks_for_more_moves` or for the merit.
+        """Note a move for `asks_for_more_moves` or for the rule of shares.
 
         Without the work of the forces b + Hᵀλ along it [J], it is noted before it is made.
 
         At given efforts full moves of slender bodies converge faster than moves that lower the
         energy, and only those of bodies that buckle or are nearly flat are judged.
         """
+        rule, tangent = self.share_rule, self.tangent
+        is_judged = is_judged and rule.judges
         if actuation.are_efforts_given:
-            is_judged = is_judged and (self.tangent.is_projected or self.balance.is_nearly_flat)
-        is_searched = self._searches and is_judged and not actuation.are_efforts_given
-        self._judges_projection = self.tangent.projects_in_part and self.tangent.is_projected
-        needs_slope = self._model.is_dynamic or not self._conserves or self._judges_projection
-        is_judged = is_judged and self.merit.judges
-        if needs_slope or is_judged:
-            if slope is None:
-                self.balance.load(actuation)
-                slope = self._left_slope()
-            self._slope = slope
-        self._judged = actuation if is_searched else None
-        if is_judged:
-            self.merit.begin(actuation, self._slope)
-        else:
-            self.merit.skip()
+            is_judged = is_judged and (tangent.is_projected or self.balance.is_nearly_flat)
+        self._judges_projection = tangent.projects_in_part and tangent.is_projected
+        if slope is None and (is_judged or self._model.is_dynamic or self._judges_projection):
+            self.balance.load(actuation)
+            slope = rule.work()
+        self._slope = slope or 0.0
+        rule.begin(actuation, self._slope, is_judged)
 
     def take_back(self, positions: np.ndarray) -> None:
         """Undo the last move, and take the forces of where it began again, for the next one.
@@ -320,21 +290,6 @@ class Newton:
         """
         return self.balance.is_folded and not self._was_folded
 
-    def accepts(self, positions: np.ndarray, share: float) -> bool:
-        """Whether the last move folds no element and lowers the merit; asked after `residual`.
-
-        Args:
-            positions: Node positions after the move [m], shape (node_count, 3).
-            share: Share of the move that was made.
-        """
-        if share == 0.0 or self.inverts:
-            return False
-        if self._judged is not None and self._left_slope() < -OVERSHOOT_WITHOUT_ENERGY * abs(self._slope):
-            return False
-        if not self.merit.is_judging or self.merit.trusts(self.balance.forces):
-            return True
-        return self.merit.accepts(positions, share)
-
     def asks_for_more_moves(self, share: float) -> bool:
         """Whether a step in motion made a move that went too far, and too few after it.
 
@@ -344,8 +299,8 @@ class Newton:
             share: Share of the last move that was made.
         """
         went_too_far = share < 1.0
-        if self.last_move > self._round_off:
-            went_too_far = went_too_far or self._left_slope() < -OVERSHOOT * self._slope
+        if self.last_move > self.share_rule.round_off:
+            went_too_far = went_too_far or self.share_rule.work() < -OVERSHOOT * self._slope
         if went_too_far:
             self._moves_to_make = MOVES_AFTER_OVERSHOOT
             self._step_limit = min(self._step_limit, self.last_move)
@@ -353,150 +308,22 @@ class Newton:
             self._moves_to_make -= 1
         return self._moves_to_make > 0
 
-    def settle(self, positions: np.ndarray, share: float) -> float:
-        """Shorten the last move where it folds elements or does not lower the merit.
+    def settle(self, positions: np.ndarray, share: float, is_sought: bool) -> float:
+        """Make the share of the last move that the rule asks for; asked after `residual`.
 
         Args:
             positions: Node positions after the move [m], shape (node_count, 3); moved.
             share: Share of the move that was made.
+            is_sought: Whether targets chose what the actuators do.
 
         Returns:
             The share that is made. Where it is another, the residual is to be taken again.
         """
-        settled, is_judging = share, self.merit.is_judging
-        if self._judged is not None and not self.inverts:
-            settled = self._pushing_share(positions, share)
-        elif self.inverts:
-            settled *= self.balance.upright_share(self.move.start, positions)
-        elif not is_judging:
-            settled = self._share_without_swing(share)
-            if settled == share:
-                return share
-        elif self.merit.trusts(self.balance.forces):
-            may_lengthen = self.tangent.is_projected and not self._was_folded
-            if may_lengthen and self._left_slope() > TOO_SHORT * abs(self._slope):
-                return self._lengthened_share(positions, share)
-            return share
-        if is_judging:
-            settled = self.merit.search(positions, settled)
-        else:
-            self.move.make(positions, settled)
-            self.balance.gather_forces(positions)
-        if self._stays_upright:
-            settled = self._unfolded_share(positions, settled)
-        self.last_move *= settled / share
+        is_too_stiff = self.tangent.is_projected
+        settled = self.share_rule.settle(positions, share, self._was_folded, is_too_stiff, is_sought)
+        if settled != share:
+            self.last_move *= settled / share
         return settled
-
-    def _lengthened_share(self, positions: np.ndarray, share: float) -> float:
-        """Lengthen the last move while the merit falls, and no row forbids it.
-
-        Where a body just buckles, its projected tangent is too stiff by orders of magnitude along
-        the way it gives. Bodies with folded elements unfold by short moves: long ones end elsewhere.
-
-        Args:
-            positions: Node positions after the move [m], shape (node_count, 3); moved.
-            share: Share of the move that was made.
-
-        Returns:
-            The share that is made.
-        """
-        begin = self.merit.at_start()
-        best = self.merit.try_share(positions, share, begin)
-        for _ in range(MOST_LENGTHENINGS):
-            start, longer = self.move.start, LONGER * share * self.move.displacement
-            if self._rows.largest_share(start, longer) < 1.0:
-                break
-            self.move.make(positions, LONGER * share)
-            if self.balance.upright_share(start, positions) < 1.0:
-                break
-            tried = self.merit.try_share(positions, LONGER * share, begin)
-            if self.balance.is_folded or not tried.change < best.change:
-                break
-            share, best = LONGER * share, tried
-        self.move.make(positions, share)
-        self.last_move *= share
-        return share
-
-    def _unfolded_share(self, positions: np.ndarray, share: float) -> float:
-        """Shorten the last move further, where elements of rubber fold between the points that
-        `largest_share` follows.
-
-        Args:
-            positions: Node positions after the move [m], shape (node_count, 3); moved.
-            share: Share of the move that was made.
-
-        Returns:
-            The share that is made.
-        """
-        for _ in range(MOST_UNFOLDINGS):
-            if not self.inverts:
-                return share
-            share *= 0.5
-            self.move.make(positions, share)
-            self.balance.gather_forces(positions)
-        self.move.make(positions, 0.0)
-        self.balance.gather_forces(positions)
-        return 0.0
-
-    def _share_without_swing(self, share: float) -> float:
-        """Shorten a move that takes the one before it back and leaves the bodies out of balance.
-
-        Where contacts close by one move and open by the next, moves lead to and fro between two
-        states, and no energy tells which of them goes too far. Aitken's extrapolation leads to where
-        they would end if each were the same share of the one before.
-
-        Args:
-            share: Share of the move that was made.
-
-        Returns:
-            The share to make.
-        """
-        last = self._last_way
-        if last is None:
-            return share
-        way = share * self.move.displacement
-        along, squared = float(np.vdot(way, last)), float(np.vdot(last, last))
-        goes_back = along < -BACK * squared and along**2 > ALONG * squared * float(np.vdot(way, way))
-        if goes_back and self.balance.largest[0] > self._model.scene.solver.residual_tolerance:
-            shorter = squared / (squared - along)
-            share *= shorter
-            way *= shorter
-        copy_vectors(way, last)
-        return share
-
-    def _left_slope(self) -> float:
-        """Work of the forces b + Hᵀλ that were taken last along the whole last move [J]."""
-        return float(np.vdot(self.balance.forces, self.move.displacement))
-
-    def _pushing_share(self, positions: np.ndarray, share: float) -> float:
-        """How much of a move the forces still push along, where they have no energy.
-
-        What slipped one way may stick or slip the other way after a move, which the linearization
-        does not know. The share where the forces do no work along the move is found
-        by bisection and false position.
-
-        Args:
-            positions: Node positions after the move [m], shape (node_count, 3); moved.
-            share: Share of the move that was made.
-        """
-        begin, left = self._slope, self._left_slope()
-        if begin <= 0.0 or left >= -OVERSHOOT_WITHOUT_ENERGY * begin:
-            return share
-        low, high, at_low, at_high = 0.0, share, begin, left
-        for trial in range(MOST_TRIALS):
-            share = 0.5 * (low + high)
-            if trial % 2 == 0:
-                share = low + (high - low) * at_low / (at_low - at_high)
-            self.move.make(positions, share)
-            self.residual(positions, self._judged)
-            left = self._left_slope()
-            if abs(left) <= SLOPE_AT_REST * begin:
-                break
-            if left > 0.0:
-                low, at_low = share, left
-            else:
-                high, at_high = share, left
-        return share
 
     def residual(self, positions: np.ndarray, actuation: Actuation) -> float:
         """Largest force out of balance on a node [N]; see `ForceBalance.residual`.
@@ -509,7 +336,7 @@ class Newton:
         if self._judges_projection:
             self._judges_projection = False
             is_whole = self.last_move < self._step_limit
-            self.tangent.judge_projection(self._slope, self._left_slope(), is_whole)
+            self.tangent.judge_projection(self._slope, self.share_rule.work(), is_whole)
         return residual
 
     def makes_progress(self) -> bool:
@@ -521,7 +348,7 @@ class Newton:
             False when the correction must not be kept.
         """
         longest_left = self.longest_left()
-        if longest_left <= self._round_off:
+        if longest_left <= self.share_rule.round_off:
             return True
         self.tangent.is_worn = not longest_left <= WORN_CONTRACTION * self.last_move
         return longest_left <= GREATEST_CONTRACTION * self.last_move

@@ -25,7 +25,7 @@ from softrobot_twin.solvers.factorization import Factorization
 
 # A move by a projected tangent was far too short where r(1)·dq is more than this share of r(0)·dq.
 TOO_SHORT = 0.9
-# Where slender bodies have no merit, the next tangent is projected by so much less after such a move,
+# Where moves of slender bodies are not judged, the next tangent is projected by so much less after such a move,
 # and by as much more where -r(1)·dq is more than r(0)·dq; by no less than the second share. The
 # share grows by the third until the tangent is definite.
 LESS_PROJECTION, LEAST_PROJECTION, MORE_PROJECTION = 8.0, 2.0**-16, 2.0
