@@ -41,6 +41,11 @@ def test_the_finger_bends_to_the_angles_that_its_sensor_shall_show(run):
     assert (np.diff(seen["string"]) > 0.0).all()
 
 
+def test_the_finger_presses_as_hard_as_is_wanted(run):
+    seen = run("pressing_finger")
+    np.testing.assert_allclose(seen["felt"], seen["wanted"], rtol=1e-3)  # N
+
+
 @pytest.mark.exhaustive
 def test_the_cube_swings_under_the_cup_and_falls_when_it_is_let_go(run):
     seen = run("pick_and_place")

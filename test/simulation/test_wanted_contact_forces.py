@@ -48,16 +48,22 @@ def test_the_force_of_a_pair_is_shown_with_friction_and_without(finger, friction
     assert force == pytest.approx(normal, rel=1e-6) and force > 0.05
 
 
-def test_what_a_linearization_says_of_the_force_is_its_slope(finger):
+@pytest.mark.parametrize("bent, presses", [(BENT, True), (np.array([0.001, 0.0008]), False)])
+def test_what_a_linearization_says_of_the_force_or_of_the_gap_is_its_slope(finger, bent, presses):
     robot = finger()
-    bend(robot)
+    bend(robot, bent)
     linear, (a, e, c) = robot.newton.tangent.linear, robot.newton.tangent.linear.groups
     pressing = c.start + np.flatnonzero(robot.model.contacts.memory.forces[:, 0] > 0.0)
+    assert (len(pressing) > 0) == presses
     unknowns = np.concatenate([np.arange(a.stop), pressing])
     change = np.linalg.lstsq(linear.W[np.ix_(unknowns, unknowns)], np.eye(len(unknowns))[:, : a.stop], rcond=1e-12)[0]
-    found = linear.W[e.stop - 1, unknowns] @ change / robot.model.wanted_sensors.lengths
-    ends = [[bend(robot, BENT + step * way)[1] for step in (1e-6, -1e-6)] for way in np.eye(2)]
-    np.testing.assert_allclose(found, -np.diff(ends, axis=1)[:, 0] / 2e-6, rtol=1e-5)
+
+    def shown(shortening):
+        bend(robot, shortening)
+        return robot.newton.tangent.linear.effectors_now[-1]
+
+    ends = [[shown(bent + step * way) for step in (1e-6, -1e-6)] for way in np.eye(2)]
+    np.testing.assert_allclose(linear.W[e.stop - 1, unknowns] @ change, -np.diff(ends, axis=1)[:, 0] / 2e-6, rtol=1e-5)
 
 
 @pytest.mark.parametrize("sensor, contact, words", [
@@ -80,6 +86,18 @@ def test_a_place_leads_to_the_touch_and_a_force_of_more_weight_decides_there_als
     assert (told["touch_force_N"], told["touch_target_force_N"]) == (pytest.approx(0.1, abs=2e-4), 0.1)
 
 
-def test_a_force_without_a_place_beside_it_is_refused(finger):
-    with pytest.raises(CommandError, match="another sensor beside it"):
-        follow(finger(), 0.1)
+def test_a_force_alone_brings_the_finger_to_the_wall_and_is_reached_there(finger):
+    robot = finger()
+    for force in (0.05, 0.3, 0.1, 0.0):
+        assert follow(robot, force) == ("ok", pytest.approx(force, abs=1e-5))
+
+
+def test_a_force_where_nothing_touches_is_named_after_its_sensor(finger):
+    robot = finger(contact={"alarm_distance": 0.002})
+    result = repeat_step(robot, FollowTargets(np.full((1, 3), np.nan), 1.0, sensors=np.array([0.1])), 4)
+    assert (result.status.value, result.report.active_limits) == ("saturated", ("touch.apart",))
+
+
+def test_a_force_below_zero_is_refused(finger):
+    with pytest.raises(CommandError, match="contacts only press"):
+        follow(finger(), -0.1)

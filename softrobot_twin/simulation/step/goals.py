@@ -45,6 +45,8 @@ from softrobot_twin.solvers.inverse_problem import Bounds
 
 # Named where a target is further away than one step leads, or the steps are not there yet.
 REACH = "effectors.reach"
+# Named of a wanted contact force where nothing touches.
+APART = "apart"
 # Named where less weight of the energy would bring an effector nearer.
 ENERGY = "solver.energy_weight"
 # A demand is met when a displacement is this near to it, as a share of the actuator's scale.
@@ -344,14 +346,8 @@ class TargetGoal(Goal):
         if self._sensors is not None:
             self._of_sensors = self._sensors.lengths * values[list(own.values())]
             self.wanted = np.concatenate([self.wanted, self._of_sensors])
-            if self._sensors.shows_contacts:
-                self._refuse_forces_alone()
-
-    def _refuse_forces_alone(self) -> None:
-        """Refuse targets of contact forces beside none of a place or another sensor."""
-        force_count = np.isfinite(self._of_sensors[self._sensors.contact_rows]).sum()
-        if force_count and force_count == np.isfinite(self.wanted).sum():
-            raise CommandError("sensors", "a contact force needs the target of a place or of another sensor beside it")
+            if (self._of_sensors[self._sensors.contact_rows] < 0.0).any():
+                raise CommandError("sensors", "contacts only press: a force below 0 N is none of theirs")
 
     def misses_of_sensors(self, positions: np.ndarray) -> np.ndarray:
         """How far each sensor that may have a target is from it [m], NaN without one.
@@ -363,6 +359,14 @@ class TargetGoal(Goal):
             return np.empty(0)
         shown = self._sensors.readings(positions) * self._sensors.lengths
         return np.abs(shown - self._of_sensors)
+
+    def _pairs_apart(self) -> tuple[str, ...]:
+        """Names of the wanted contact forces of which nothing touches, such as ``touch.apart``."""
+        if self._sensors is None or not self._sensors.shows_contacts:
+            return ()
+        rows, names = self._sensors.contact_rows, [name for name, own in self._goals.wanted_sensors.items() if own]
+        wanted, shown = self._of_sensors[rows], self._sensors.readings(self._model.nodes.rest_positions)[rows]
+        return tuple(f"{name}.{APART}" for name in np.array(names)[rows][(wanted > 0.0) & (shown <= 0.0)])
 
     def _check_stiffness(self, stiffness: np.ndarray) -> None:
         """Refuse wanted stiffnesses [N/m] that are none, or of effectors that ask for none."""
@@ -446,6 +450,9 @@ class TargetGoal(Goal):
             after: After it [m], same shape.
         """
         inverse, tolerance = self._goals.inverse, self._model.reach_tolerance
+        apart = self._pairs_apart()
+        if apart:
+            return apart if inverse.rests or self._model.is_dynamic else (REACH,)
         most = np.fmax.reduce(before, initial=0.0)
         nearer = most - np.fmax.reduce(after, initial=0.0)
         if nearer > tolerance or nearer > inverse.least_progress * most:

@@ -193,10 +193,25 @@ class Linearized:
             condensed = self._condense_with_friction()
         free = self._add_own(condensed.W, condensed.free)
         if self._shown is not None:
-            rows, columns = self._shown
-            free[rows] -= self._values[rows]
-            condensed.W[rows, self._all.contacts] += columns
+            self._show_forces(condensed.W, free)
         self._take_in(Compliance(condensed.W), free)
+
+    def _show_forces(self, W: np.ndarray, free: np.ndarray) -> None:
+        """Write rows of contact forces: the force of a pair in metres, less the gap that closes most easily.
+
+        One of both is zero. So actuators bring a pair together that is apart.
+        """
+        (rows, columns), contacts = self._shown, self._all.contacts
+        free[rows] -= self._values[rows]
+        W[rows, contacts] += columns
+        yielding, gaps = W.diagonal()[contacts], self._values[contacts]
+        for row, shares in zip(range(rows.start, rows.stop), columns, strict=True):
+            own = np.flatnonzero((shares > 0.0) & (yielding > 0.0))
+            if len(own):
+                first = contacts.start + own[np.argmin(gaps[own] / yielding[own])]
+                W[row] -= W[first]
+                free[row] -= free[first]
+                self._values[row] -= self._values[first]
 
     def _add_moves(self) -> None:
         """Add rows and columns of the slides behind those of the other actuators."""
