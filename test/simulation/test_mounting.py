@@ -127,6 +127,12 @@ def test_another_number_mounts_from_the_last_mounted_shape(mounted_emio):
     assert np.abs(near.state.positions - mounted_emio.mounted.positions).max() > 1e-4
 
 
+def test_a_strip_that_is_bent_the_other_way_is_mounted_anew():
+    before = Simulation(strip(on_an_arc(1.0)), with_warnings=False).mounted
+    found, anew = (Simulation(strip(on_an_arc(-1.0)), with_warnings=False, mounted=one) for one in (before, None))
+    np.testing.assert_allclose(found.state.positions, anew.state.positions, atol=1e-9)
+
+
 @pytest.mark.exhaustive
 def test_a_robot_snaps_where_the_branch_of_its_mounting_ends():
     """Three quarters of the way two servos that are turned back let the hub over."""
