@@ -825,6 +825,7 @@ class Calibration(NamedTuple):
         steps: What each number brought that was chosen without keys, the first first.
         reach: How errors grow outside of the poses of the fit.
         hysteresis: See there; None where there is none.
+        size: Of the robot [m].
     """
 
     scene: Scene
@@ -839,6 +840,7 @@ class Calibration(NamedTuple):
     steps: tuple[tuple[str, Step], ...]
     reach: Reach
     hysteresis: Hysteresis | None
+    size: float
 
     @property
     def values(self) -> dict[str, float]:
@@ -867,7 +869,12 @@ class Calibration(NamedTuple):
     def is_accepted(self) -> bool:
         """Whether there are numbers that the data tell apart, and they are better than those before."""
         are_apart = all(len(group) == 1 for group in self.not_told)
-        return are_apart and bool(self.estimate.unknowns) and self.validation.is_better
+        return are_apart and bool(self.estimate.unknowns) and self.validation.is_better and not self.is_elsewhere
+
+    @property
+    def is_elsewhere(self) -> bool:
+        """Whether the robot is so far from the model at most poses that it must rest in another place."""
+        return bool(np.median(self.validation.by_pose[1]) > OTHER_SHAPE_SIZE * self.size)
 
 
 def usual_keys(scene: Scene) -> list[list[str]]:
@@ -1041,7 +1048,7 @@ def calibrate(
     return Calibration(
         fitted, kept, validated(model.of(held), fit.wide, values, reach), fit.not_told, len(fit.poses),
         tuple(aside.words + _rows_in_words(aside.rows)), scene, tuple(fit.poses), fit.found, fit.steps, reach,
-        hysteresis(*_in_order(used, off)))  # fmt: skip
+        hysteresis(*_in_order(used, off)), model.size)  # fmt: skip
 
 
 class _Aside(NamedTuple):

@@ -180,6 +180,11 @@ def why_not(found: Calibration) -> str:
     Args:
         found: The calibration.
     """
+    if found.is_elsewhere:
+        before, after = 1e3 * np.median(found.validation.by_pose, axis=1)
+        return (f"the robot stands {before:.0f} mm from the model at most poses before any number is fitted, and "
+                f"{after:.0f} mm after: it may rest in another place than the model; move it by hand to where the "
+                "model rests, which explain --picture draws, and measure anew")
     alike = [" and ".join(group) for group in found.not_told if len(group) > 1]
     if alike:
         return f"fit only one of {', and of '.join(alike)}, or measure what tells them apart"
