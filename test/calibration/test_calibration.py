@@ -21,6 +21,7 @@ from softrobot_twin.calibration.calibration import (
     unknowns_of,
     usual_keys,
 )
+from softrobot_twin.calibration.calibration_report import why_not
 from softrobot_twin.command_line.commands import program
 from softrobot_twin.control.rest_watch import RestPose
 from softrobot_twin.errors import NamedError
@@ -358,6 +359,13 @@ def test_a_pose_in_another_shape_is_set_aside_and_named(bar, random):
     found = calibrate(bar, poses, [E])
     assert len(found.set_aside) == 1 and found.set_aside[0].startswith("pose 2: ")
     assert found.values[E] == pytest.approx(3e5, rel=0.05)
+
+
+def test_a_robot_that_has_buckled_the_other_way_is_not_accepted_and_the_reason_is_told():
+    twin, robot = (changed_scene(scene_from_mapping({**BAR, "gravity": [-9.81, 0.0, z]}), {E: 6e3}) for z in (-0.1, 0.1))
+    found = calibrate(twin, measured(robot, poses_at(twin, np.full((6, 3), -0.01), 1e-5 * np.arange(6), False)), [E])
+    assert found.is_elsewhere and not found.is_accepted
+    assert why_not(found).startswith("the robot stands 60 mm from the model at most poses")
 
 
 def test_too_few_poses_and_numbers_without_a_value_are_refused(bar, random):
