@@ -3,17 +3,14 @@
 The inverse problem follows its linearization downhill, so it may rest where a nearer pose exists that no
 small move leads to. From there the simulation goes on while the robot stays: one actuator, or all, go by a
 share of their scales, and from where that leads the targets are followed as always. Where the body comes
-to rest nearer to them, the robot goes the same way. In a narrow valley a linearization may see no way down
-though there is one: at last, each actuator moves a little, and the least squares of what that did tell
-where to go. What is tried is taken back by restoring the state. It costs time only: in place of each step
-of the robot, which would change nothing, it is one of these.
+to rest nearer to them, the robot goes the same way. What is tried is taken back by restoring the state. It
+costs time only: in place of each step of the robot, which would change nothing, it is one of these.
 """
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -23,7 +20,6 @@ from softrobot_twin.simulation.result import Status, StepResult
 from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.step.step_part import Planner, Steppable, StepPart
 from softrobot_twin.simulation.step.situation import CALM
-from softrobot_twin.solvers.direct_problem import solve_by_daqp
 
 # Moves of one actuator, as shares of its scale, in the order in which they are tried; a move that
 # its limits shorten to less than the last share is not.
@@ -37,24 +33,6 @@ NEARER = 0.985
 # Steps of one trial; steps in which it comes no nearer than so far by `PROGRESS`, before it is given up
 # where it is not nearer. Where it is, it goes on until so many steps in balance were calm.
 MOST_STEPS, PATIENCE, PROGRESS, CALM_STEPS = 300, 12, 5.0e-3, 40
-# The descent by measured moves: their length and the first and least radius of its steps, as shares of
-# the actuators' scales; how often it measures; the share by which T must fall to go on.
-MEASURED_MOVE, FIRST_RADIUS, LEAST_RADIUS, MOST_DESCENTS, DESCENT = 1.0e-3, 0.02, 2.0e-4, 12, 2.0e-3
-
-
-class Trial(NamedTuple):
-    """What is tried.
-
-    Attributes:
-        goal: Displacements to which the actuators go, or efforts of what is driven by them, shape
-            (actuator_count,).
-        follows: Whether the targets are followed from there; else the actuators stay.
-        measures: Whether it is over there, and only the misses are asked for.
-    """
-
-    goal: np.ndarray
-    follows: bool
-    measures: bool = False
 
 
 class Exploration:
@@ -64,7 +42,8 @@ class Exploration:
         command: The command to follow the targets.
         result: What tells that the robot rests.
         misses: Distances from the targets where it stays, times the roots of their weights [m], shape (n,).
-        trial: The present trial; None where all were in vain.
+        trial: Where the actuators go in the present trial before they follow the targets: displacements, or
+            efforts of what is driven by them, shape (actuator_count,); None where all were in vain.
         is_found: Whether the present trial leads nearer, so that the robot itself goes this way.
         state: Where the present trial stands.
         factor_age: Age of its factor; see `Newton`.
@@ -84,27 +63,17 @@ class Exploration:
         if command.commanded is not None:
             self._is_free = np.isnan(command.commanded)
         self._drives, self.limits = actuators.drives(result.state.setpoints), actuators.limits
-        self.is_found, self._trials = False, self._all_trials()
-        self._begin(next(self._trials, None))
+        self.is_found, self._trials = False, self._goals()
+        self.next_trial()
 
     @property
     def missed(self) -> float:
         """Weighted sum of squared distances where the robot stays [m²]."""
         return float(self.misses @ self.misses)
 
-    def next_trial(self, reached: np.ndarray | None = None) -> None:
-        """Begin the next trial where the robot stays, or end.
-
-        Args:
-            reached: The misses where the last one came to; None where it came to no stable balance.
-        """
-        try:
-            self._begin(self._trials.send(reached))
-        except StopIteration:
-            self._begin(None)
-
-    def _begin(self, trial: Trial | None) -> None:
-        self.trial = trial
+    def next_trial(self) -> None:
+        """Begin the next trial where the robot stays, or end."""
+        self.trial = next(self._trials, None)
         self.state: State = self.result.state
         self.factor_age: int | None = None
         self._best, self._count, self._since, self._calm_count = np.inf, 0, 0, 0
@@ -129,9 +98,6 @@ class Exploration:
         self._count += 1
         if self._count >= MOST_STEPS:
             self.next_trial()
-        elif self.trial.measures:
-            if has_gone:
-                self.next_trial(misses if is_stable else None)
         elif has_gone:
             missed = float(misses @ misses)
             self._since += 1
@@ -143,13 +109,6 @@ class Exploration:
             if self._since >= PATIENCE:
                 self.next_trial()
 
-    def _all_trials(self) -> Generator[Trial, np.ndarray | None, None]:
-        for goal in self._goals():
-            yield Trial(goal, follows=True)
-        found = yield from self._descend()
-        if found is not None:
-            yield Trial(found, follows=False)
-
     def _goals(self) -> Iterator[np.ndarray]:
         """Places from where the targets are followed: first one actuator has moved, then all."""
         count, scale = len(self._drives), self.limits.drive_scale
@@ -157,56 +116,9 @@ class Exploration:
         rng = np.random.default_rng(0)
         moves += [RANDOM_MOVE * rng.normal(size=count) * self._is_free for _ in range(RANDOM_MOVES)]
         for move in moves:
-            goal = self._within(self._drives + move * scale)
+            goal = np.clip(self._drives + move * scale, self.limits.drive_min, self.limits.drive_max)
             if (np.abs(goal - self._drives) >= LEAST_MOVE * scale).any():
                 yield goal
-
-    def _within(self, drives: np.ndarray) -> np.ndarray:
-        return np.clip(drives, self.limits.drive_min, self.limits.drive_max)
-
-    def _descend(self) -> Generator[Trial, np.ndarray | None, np.ndarray | None]:
-        """Gauss-Newton with measured derivatives; gives a nearer place of the actuators, or None."""
-        place, misses, radius = self._drives, self.misses, FIRST_RADIUS
-        for _ in range(MOST_DESCENTS):
-            slopes = yield from self._slopes(place, misses)
-            before = misses @ misses
-            while radius >= LEAST_RADIUS and misses @ misses == before:
-                tried = self._least_squares(place, misses, slopes, radius)
-                reached = yield Trial(tried, follows=False, measures=True)
-                is_lower = reached is not None and reached @ reached < before
-                radius *= 2.0 if is_lower else 0.25
-                if is_lower:
-                    place, misses = tried, reached
-            if misses @ misses > (1.0 - DESCENT) * before:
-                break
-        return place if misses @ misses < NEARER * self.missed else None
-
-    def _slopes(
-        self, place: np.ndarray, misses: np.ndarray
-    ) -> Generator[Trial, np.ndarray | None, np.ndarray]:
-        """Measured derivatives of the misses by shares of the actuators' scales, shape (n, count)."""
-        slopes = np.zeros((len(misses), len(place)))
-        for i in np.flatnonzero(self._is_free):
-            move = MEASURED_MOVE * self.limits.drive_scale[i]
-            if place[i] + move > self.limits.drive_max[i]:
-                move = -move
-            moved = place.copy()
-            moved[i] += move
-            reached = yield Trial(moved, follows=False, measures=True)
-            if reached is not None:
-                slopes[:, i] = (reached - misses) / (move / self.limits.drive_scale[i])
-        return slopes
-
-    def _least_squares(
-        self, place: np.ndarray, misses: np.ndarray, slopes: np.ndarray, radius: float
-    ) -> np.ndarray:
-        """Where the linear misses are least within limits and a radius, shape (actuator_count,)."""
-        limits, scale = self.limits, self.limits.drive_scale
-        least = np.maximum((limits.drive_min - place) / scale, -radius)
-        most = np.minimum((limits.drive_max - place) / scale, radius)
-        least, most = np.minimum(least, 0.0), np.maximum(most, 0.0)
-        moves = solve_by_daqp(slopes.T @ slopes, slopes.T @ misses, least, most)
-        return self._within(place if moves is None else place + np.where(self._is_free, moves, 0.0) * scale)
 
 
 class Explorer(StepPart, Planner):
@@ -268,8 +180,7 @@ class Explorer(StepPart, Planner):
     def _begin_trial(self, simulation: Steppable) -> None:
         simulation.forget_solvers()
         if self._exploration.trial is not None:
-            trial = self._exploration.trial
-            simulation.inverse.depart(trial.goal, trial.follows)
+            simulation.inverse.depart(self._exploration.trial, True)
 
     def _try(
         self, simulation: Steppable, exploration: Exploration, command: Command,

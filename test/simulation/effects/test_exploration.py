@@ -1,11 +1,8 @@
 """Where a robot rests away from its targets, nearer poses are sought by simulation while it stays."""
 
-from dataclasses import replace
-
 import compare_inverse
 import numpy as np
 import pytest
-from scipy.optimize import minimize
 
 import softrobot_twin as st
 from softrobot_twin.simulation import FollowTargets
@@ -119,8 +116,8 @@ def goals(twin, commanded=None):
     result = twin.step(st.hold()).outcome
     command = FollowTargets(np.zeros((1, 3)), 0.02, commanded)
     exploration, found = Exploration(command, result, np.ones(1), simulation.actuators), []
-    while exploration.trial is not None and exploration.trial.follows:
-        found.append(exploration.trial.goal - simulation.actuators.drives(result.setpoints))
+    while exploration.trial is not None:
+        found.append(exploration.trial - simulation.actuators.drives(result.setpoints))
         exploration.next_trial()
     return np.array(found)
 
@@ -158,37 +155,3 @@ def test_a_trial_is_found_only_where_it_rests_nearer(limited):
         assert not judged(near, has_gone, is_stable, is_calm)[1]
     count, is_found = judged(far, True, True, True)
     assert not is_found and count < 50
-
-
-def descended(limited, misses_at, low=-1.0, high=1.0):
-    """Shares of the scales to which a descent by measured misses leads; None where that is nowhere."""
-    twin, asked = limited(newton_iterations=3)
-    result = twin.step(st.hold()).outcome
-    command = FollowTargets(np.zeros((1, 3)), 0.02)
-    actuators = twin.simulation.actuators
-    limits = replace(actuators.limits, displacement_min=low * actuators.limits.drive_scale,
-                     displacement_max=high * actuators.limits.drive_scale)  # fmt: skip
-    start = actuators.drives(result.setpoints) / limits.drive_scale
-    exploration = Exploration(command, result, misses_at(start), actuators)
-    exploration.limits = limits
-    while exploration.trial is not None and exploration.trial.follows:
-        exploration.next_trial()
-    while exploration.trial is not None and exploration.trial.measures:
-        exploration.next_trial(misses_at(exploration.trial.goal / limits.drive_scale))
-    return None if exploration.trial is None else exploration.trial.goal / limits.drive_scale
-
-
-def test_the_descent_by_measured_moves_finds_the_minimum_of_a_curved_valley(limited):
-    def misses_at(x):
-        return np.array([1.0 + x[0] - 0.05, 30.0 * (x[1] - x[0] ** 2 * 4.0)])
-
-    def least(low):
-        return minimize(lambda x: misses_at(x) @ misses_at(x), np.zeros(2), bounds=[(low, 1.0)] * 2).fun
-
-    found = descended(limited, misses_at, low=-0.05)
-    assert misses_at(found) @ misses_at(found) <= 1.001 * least(-0.05)
-    assert found.min() >= -0.05 - 1e-9
-
-
-def test_the_descent_tries_nothing_where_no_small_move_leads_down(limited):
-    assert descended(limited, lambda x: np.array([1.0, 0.3 * abs(x[0]), 0.2 * abs(x[1])])) is None
