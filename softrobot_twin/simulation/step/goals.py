@@ -346,8 +346,12 @@ class TargetGoal(Goal):
         if self._sensors is not None:
             self._of_sensors = self._sensors.lengths * values[list(own.values())]
             self.wanted = np.concatenate([self.wanted, self._of_sensors])
-            if (self._of_sensors[self._sensors.contact_rows] < 0.0).any():
-                raise CommandError("sensors", "contacts only press: a force below 0 N is none of theirs")
+            if self._sensors.shows_contacts:
+                forces = self.wanted[-len(self._of_sensors) :][self._sensors.contact_rows]
+                if (forces < 0.0).any():
+                    raise CommandError("sensors", "contacts only press: a force below 0 N is none of theirs")
+                # What shall not press need not come near.
+                forces[(forces == 0.0) & ~self._are_pressing()] = np.nan
 
     def misses_of_sensors(self, positions: np.ndarray) -> np.ndarray:
         """How far each sensor that may have a target is from it [m], NaN without one.
@@ -360,13 +364,17 @@ class TargetGoal(Goal):
         shown = self._sensors.readings(positions) * self._sensors.lengths
         return np.abs(shown - self._of_sensors)
 
+    def _are_pressing(self) -> np.ndarray:
+        """Whether each contact force that may have a target is above zero, in the order of its rows."""
+        return self._sensors.readings(self._model.nodes.rest_positions)[self._sensors.contact_rows] > 0.0
+
     def _pairs_apart(self) -> tuple[str, ...]:
         """Names of the wanted contact forces of which nothing touches, such as ``touch.apart``."""
         if self._sensors is None or not self._sensors.shows_contacts:
             return ()
         rows, names = self._sensors.contact_rows, [name for name, own in self._goals.wanted_sensors.items() if own]
-        wanted, shown = self._of_sensors[rows], self._sensors.readings(self._model.nodes.rest_positions)[rows]
-        return tuple(f"{name}.{APART}" for name in np.array(names)[rows][(wanted > 0.0) & (shown <= 0.0)])
+        are_apart = (self._of_sensors[rows] > 0.0) & ~self._are_pressing()
+        return tuple(f"{name}.{APART}" for name in np.array(names)[rows][are_apart])
 
     def _check_stiffness(self, stiffness: np.ndarray) -> None:
         """Refuse wanted stiffnesses [N/m] that are none, or of effectors that ask for none."""
