@@ -98,10 +98,7 @@ def test_a_force_where_nothing_touches_is_named_after_its_sensor(finger):
     assert (result.status.value, result.report.active_limits) == ("saturated", ("touch.apart",))
 
 
-def test_no_force_is_wanted_beside_a_place_away_from_the_wall(finger):
+def test_no_force_is_wanted_beside_a_place_away_from_the_wall_and_one_below_zero_is_refused(finger):
     assert follow(finger(), 0.0, x=0.006) == ("ok", 0.0)
-
-
-def test_a_force_below_zero_is_refused(finger):
     with pytest.raises(CommandError, match="contacts only press"):
         follow(finger(), -0.1)
