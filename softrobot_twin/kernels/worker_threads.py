@@ -111,6 +111,34 @@ def finish(task, done):
     _write(done.ctypes.data + 8 * task, 1)
 
 
+@njit(**INNER)
+def take_next(before, state, done):
+    """The next task; without a list, where one thread works alone, the one behind another."""
+    return take(state) if len(done) > 0 else before + 1
+
+
+@njit(**INNER)
+def wait_for_turn(task, state, done):
+    """Wait until all tasks before one have ended their turns; False as of `wait_for`."""
+    return len(done) == 0 or task == 0 or wait_for(task - 1, state, done)
+
+
+@njit(**INNER)
+def finish_turn(task, done):
+    """End a task of which only one at a time, in their order, may do what comes after its wait."""
+    if len(done) > 0:
+        finish(task, done)
+    return task
+
+
+NO_TASKS = np.zeros(0, np.int64)
+
+
+def run_alone(kernel: Callable, *arguments):
+    """Run a kernel of a list without a list, in this thread; see `Team.run`."""
+    return kernel(True, NO_TASKS, NO_TASKS, *arguments)
+
+
 _most_by_default = MOST_BY_DEFAULT
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from softrobot_twin.geometry.cell_mesh import node_counts_of, points_of
@@ -16,6 +18,7 @@ from softrobot_twin.geometry.vector_arrays import (
     write_differences,
 )
 from softrobot_twin.kernels.traced_stage import clear
+from softrobot_twin.kernels.worker_threads import Team, run_alone
 from softrobot_twin.mechanics.block_addition import are_contiguous
 from softrobot_twin.mechanics.compression_watch import CompressionWatch, coarseness
 from softrobot_twin.mechanics.element_assembly import assembly_of, deform_all
@@ -42,6 +45,9 @@ from softrobot_twin.mechanics.volume_barrier import (
 SMALL_STRETCH = 1.0e-4
 # Change of the deformation gradient over which its differential is differentiated.
 CURVATURE_STEP = 2.0e-5
+# Batches of one task of threads. With fewer batches times points times squared entries of a gradient, an
+# assembly takes less than a few times as long as helpers need to wake up.
+TASK_BATCHES, LEAST_TASKS_SIZE = 4, 1.0e7
 
 
 class Elements(ForceTerm):
@@ -64,6 +70,7 @@ class Elements(ForceTerm):
     hourglass: Hourglass | None = None
     has_energy = True
     is_traceable = True
+    _run = staticmethod(run_alone)
 
     def __init__(self, mesh, free_index: np.ndarray, law: tuple):
         """Prepare the elements.
@@ -136,6 +143,12 @@ class Elements(ForceTerm):
             )  # fmt: skip
         if law_of(self.law).is_linear:
             self._constant_stiffness = self._sum_stiffness_once()
+
+    def use_threads(self, team: Team) -> None:
+        """See `ForceTerm.use_threads`; an assembly in threads is not traced."""
+        batch_count, point_count, width = self._gradients.shape
+        if batch_count * point_count * width**2 >= LEAST_TASKS_SIZE:
+            self._run, self.is_traceable = partial(team.run, -(-batch_count // TASK_BATCHES)), False
 
     def _add_fold_forces(self) -> None:
         """Add the forces of the barrier between points to those of the state that is known."""
@@ -275,8 +288,8 @@ class Elements(ForceTerm):
             self.fold_barrier.add_stiffness(self._barrier_stiffness, projected, storage)
 
     def _add_stiffness(self, storage, projected: bool) -> None:
-        self._assembly.add_stiffness(
-            self.law, self._cells, self._gradients, self._weights, projected,
+        self._run(
+            self._assembly.add_stiffness, self.law, self._cells, self._gradients, self._weights, projected,
             self.deformations, self._rotations, self._uprights,
             self._offsets, self._strides, self._are_contiguous, storage,
         )  # fmt: skip
@@ -284,7 +297,7 @@ class Elements(ForceTerm):
 
     def _add_hourglass_stiffness(self, storage, projected: bool) -> None:
         if self.hourglass is not None:
-            self.hourglass.add_stiffness(projected, self._are_contiguous, storage)
+            self.hourglass.add_stiffness(self._run, projected, self._are_contiguous, storage)
 
     def largest_share(self, before: np.ndarray, after: np.ndarray) -> float:
         """How much of a move may be made before an element loses most of its volume.

@@ -6,6 +6,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from softrobot_twin.kernels.worker_threads import Team
 from softrobot_twin.mechanics.stencil import BoundStencils, bind_stencils
 
 
@@ -98,6 +99,13 @@ class ForceTerm(Protocol):
             slots: The factorization's `slots`.
         """
         self._bound = bind_stencils(self._stencils, elimination_rank, slots)
+
+    def use_threads(self, team: Team) -> None:
+        """Assemble by threads where this gains time; the bits stay the same.
+
+        Args:
+            team: The threads.
+        """
 
     def begin_step(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:
         """Remember the state at the beginning of a step.

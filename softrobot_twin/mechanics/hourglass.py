@@ -57,6 +57,8 @@ Arguments of the kernels here; those of one batch have no first axis:
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from softrobot_twin.geometry.matrix3 import (
@@ -76,12 +78,14 @@ from softrobot_twin.geometry.shape_functions import HourglassFields
 from softrobot_twin.geometry.vector3 import add_scaled, dot, row, scaled, set_row
 from softrobot_twin.geometry.vector_arrays import write_differences
 from softrobot_twin.kernels.compilation import INNER, KERNEL, ONCE, njit
-from softrobot_twin.mechanics.block_addition import add_blocks, add_contiguous_blocks
+from softrobot_twin.kernels.worker_threads import finish_turn, take_next, wait_for_turn
+from softrobot_twin.mechanics.block_addition import add_all_blocks
 from softrobot_twin.mechanics.element_assembly import deform, gather, subtract_forces
 from softrobot_twin.mechanics.element_batches import (
     BATCH,
     ElementBatches,
     at,
+    batches_of_task,
     in_batches,
     matrix_at,
     of_node,
@@ -341,12 +345,13 @@ def add_forces(is_linear, free, floor, gradients, gammas, deformations, h, g, fo
 
 @njit(**KERNEL)
 def add_stiffness(
-    is_linear, moduli, scale, floor, gradients, gammas, deformations, h, g, projected, offsets,
-    strides, are_contiguous, storage,
+    waits_for_all, state, done, is_linear, moduli, scale, floor, gradients, gammas, deformations, h,
+    g, projected, offsets, strides, are_contiguous, storage,
 ):  # fmt: skip
     """Add the stiffness of all elements.
 
     Args:
+        waits_for_all, state, done: See `element_assembly.add_stiffness`.
         is_linear, moduli, scale, floor, gradients, gammas, deformations, h, g: See `add_forces`.
         projected: True for its positive semidefinite part.
         offsets: Place of each block, see `bind_stencils`, shape (batch_count, pair_count, BATCH).
@@ -355,35 +360,43 @@ def add_stiffness(
         storage: The factorization's storage [N/m]; added to.
     """
     C, factors, dC, dF = scratch(9), scratch(3), scratch(9), scratch(9)
-    dh, dy, dg, K = scratch(12), scratch(12), scratch(12), scratch(9)
+    dh, dy, dg, pair_count = scratch(12), scratch(12), scratch(12), offsets.shape[1]
     force, dP = scratch(12), np.empty((3, 21 * BATCH))
-    for k in range(len(moduli)):
-        F = deformations[k]
-        find_state(is_linear, F, C, factors)
-        for i in range(len(force)):
-            force[i] = 0.0 if projected else g[k, i]
-        pair = 0
-        for b in range(8):
-            for j in range(3):
-                dF[:], dh[:] = 0.0, 0.0
-                for e in range(BATCH):
-                    for axis in range(3):
-                        dF[at(3 * j + axis, e)] = gradients[k, at(3 * b + axis, e)]
-                    for i in range(VECTORS):
-                        dh[at(3 * i + j, e)] = gammas[k, at(VECTORS * b + i, e)]
-                differentiate(
-                    is_linear, F, C, factors, h[k], force, moduli[k], scale[0], floor[k], dF, dh, dC,
-                    dy, dg, dP[j],
-                )  # fmt: skip
-            for a in range(b, 8):
+    size = batches_of_task(len(moduli), done)
+    kept = np.empty((size * pair_count, 9 * BATCH))
+    number = take_next(-1, state, done)
+    while number * size < len(moduli):
+        first, end = number * size, min((number + 1) * size, len(moduli))
+        for k in range(first, end):
+            F = deformations[k]
+            find_state(is_linear, F, C, factors)
+            for i in range(len(force)):
+                force[i] = 0.0 if projected else g[k, i]
+            pair = (k - first) * pair_count
+            for b in range(8):
                 for j in range(3):
+                    dF[:], dh[:] = 0.0, 0.0
                     for e in range(BATCH):
-                        put_vector(K, j, e, _to_node(dP[j], gradients[k], gammas[k], a, e))
-                if are_contiguous:
-                    add_contiguous_blocks(offsets[k, pair], K, storage)
-                else:
-                    add_blocks(offsets[k, pair], strides[k, pair], K, storage)
-                pair += 1
+                        for axis in range(3):
+                            dF[at(3 * j + axis, e)] = gradients[k, at(3 * b + axis, e)]
+                        for i in range(VECTORS):
+                            dh[at(3 * i + j, e)] = gammas[k, at(VECTORS * b + i, e)]
+                    differentiate(
+                        is_linear, F, C, factors, h[k], force, moduli[k], scale[0], floor[k], dF, dh,
+                        dC, dy, dg, dP[j],
+                    )  # fmt: skip
+                for a in range(b, 8):
+                    for j in range(3):
+                        for e in range(BATCH):
+                            block = _to_node(dP[j], gradients[k], gammas[k], a, e)
+                            put_vector(kept[pair], j, e, block)
+                    pair += 1
+        if not wait_for_turn(number, state, done):
+            return
+        add_all_blocks(offsets[first:end], strides[first:end], are_contiguous, kept, storage)
+        number = take_next(finish_turn(number, done), state, done)
+    if waits_for_all:
+        wait_for_turn(len(done), state, done)
 
 
 @njit(**KERNEL)
@@ -489,16 +502,17 @@ class Hourglass:
             self._vectors, self._forces, forces,
         )  # fmt: skip
 
-    def add_stiffness(self, projected: bool, are_contiguous: bool, storage: np.ndarray) -> None:
+    def add_stiffness(self, run: Callable, projected: bool, are_contiguous: bool, storage: np.ndarray) -> None:
         """Add the stiffness at the state that was taken last; see the kernel.
 
         Args:
+            run: Runs the kernel as tasks or without, see `Elements.use_threads`.
             projected: True for its positive semidefinite part.
             are_contiguous: Whether all blocks are contiguous in the storage.
             storage: The factorization's storage [N/m]; added to.
         """
-        add_stiffness(
-            self._is_linear, self.moduli, self.scale, self._floor, self._gradients, self._gammas,
+        run(
+            add_stiffness, self._is_linear, self.moduli, self.scale, self._floor, self._gradients, self._gammas,
             self.deformations, self._vectors, self._forces, projected, self._offsets,
             self._strides, are_contiguous, storage,
         )  # fmt: skip

@@ -173,6 +173,9 @@ def _model_of(scene: Scene, factorization_type: type | None, mounted: np.ndarray
     )  # fmt: skip
     if not is_dense and isinstance(factorization, Multifrontal):
         factorization.use_threads(scene.solver.threads or default_thread_count())
+        if factorization.team is not None:
+            for term in forces:
+                term.use_threads(factorization.team)
     # Binding sorts the terms' entries, so their rows are stacked after it.
     rows = RowStack(constraints, nodes.carried, nodes.free_axes)
     dense = [term for term in (*forces, *constraints) if term.dense_rows is not None]

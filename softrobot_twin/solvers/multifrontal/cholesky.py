@@ -55,6 +55,7 @@ class Multifrontal:
             matrix can be changed and factorized again.
         elimination: The fronts.
         layout: Where they lie in memory.
+        team: Threads that factorize; None for the calling one alone.
     """
 
     name = "multifrontal Cholesky"
@@ -92,7 +93,7 @@ class Multifrontal:
         self._updates = aligned(self.layout.updates_size)
         self._triangles = aligned(self.layout.triangles_size)
         self._tasks: TaskList | None = None
-        self._team: Team | None = None
+        self.team: Team | None = None
         self._forward: ForwardTasks | None = None
         self._kept = self._kept_rows = aligned(0)
         self._tallest = STRIP * int(self.layout.fronts["strips"].max(initial=1))
@@ -140,7 +141,7 @@ class Multifrontal:
             thread_count: Most threads.
         """
         had_tasks = self._tasks is not None
-        self._tasks, self._team = plan_tasks(self.elimination, self.layout, thread_count), None
+        self._tasks, self.team = plan_tasks(self.elimination, self.layout, thread_count), None
         has_tasks = self._tasks is not None
         if has_tasks != had_tasks:
             fronts, children = self.layout.fronts, self.layout.children
@@ -149,7 +150,7 @@ class Multifrontal:
             self._updates = aligned(size)
         self._forward = None
         if has_tasks:
-            self._team = team_of(self._tasks.thread_count)
+            self.team = team_of(self._tasks.thread_count)
             self._forward = plan_forward(self.elimination, self.layout, self.thread_count)
         if self._forward is not None:
             self._kept = aligned(3 * len(self.layout.rows))
@@ -170,7 +171,7 @@ class Multifrontal:
         )  # fmt: skip
         if tasks is None:
             return factorize(*arguments) == SUCCESS
-        return self._team.run(
+        return self.team.run(
             len(tasks.tasks), factorize_by_tasks, tasks.tasks, tasks.waits, *arguments
         ) == SUCCESS  # fmt: skip
 
@@ -273,7 +274,7 @@ class Multifrontal:
         if kept_size > len(self._kept_rows):
             self._kept_rows = aligned(kept_size)
         tasks = forward.tasks
-        self._team.run(
+        self.team.run(
             len(tasks.tasks), forward_by_tasks, tasks.tasks, tasks.waits, layout.fronts, layout.rows,
             forward.segments, forward.segment_start, self._panels, self._triangles,
             columns.places, columns.tree, columns.trees, columns.strips, self._y, self.Y,
