@@ -45,9 +45,9 @@ from softrobot_twin.mechanics.volume_barrier import (
 SMALL_STRETCH = 1.0e-4
 # Change of the deformation gradient over which its differential is differentiated.
 CURVATURE_STEP = 2.0e-5
-# Batches of one task of threads. With fewer batches times points times squared entries of a gradient, an
-# assembly takes less than a few times as long as helpers need to wake up.
-TASK_BATCHES, LEAST_TASKS_SIZE = 4, 1.0e7
+# Batches of one task of threads, which gain where a batch takes long: points of an element from which
+# on they do, those as which hour-glass modes count, and fewest points of batches of a body.
+TASK_BATCHES, LEAST_POINTS, HOURGLASS_POINTS, LEAST_BATCH_POINTS = 4, 4, 16, 256
 
 
 class Elements(ForceTerm):
@@ -146,8 +146,9 @@ class Elements(ForceTerm):
 
     def use_threads(self, team: Team) -> None:
         """See `ForceTerm.use_threads`; an assembly in threads is not traced."""
-        batch_count, point_count, width = self._gradients.shape
-        if batch_count * point_count * width**2 >= LEAST_TASKS_SIZE:
+        batch_count, point_count = self._weights.shape[:2]
+        point_count += HOURGLASS_POINTS if self.hourglass is not None else 0
+        if point_count >= LEAST_POINTS and batch_count * point_count >= LEAST_BATCH_POINTS:
             self._run, self.is_traceable = partial(team.run, -(-batch_count // TASK_BATCHES)), False
 
     def _add_fold_forces(self) -> None:

@@ -27,6 +27,7 @@ from softrobot_twin.solvers.multifrontal.front_tasks import (
     TaskList,
     factorize_by_tasks,
     plan_tasks,
+    task_begins,
 )
 from softrobot_twin.solvers.multifrontal.memory_layout import lay_out, plan_updates, update_sizes
 from softrobot_twin.solvers.multifrontal.numeric_factorization import SUCCESS, factorize
@@ -140,17 +141,17 @@ class Multifrontal:
         Args:
             thread_count: Most threads.
         """
-        had_tasks = self._tasks is not None
-        self._tasks, self.team = plan_tasks(self.elimination, self.layout, thread_count), None
-        has_tasks = self._tasks is not None
-        if has_tasks != had_tasks:
+        before, self.team = self._tasks, None
+        tasks = self._tasks = plan_tasks(self.elimination, self.layout, thread_count)
+        if tasks is not before:
             fronts, children = self.layout.fronts, self.layout.children
-            fronts["update"], size = plan_updates(update_sizes(fronts), fronts, children, has_tasks)
+            begins = None if tasks is None else task_begins(tasks, len(fronts))
+            fronts["update"], size = plan_updates(update_sizes(fronts), fronts, children, begins)
             self.layout = self.layout._replace(updates_size=size)
             self._updates = aligned(size)
         self._forward = None
-        if has_tasks:
-            self.team = team_of(self._tasks.thread_count)
+        if tasks is not None:
+            self.team = team_of(tasks.thread_count)
             self._forward = plan_forward(self.elimination, self.layout, self.thread_count)
         if self._forward is not None:
             self._kept = aligned(3 * len(self.layout.rows))

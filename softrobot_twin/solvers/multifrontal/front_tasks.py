@@ -62,9 +62,9 @@ WAKE, OVERHEAD = 1.2e5, 1.0e3
 LEAST_GAIN, LEAST_COST = 0.2, 1.0e6
 # A task of subtrees costs at most one of so many parts of what a thread does, or so many cycles;
 # fronts that cost more are cut. Coarse tasks keep what they compute in their own cache.
-PARTS, GRAIN = 16, 1.5e5
-# Columns of a block column: multiples of a bar and of a strip; of fronts of more columns than told.
-BLOCK, LARGE_BLOCK, LARGE_FRONT = 48, 96, 384
+PARTS, GRAIN = 6, 1.5e5
+# Columns of a block column: a multiple of a bar and of a strip.
+BLOCK = 48
 FRONTS, FILL, DIAGONAL, TILE, UPDATE = range(5)
 
 # One task. `first` and `end` are fronts, or columns of one front. `strip` and `end_strip` are rows of
@@ -114,6 +114,14 @@ def plan_tasks(elimination: Elimination, layout: Layout, thread_count: int) -> T
     )
     best = min(lists, key=lambda one: one.cost)
     return best if best.cost < (1.0 - LEAST_GAIN) * elimination.cost else None
+
+
+def task_begins(tasks: TaskList, front_count: int) -> np.ndarray:
+    """Whether a front is not the one behind another of the same task, shape (front_count,)."""
+    begins = np.ones(front_count, bool)
+    for task in tasks.tasks[tasks.tasks["kind"] == FRONTS]:
+        begins[task["first"] + 1 : task["end"]] = False
+    return begins
 
 
 def plan_whole_fronts(
@@ -249,18 +257,17 @@ def _cut_front(
     columns, rows, padding, strips = (
         int(front[name]) for name in ("columns", "rows", "padding", "strips")
     )
-    width = LARGE_BLOCK if columns > LARGE_FRONT else BLOCK
-    firsts = list(range(0, columns, width))
-    bounds = [-(-(padding + min(first + width, columns)) // STRIP) for first in firsts]
+    firsts = list(range(0, columns, BLOCK))
+    bounds = [-(-(padding + min(first + BLOCK, columns)) // STRIP) for first in firsts]
     while bounds[-1] < strips:
-        bounds.append(min(bounds[-1] + width // STRIP, strips))
+        bounds.append(min(bounds[-1] + BLOCK // STRIP, strips))
     # The matrix's blocks are sorted by columns.
     places = block_places[front["block_start"] : front["block_end"]]
     column_of_block = (places - front["panel"]) // front["stride"]
     left: list[int] = []  # the tiles of the block column before, by rows
     last = NONE
     for j, first in enumerate(firsts):
-        end = min(first + width, columns)
+        end = min(first + BLOCK, columns)
         size = end - first
         blocks = int(front["block_start"]) + np.searchsorted(column_of_block, [first, end])
         fill = add(
@@ -288,7 +295,7 @@ def _cut_front(
             FRONT + (end - first) * (strips - (padding + first) // STRIP)
             * (STORE + HAND_OVER + MULTIPLY * columns), [last, *left],
         )
-        for first in range(columns, rows, width) for end in (min(first + width, rows),)
+        for first in range(columns, rows, BLOCK) for end in (min(first + BLOCK, rows),)
     ]  # fmt: skip
 
 

@@ -252,7 +252,7 @@ class FirstFit:
 
 
 def plan_updates(
-    sizes: np.ndarray, fronts: np.ndarray, children: np.ndarray, are_apart: bool = False
+    sizes: np.ndarray, fronts: np.ndarray, children: np.ndarray, begins: np.ndarray | None = None
 ) -> tuple[np.ndarray, int]:
     """Offsets of all updates: allocated when a front writes its update, freed by its parent.
 
@@ -260,7 +260,8 @@ def plan_updates(
         sizes: Doubles of each front's update, shape (front_count,).
         fronts: The fronts' `child_start` and `child_end` in `children`.
         children: Fronts whose updates a front adds.
-        are_apart: Whether subtrees share no memory, so that they can be factorized at once.
+        begins: Whether a task begins with a front, shape (front_count,): tasks share no memory with
+            those that they do not wait for. None without tasks.
 
     Returns:
         Offsets, shape (front_count,), and the size of the memory.
@@ -268,9 +269,10 @@ def plan_updates(
     offsets = np.zeros(len(sizes), dtype=np.int64)
     memory = FirstFit()
     unused: list[list[tuple[int, int]]] = []  # of each subtree that is complete
+    begins = np.arange(len(sizes)) < 0 if begins is None else begins
     for s in range(len(sizes)):
         own = children[fronts[s]["child_start"] : fronts[s]["child_end"]]
-        if are_apart:
+        if begins[s]:
             # What the front's own subtrees used, else new memory behind all.
             free, end = [part for child in own for part in unused[child]], memory.size
             memory = FirstFit([*sorted(free), (end, 1 << 62)], end)
@@ -280,5 +282,6 @@ def plan_updates(
         for child in own:
             if sizes[child]:
                 memory.give_back(int(offsets[child]), int(sizes[child]))
-        unused.append(memory.parts_before(memory.size) if are_apart else [])
+        is_last = begins[s + 1 : s + 2].all()
+        unused.append(memory.parts_before(memory.size) if is_last else [])
     return offsets, memory.size
