@@ -16,28 +16,28 @@ from softrobot_twin.kernels.worker_threads import (
     STOPPED,
     Team,
     default_thread_count,
-    finish,
+    finish_turn,
     helper_ids,
-    take,
+    take_next,
     team_of,
-    wait_for,
+    wait_for_turn,
 )
 
 
 @njit(**KERNEL)
 def _sum_up(waits_for_all, state, done, numbers):
-    """Each task adds one to the number of the task before."""
-    number = take(state)
+    """Each task works for some microseconds, then adds one to the number of the task before."""
+    number = take_next(-1, state, done)
     while number < len(done):
-        if number > 0 and not wait_for(number - 1, state, done):
+        worked = 0.0
+        for k in range(1000 * (number % 3)):
+            worked += np.sqrt(k)
+        if not wait_for_turn(number, state, done):
             return -1
-        numbers[number] = 1 if number == 0 else numbers[number - 1] + 1
-        finish(number, done)
-        number = take(state)
-    if waits_for_all:
-        for number in range(len(done)):
-            if not wait_for(number, state, done):
-                return -1
+        numbers[number] = (number > 0 and numbers[number - 1]) + (worked >= 0.0)
+        number = take_next(finish_turn(number, done), state, done)
+    if waits_for_all and not wait_for_turn(len(done), state, done):
+        return -1
     return numbers[-1]
 
 
