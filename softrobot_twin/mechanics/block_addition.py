@@ -132,6 +132,15 @@ def add_blocks(offsets, strides, K, storage):
                 o += strides[e]
 
 
+@njit(**INNER)
+def add_block(offsets, strides, are_contiguous, K, storage):
+    """The same for blocks of either kind."""
+    if are_contiguous:
+        add_contiguous_blocks(offsets, K, storage)
+    else:
+        add_blocks(offsets, strides, K, storage)
+
+
 @njit(**KERNEL)
 def add_all_blocks(offsets, strides, are_contiguous, K, storage):
     """The same for all blocks of some batches, one after the other.
@@ -146,7 +155,6 @@ def add_all_blocks(offsets, strides, are_contiguous, K, storage):
     batch_count, pair_count = offsets.shape[:2]
     for k in range(batch_count):
         for pair in range(pair_count):
-            if are_contiguous:
-                add_contiguous_blocks(offsets[k, pair], K[k * pair_count + pair], storage)
-            else:
-                add_blocks(offsets[k, pair], strides[k, pair], K[k * pair_count + pair], storage)
+            add_block(
+                offsets[k, pair], strides[k, pair], are_contiguous, K[k * pair_count + pair], storage
+            )

@@ -72,11 +72,10 @@ from softrobot_twin.kernels.compilation import (
     njit,
 )
 from softrobot_twin.kernels.worker_threads import finish_turn, take_next, wait_for_turn
-from softrobot_twin.mechanics.block_addition import add_all_blocks
+from softrobot_twin.mechanics.block_addition import add_all_blocks, add_block
 from softrobot_twin.mechanics.element_batches import (
     BATCH,
     at,
-    batches_of_task,
     copy_entries,
     matrix_at,
     node_count_of,
@@ -531,8 +530,9 @@ def add_stiffness(
     C = np.empty((point_count, (81 if is_tested else 0) * BATCH))
     factor, negative = scratch(81 if is_tested else 0), scratch(1)
     T, pair_count = np.empty((point_count, 27 * BATCH)), offsets.shape[1]
-    size = batches_of_task(len(cells), done)
-    kept = np.empty((size * pair_count, 9 * BATCH))
+    # Without tasks each block is added at once.
+    has_tasks, size = len(done) > 0, -(-len(cells) // max(len(done), 1))
+    kept = np.empty((size * pair_count if has_tasks else 1, 9 * BATCH))
     number = take_next(-1, state, done)
     while number * size < len(cells):
         first, end = number * size, min((number + 1) * size, len(cells))
@@ -549,7 +549,7 @@ def add_stiffness(
                     by_matrix |= project_all(
                         law, k, q, weights[k, q], negative, F, rotations[k, q], L[q], C[q]
                     )
-            pair = (k - first) * pair_count
+            pair = 0
             for b in range(count):
                 for q in range(point_count):
                     if by_matrix:
@@ -557,12 +557,16 @@ def add_stiffness(
                     else:
                         _differentiate_node(law, k, q, b, weights[k, q], g[q], L[q], T[q])
                 for a in range(b, count):
+                    K = kept[(k - first) * pair_count + pair if has_tasks else 0]
                     for q in range(point_count):
-                        contract(a, g[q], T[q], kept[pair], q == 0)
+                        contract(a, g[q], T[q], K, q == 0)
+                    if not has_tasks:
+                        add_block(offsets[k, pair], strides[k, pair], are_contiguous, K, storage)
                     pair += 1
         if not wait_for_turn(number, state, done):
             return
-        add_all_blocks(offsets[first:end], strides[first:end], are_contiguous, kept, storage)
+        if has_tasks:
+            add_all_blocks(offsets[first:end], strides[first:end], are_contiguous, kept, storage)
         number = take_next(finish_turn(number, done), state, done)
     if waits_for_all:
         wait_for_turn(len(done), state, done)

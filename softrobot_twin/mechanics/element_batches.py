@@ -75,17 +75,6 @@ def node_count_of(cells):
     return count
 
 
-@njit(**INLINED)
-def batches_of_task(batch_count, done):
-    """Batches of one task; without tasks one batch is worked on after the other.
-
-    Args:
-        batch_count: How many batches there are.
-        done: As of `worker_threads.py`, of no length without tasks.
-    """
-    return -(-batch_count // len(done)) if len(done) > 0 else 1
-
-
 @njit(**INNER)
 def copy_entries(source, target):
     """Copy an array; see `compilation`."""

@@ -79,13 +79,12 @@ from softrobot_twin.geometry.vector3 import add_scaled, dot, row, scaled, set_ro
 from softrobot_twin.geometry.vector_arrays import write_differences
 from softrobot_twin.kernels.compilation import INNER, KERNEL, ONCE, njit
 from softrobot_twin.kernels.worker_threads import finish_turn, take_next, wait_for_turn
-from softrobot_twin.mechanics.block_addition import add_all_blocks
+from softrobot_twin.mechanics.block_addition import add_all_blocks, add_block
 from softrobot_twin.mechanics.element_assembly import deform, gather, subtract_forces
 from softrobot_twin.mechanics.element_batches import (
     BATCH,
     ElementBatches,
     at,
-    batches_of_task,
     in_batches,
     matrix_at,
     of_node,
@@ -362,8 +361,9 @@ def add_stiffness(
     C, factors, dC, dF = scratch(9), scratch(3), scratch(9), scratch(9)
     dh, dy, dg, pair_count = scratch(12), scratch(12), scratch(12), offsets.shape[1]
     force, dP = scratch(12), np.empty((3, 21 * BATCH))
-    size = batches_of_task(len(moduli), done)
-    kept = np.empty((size * pair_count, 9 * BATCH))
+    # Without tasks each block is added at once.
+    has_tasks, size = len(done) > 0, -(-len(moduli) // max(len(done), 1))
+    kept = np.empty((size * pair_count if has_tasks else 1, 9 * BATCH))
     number = take_next(-1, state, done)
     while number * size < len(moduli):
         first, end = number * size, min((number + 1) * size, len(moduli))
@@ -372,7 +372,7 @@ def add_stiffness(
             find_state(is_linear, F, C, factors)
             for i in range(len(force)):
                 force[i] = 0.0 if projected else g[k, i]
-            pair = (k - first) * pair_count
+            pair = 0
             for b in range(8):
                 for j in range(3):
                     dF[:], dh[:] = 0.0, 0.0
@@ -386,14 +386,17 @@ def add_stiffness(
                         dC, dy, dg, dP[j],
                     )  # fmt: skip
                 for a in range(b, 8):
+                    K = kept[(k - first) * pair_count + pair if has_tasks else 0]
                     for j in range(3):
                         for e in range(BATCH):
-                            block = _to_node(dP[j], gradients[k], gammas[k], a, e)
-                            put_vector(kept[pair], j, e, block)
+                            put_vector(K, j, e, _to_node(dP[j], gradients[k], gammas[k], a, e))
+                    if not has_tasks:
+                        add_block(offsets[k, pair], strides[k, pair], are_contiguous, K, storage)
                     pair += 1
         if not wait_for_turn(number, state, done):
             return
-        add_all_blocks(offsets[first:end], strides[first:end], are_contiguous, kept, storage)
+        if has_tasks:
+            add_all_blocks(offsets[first:end], strides[first:end], are_contiguous, kept, storage)
         number = take_next(finish_turn(number, done), state, done)
     if waits_for_all:
         wait_for_turn(len(done), state, done)
