@@ -112,23 +112,9 @@ def finish(task, done):
 
 
 @njit(**INNER)
-def take_next(before, state, done):
-    """The next task; without a list, where one thread works alone, the one behind another."""
-    return take(state) if len(done) > 0 else before + 1
-
-
-@njit(**INNER)
 def wait_for_turn(task, state, done):
-    """Wait until all tasks before one have ended their turns; False as of `wait_for`."""
-    return len(done) == 0 or task == 0 or wait_for(task - 1, state, done)
-
-
-@njit(**INNER)
-def finish_turn(task, done):
-    """End a task of which only one at a time, in their order, may do what comes after its wait."""
-    if len(done) > 0:
-        finish(task, done)
-    return task
+    """Wait until all tasks before one are done that wait for their turns; False as of `wait_for`."""
+    return task == 0 or wait_for(task - 1, state, done)
 
 
 NO_TASKS = np.zeros(0, np.int64)

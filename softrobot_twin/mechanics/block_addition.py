@@ -96,7 +96,7 @@ def are_contiguous(offsets: np.ndarray, strides: np.ndarray) -> bool:
     return bool((strides[offsets >= 0] == _CONTIGUOUS).all())
 
 
-@njit(**INNER)
+@njit(**KERNEL)
 def add_contiguous_blocks(offsets, K, storage):
     """Add one block of every element to the storage, wherever both its nodes are free.
 
@@ -112,7 +112,7 @@ def add_contiguous_blocks(offsets, K, storage):
         )  # fmt: skip
 
 
-@njit(**INNER)
+@njit(**KERNEL)
 def add_blocks(offsets, strides, K, storage):
     """The same for blocks whose columns lie apart.
 

@@ -71,8 +71,7 @@ from softrobot_twin.kernels.compilation import (
     UNCACHED,
     njit,
 )
-from softrobot_twin.kernels.worker_threads import finish_turn, take_next, wait_for_turn
-from softrobot_twin.mechanics.block_addition import add_all_blocks, add_block
+from softrobot_twin.mechanics.block_addition import add_blocks, add_contiguous_blocks
 from softrobot_twin.mechanics.element_batches import (
     BATCH,
     at,
@@ -506,14 +505,13 @@ def add_forces(
 
 
 def add_stiffness(
-    waits_for_all, state, done, law, cells, gradients, weights, projected, deformations, rotations,
-    uprights, offsets, strides, are_contiguous, storage,
+    law, cells, gradients, weights, projected, deformations, rotations, uprights, offsets, strides,
+    are_contiguous, storage,
 ):  # fmt: skip
     """Add the stiffness of all elements at the state where `add_forces` was called last, but not
     that of the barrier.
 
     Args:
-        waits_for_all, state, done: See `Team.run`; tasks are some batches each, added in their order.
         law, cells, gradients, weights: See `add_forces`.
         projected: True for a positive semidefinite stiffness.
         deformations, rotations, uprights: What `add_forces` left.
@@ -529,47 +527,35 @@ def add_stiffness(
     is_tested = projected and not law_projects(law)
     C = np.empty((point_count, (81 if is_tested else 0) * BATCH))
     factor, negative = scratch(81 if is_tested else 0), scratch(1)
-    T, pair_count = np.empty((point_count, 27 * BATCH)), offsets.shape[1]
-    # Without tasks each block is added at once.
-    has_tasks, size = len(done) > 0, -(-len(cells) // max(len(done), 1))
-    kept = np.empty((size * pair_count if has_tasks else 1, 9 * BATCH))
-    number = take_next(-1, state, done)
-    while number * size < len(cells):
-        first, end = number * size, min((number + 1) * size, len(cells))
-        for k in range(first, end):
-            count = node_count_of(cells[k])
-            by_matrix = False
+    T, K = np.empty((point_count, 27 * BATCH)), scratch(9)
+    for k in range(len(cells)):
+        count = node_count_of(cells[k])
+        by_matrix = False
+        for q in range(point_count):
+            F, G = deformations[k, q], of_nodes(gradients[k, q], count)
+            _see_gradients(law, G, rotations[k, q], g[q])
+            linearize_all(law, k, q, F, rotations[k, q], uprights[k, q], projected, L[q])
+            if is_tested:
+                fill_derivatives(law, k, q, L[q], C[q])
+                find_negative(C[q], factor, negative)
+                by_matrix |= project_all(
+                    law, k, q, weights[k, q], negative, F, rotations[k, q], L[q], C[q]
+                )
+        pair = 0
+        for b in range(count):
             for q in range(point_count):
-                F, G = deformations[k, q], of_nodes(gradients[k, q], count)
-                _see_gradients(law, G, rotations[k, q], g[q])
-                linearize_all(law, k, q, F, rotations[k, q], uprights[k, q], projected, L[q])
-                if is_tested:
-                    fill_derivatives(law, k, q, L[q], C[q])
-                    find_negative(C[q], factor, negative)
-                    by_matrix |= project_all(
-                        law, k, q, weights[k, q], negative, F, rotations[k, q], L[q], C[q]
-                    )
-            pair = 0
-            for b in range(count):
+                if by_matrix:
+                    _apply_derivatives(b, weights[k, q], g[q], C[q], T[q])
+                else:
+                    _differentiate_node(law, k, q, b, weights[k, q], g[q], L[q], T[q])
+            for a in range(b, count):
                 for q in range(point_count):
-                    if by_matrix:
-                        _apply_derivatives(b, weights[k, q], g[q], C[q], T[q])
-                    else:
-                        _differentiate_node(law, k, q, b, weights[k, q], g[q], L[q], T[q])
-                for a in range(b, count):
-                    K = kept[(k - first) * pair_count + pair if has_tasks else 0]
-                    for q in range(point_count):
-                        contract(a, g[q], T[q], K, q == 0)
-                    if not has_tasks:
-                        add_block(offsets[k, pair], strides[k, pair], are_contiguous, K, storage)
-                    pair += 1
-        if not wait_for_turn(number, state, done):
-            return
-        if has_tasks:
-            add_all_blocks(offsets[first:end], strides[first:end], are_contiguous, kept, storage)
-        number = take_next(finish_turn(number, done), state, done)
-    if waits_for_all:
-        wait_for_turn(len(done), state, done)
+                    contract(a, g[q], T[q], K, q == 0)
+                if are_contiguous:
+                    add_contiguous_blocks(offsets[k, pair], K, storage)
+                else:
+                    add_blocks(offsets[k, pair], strides[k, pair], K, storage)
+                pair += 1
 
 
 @njit(**INNER)

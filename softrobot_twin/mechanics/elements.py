@@ -45,9 +45,9 @@ from softrobot_twin.mechanics.volume_barrier import (
 SMALL_STRETCH = 1.0e-4
 # Change of the deformation gradient over which its differential is differentiated.
 CURVATURE_STEP = 2.0e-5
-# Batches of one task of threads, which gain where a batch takes long: points of an element from which
-# on they do, those as which hour-glass modes count, and fewest points of batches of a body.
-TASK_BATCHES, LEAST_POINTS, HOURGLASS_POINTS, LEAST_BATCH_POINTS = 4, 4, 16, 256
+# Batches of one task of threads, and fewest of a body whose hour-glass modes these assemble. What the
+# law adds is found too fast: threads would wait for each other's additions.
+TASK_BATCHES, LEAST_BATCHES = 4, 16
 
 
 class Elements(ForceTerm):
@@ -146,9 +146,8 @@ class Elements(ForceTerm):
 
     def use_threads(self, team: Team) -> None:
         """See `ForceTerm.use_threads`; an assembly in threads is not traced."""
-        batch_count, point_count = self._weights.shape[:2]
-        point_count += HOURGLASS_POINTS if self.hourglass is not None else 0
-        if point_count >= LEAST_POINTS and batch_count * point_count >= LEAST_BATCH_POINTS:
+        batch_count = len(self._weights)
+        if self.hourglass is not None and batch_count >= LEAST_BATCHES:
             self._run, self.is_traceable = partial(team.run, -(-batch_count // TASK_BATCHES)), False
 
     def _add_fold_forces(self) -> None:
@@ -289,8 +288,8 @@ class Elements(ForceTerm):
             self.fold_barrier.add_stiffness(self._barrier_stiffness, projected, storage)
 
     def _add_stiffness(self, storage, projected: bool) -> None:
-        self._run(
-            self._assembly.add_stiffness, self.law, self._cells, self._gradients, self._weights, projected,
+        self._assembly.add_stiffness(
+            self.law, self._cells, self._gradients, self._weights, projected,
             self.deformations, self._rotations, self._uprights,
             self._offsets, self._strides, self._are_contiguous, storage,
         )  # fmt: skip

@@ -78,13 +78,14 @@ from softrobot_twin.geometry.shape_functions import HourglassFields
 from softrobot_twin.geometry.vector3 import add_scaled, dot, row, scaled, set_row
 from softrobot_twin.geometry.vector_arrays import write_differences
 from softrobot_twin.kernels.compilation import INNER, KERNEL, ONCE, njit
-from softrobot_twin.kernels.worker_threads import finish_turn, take_next, wait_for_turn
+from softrobot_twin.kernels.worker_threads import finish, take, wait_for_turn
 from softrobot_twin.mechanics.block_addition import add_all_blocks, add_block
 from softrobot_twin.mechanics.element_assembly import deform, gather, subtract_forces
 from softrobot_twin.mechanics.element_batches import (
     BATCH,
     ElementBatches,
     at,
+    copy_entries,
     in_batches,
     matrix_at,
     of_node,
@@ -363,42 +364,45 @@ def add_stiffness(
     force, dP = scratch(12), np.empty((3, 21 * BATCH))
     # Without tasks each block is added at once.
     has_tasks, size = len(done) > 0, -(-len(moduli) // max(len(done), 1))
-    kept = np.empty((size * pair_count if has_tasks else 1, 9 * BATCH))
-    number = take_next(-1, state, done)
-    while number * size < len(moduli):
-        first, end = number * size, min((number + 1) * size, len(moduli))
-        for k in range(first, end):
-            F = deformations[k]
-            find_state(is_linear, F, C, factors)
-            for i in range(len(force)):
-                force[i] = 0.0 if projected else g[k, i]
-            pair = 0
-            for b in range(8):
+    kept, K = np.empty((size * pair_count if has_tasks else 0, 9 * BATCH)), scratch(9)
+    number = take(state) if has_tasks else 0
+    for k in range(len(moduli)):
+        if k < number * size:
+            continue
+        F = deformations[k]
+        find_state(is_linear, F, C, factors)
+        for i in range(len(force)):
+            force[i] = 0.0 if projected else g[k, i]
+        pair = 0
+        for b in range(8):
+            for j in range(3):
+                dF[:], dh[:] = 0.0, 0.0
+                for e in range(BATCH):
+                    for axis in range(3):
+                        dF[at(3 * j + axis, e)] = gradients[k, at(3 * b + axis, e)]
+                    for i in range(VECTORS):
+                        dh[at(3 * i + j, e)] = gammas[k, at(VECTORS * b + i, e)]
+                differentiate(
+                    is_linear, F, C, factors, h[k], force, moduli[k], scale[0], floor[k], dF, dh,
+                    dC, dy, dg, dP[j],
+                )  # fmt: skip
+            for a in range(b, 8):
                 for j in range(3):
-                    dF[:], dh[:] = 0.0, 0.0
                     for e in range(BATCH):
-                        for axis in range(3):
-                            dF[at(3 * j + axis, e)] = gradients[k, at(3 * b + axis, e)]
-                        for i in range(VECTORS):
-                            dh[at(3 * i + j, e)] = gammas[k, at(VECTORS * b + i, e)]
-                    differentiate(
-                        is_linear, F, C, factors, h[k], force, moduli[k], scale[0], floor[k], dF, dh,
-                        dC, dy, dg, dP[j],
-                    )  # fmt: skip
-                for a in range(b, 8):
-                    K = kept[(k - first) * pair_count + pair if has_tasks else 0]
-                    for j in range(3):
-                        for e in range(BATCH):
-                            put_vector(K, j, e, _to_node(dP[j], gradients[k], gammas[k], a, e))
-                    if not has_tasks:
-                        add_block(offsets[k, pair], strides[k, pair], are_contiguous, K, storage)
-                    pair += 1
-        if not wait_for_turn(number, state, done):
-            return
-        if has_tasks:
-            add_all_blocks(offsets[first:end], strides[first:end], are_contiguous, kept, storage)
-        number = take_next(finish_turn(number, done), state, done)
-    if waits_for_all:
+                        put_vector(K, j, e, _to_node(dP[j], gradients[k], gammas[k], a, e))
+                if has_tasks:
+                    copy_entries(K, kept[k % size * pair_count + pair])
+                else:
+                    add_block(offsets[k, pair], strides[k, pair], are_contiguous, K, storage)
+                pair += 1
+        if has_tasks and (k % size == size - 1 or k == len(moduli) - 1):
+            if not wait_for_turn(number, state, done):
+                return
+            first = number * size
+            add_all_blocks(offsets[first : k + 1], strides[first : k + 1], are_contiguous, kept, storage)
+            finish(number, done)
+            number = take(state)
+    if has_tasks and waits_for_all:
         wait_for_turn(len(done), state, done)
 
 

@@ -16,9 +16,9 @@ from softrobot_twin.kernels.worker_threads import (
     STOPPED,
     Team,
     default_thread_count,
-    finish_turn,
+    finish,
     helper_ids,
-    take_next,
+    take,
     team_of,
     wait_for_turn,
 )
@@ -27,7 +27,7 @@ from softrobot_twin.kernels.worker_threads import (
 @njit(**KERNEL)
 def _sum_up(waits_for_all, state, done, numbers):
     """Each task works for some microseconds, then adds one to the number of the task before."""
-    number = take_next(-1, state, done)
+    number = take(state)
     while number < len(done):
         worked = 0.0
         for k in range(1000 * (number % 3)):
@@ -35,7 +35,8 @@ def _sum_up(waits_for_all, state, done, numbers):
         if not wait_for_turn(number, state, done):
             return -1
         numbers[number] = (number > 0 and numbers[number - 1]) + (worked >= 0.0)
-        number = take_next(finish_turn(number, done), state, done)
+        finish(number, done)
+        number = take(state)
     if waits_for_all and not wait_for_turn(len(done), state, done):
         return -1
     return numbers[-1]
