@@ -63,8 +63,6 @@ KEEP, POOR, GOOD, SHRINK, GROW = 0.05, 0.25, 0.7, 0.25, 2.0
 TRIES, LEAST_SHARE = 8, 0.5
 # Where settling changes T by more than this share of a promise, it is waited for; so many steps.
 DRIFT, MOST_WAITS = 0.5, 40
-# Winches wind slack in so often, where nothing else is promised.
-MOST_WINDS = 2
 # Moves at targets that are no shorter than this share of the one before, until they are shortened.
 SETTLING, MOST_SWINGS = 0.95, 8
 # Steps in which T falls by less than this share, until it goes back to the nearest stable place.
@@ -159,7 +157,7 @@ class Follower(InverseActuation):
         # The greatest radius: a 256th each time that a resting robot wakes, until it is at its targets.
         self.move_limit = self._greatest = GREATEST
         self._pending, self._waits = None, 0
-        self._wound, self._is_winding, self._goal = 0, False, None
+        self._goal: np.ndarray | None = None
         self._swing_count, self._last_length, self._is_freed = 0, np.inf, False
         # Steps in a row that did not end in balance.
         self._arriving = 0
@@ -476,7 +474,6 @@ class Follower(InverseActuation):
         if promised <= none and is_missed:
             is_slow = self._is_hindered(asked, found)
             return found if is_slow else self._without_promise(asked, found)
-        self._is_winding = False
         if promised > none:
             self._note(asked, found, promised)
         else:
@@ -484,12 +481,7 @@ class Follower(InverseActuation):
         return found
 
     def _without_promise(self, asked: Asked, found: Actuation) -> Actuation:
-        """Wind slack in, leap beyond a kink, go back, let go, or else rest."""
-        winds = self._winds(asked, found)
-        self._wound += winds and not self._is_winding
-        self._is_winding = winds
-        if winds:
-            return found
+        """Leap beyond a kink, go back, let go, or else rest."""
         if self._now < (1.0 - LEAPT) * self._looked:
             found, leaps = self._leap(asked, found)
             if leaps:
@@ -572,15 +564,6 @@ class Follower(InverseActuation):
         """Whether an actuation would go further but for a rate."""
         names = self._limits.binding(found.displacements, found.efforts, asked.bounds)
         return any(name.endswith(RATE) for name in names)
-
-    def _winds(self, asked: Asked, found: Actuation) -> bool:
-        """Whether winches wind in slack, which displaces nothing yet."""
-        drives = asked.held.drives(self._limits)
-        moves = found.drives(self._limits) - drives
-        if asked.stiffness is not None or (self._wound >= MOST_WINDS and not self._is_winding):
-            return False
-        slack = self._still(asked.linear, asked.held) - drives
-        return bool((self._may_hang & (np.minimum(moves, slack) > LEAST * self._scales)).any())
 
     def tries(self, found: Actuation, held: Actuation) -> Iterator[Actuation]:
         """See `InverseActuation`; optima within ever smaller boxes, of other moves shares."""
