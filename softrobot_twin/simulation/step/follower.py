@@ -33,6 +33,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -165,9 +166,10 @@ class Follower(InverseActuation):
         # all, and the steps since.
         self._balanced_places: deque[Place] = deque(maxlen=MOST_PLACES)
         self._best_seen, self._since, self._rises, self._last_now = np.inf, 0, 0, np.inf
-        # The nearest place with a stable tangent, which was perhaps no balance: it rests there in the end, if
-        # the body does.
+        # The nearest place with a stable tangent, which was perhaps no balance, and those of the tries before:
+        # it rests there in the end, if the body does.
         self._stable_place: Place | None = None
+        self._stable_places: list[Place] = []
         # T below which it has come much nearer, and how often it went back since then.
         self._judged, self._returns = np.inf, 0
         self._resting: np.ndarray | None = None
@@ -351,9 +353,14 @@ class Follower(InverseActuation):
             self._returns = 0
             return
         self._holds, self._returns = self._returns >= MOST_RETURNS, self._returns + 1
-        place, self._stable_place = self._stable_place, None
-        if self._holds and place is not None and place.now < self._balanced_places[-1].now:
-            self._balanced_places.append(place)
+        if self._stable_place is not None:
+            self._stable_places.append(self._stable_place)
+            self._stable_place = None
+        if self._holds:
+            for place in sorted(self._stable_places, key=attrgetter("now"), reverse=True):
+                if place.now < self._balanced_places[-1].now:
+                    self._balanced_places.append(place)
+            self._stable_places.clear()
         self.move_limit, self._goal = SHRINK**2 * self.move_limit, self._balanced_places[-1].drives
         self._branch = self._branch_before = None
 
@@ -375,9 +382,10 @@ class Follower(InverseActuation):
         self._waits += 1
         if (distance <= LEAST and situation.is_balanced) or self._waits >= MOST_WAITS:
             self._goal, self._waits, self.is_departing = None, 0, False
-            if self._has_snapped() and len(self._balanced_places) > 1:
+            places = self._balanced_places
+            if len(places) > 1 and (self._has_snapped() or (self._holds and self._now > places[-2].now)):
                 # What was a balance is none, or the body has not come back from another one.
-                self._balanced_places.pop()
+                places.pop()
                 self._goal = self._balanced_places[-1].drives if self._holds else None
             elif self._holds:
                 self._resting, self._holds = situation.places, False
