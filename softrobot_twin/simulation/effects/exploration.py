@@ -180,7 +180,7 @@ class Explorer(StepPart, Planner):
     def _begin_trial(self, simulation: Steppable) -> None:
         simulation.forget_solvers()
         if self._exploration.trial is not None:
-            simulation.inverse.depart(self._exploration.trial, True)
+            simulation.inverse.depart(self._exploration.trial)
 
     def _try(
         self, simulation: Steppable, exploration: Exploration, command: Command,

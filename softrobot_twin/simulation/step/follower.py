@@ -139,7 +139,7 @@ class Follower(InverseActuation):
         """See `InverseActuation`."""
         self._first: Situation | None = None
         self._situation: Situation | None = None
-        self._departure: tuple[np.ndarray, bool] | None = None
+        self._departure: np.ndarray | None = None
         # Places of effectors with the actuators at rest [m], where seen; whether it went there.
         self._placed_at_rest: np.ndarray | None = None
         self._is_noted = False
@@ -193,10 +193,10 @@ class Follower(InverseActuation):
         """See `InverseActuation`."""
         return 0.0 if self._task is None else LEAST_SHARE
 
-    def depart(self, goal: np.ndarray, follows: bool) -> None:
+    def depart(self, goal: np.ndarray) -> None:
         """See `InverseActuation`."""
         self.forget()
-        self._departure = goal, not follows
+        self._departure = goal
 
     def solve(
         self, linear: Linearized, target_rows: np.ndarray, held: Actuation, bounds: Bounds,
@@ -255,7 +255,7 @@ class Follower(InverseActuation):
         if is_same:
             self._see_drift(linear, situation)
         if self._departure is not None:
-            (self._goal, self._holds), self._departure = self._departure, None
+            self._goal, self._departure = self._departure, None
             self.is_departing, self._waits = True, 0
         self._settles, self._is_first = False, True
         if self._ends:

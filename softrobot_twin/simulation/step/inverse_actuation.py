@@ -530,12 +530,11 @@ class InverseActuation:
     def forget(self) -> None:
         """Forget all targets."""
 
-    def depart(self, goal: np.ndarray, follows: bool) -> None:
+    def depart(self, goal: np.ndarray) -> None:
         """Forget all targets, and let the actuators go to a place first.
 
         Args:
             goal: Their displacements there, shape (actuator_count,).
-            follows: Whether they follow targets from there; else they stay.
         """
 
     def tries(self, found: Actuation, held: Actuation) -> Iterator[Actuation]:
