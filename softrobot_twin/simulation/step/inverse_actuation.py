@@ -19,7 +19,7 @@ How far an optimum is trusted is a question of its own: `Follower`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -40,7 +40,7 @@ from softrobot_twin.solvers.inverse_problem import (
     with_effort_rows,
 )
 from softrobot_twin.solvers.inverse_solver import InverseSolver, proved_efforts
-from softrobot_twin.solvers.pivoting import MUCH_LOWER, WARM_START
+from softrobot_twin.solvers.pivoting import WARM_START
 from softrobot_twin.solvers.qpcc import QPCC, QPCCSolution
 from softrobot_twin.solvers.quadratic_program import DAQPSolver, whiten
 
@@ -703,12 +703,8 @@ class InverseActuation:
         # What is two-sided is held by equal bounds, not by the law of a slack cable.
         own = (commanded & self._one_sided)[linear.groups.actuators]
         unknowns = Unknowns(own, bool(own.any()))
-
-        def pose(errors: np.ndarray) -> QPCC:
-            return self._problem(linear, errors, weights, held, within, bounds, unknowns, extra)
-
-        problem = pose(errors)
-        solution = self._solution(linear, problem, start, unknowns, errors, weights, pose)
+        problem = self._problem(linear, errors, weights, held, within, bounds, unknowns, extra)
+        solution = self._solution(linear, problem, start, unknowns, errors, weights)
         if not solution.solved:
             return None
         efforts, forces = unknowns.split(solution.unknowns, linear.contact_row_count)
@@ -782,13 +778,12 @@ class InverseActuation:
 
     def _solution(
         self, linear: Linearized, problem: QPCC, held: Actuation, unknowns: Unknowns,
-        errors: np.ndarray, weights: np.ndarray, pose: Callable[[np.ndarray], QPCC],
+        errors: np.ndarray, weights: np.ndarray,
     ) -> QPCCSolution:  # fmt: skip
         """Solve the problem, from an admissible actuation and from what touched in the last step.
 
         Where contacts press and effectors miss what is asked of them, from the branch too in which
-        all contacts with bodies are open; and where that is in vain, against the energy. `pose`
-        gives the problem of other errors.
+        all contacts with bodies are open.
         """
         efforts, forces = held.efforts, held.contact.multipliers
         if not problem.contact_count:
@@ -805,12 +800,13 @@ class InverseActuation:
         if self._touching is not None and len(known) == len(forces):
             before = [self._touching.get(key, False) for key in known]
             last = np.concatenate([taut > 0.0, np.array(before, dtype=bool)])
-        first_missed: list[np.ndarray] = []
+        missing: np.ndarray | None = None
 
         def second_start(z: np.ndarray) -> np.ndarray | None:
+            nonlocal missing
             if not self._seeks_anew(linear, unknowns, z, errors, weights):
                 return None
-            first_missed.append(z)
+            missing = z
             start = problem.forces(z) > 0.0
             start[len(taut) :] = False
             return start
@@ -819,12 +815,8 @@ class InverseActuation:
             problem, unknowns.stack(efforts, forces), touching, last,
             second_start=second_start if len(forces) else None,
         )  # fmt: skip
-        if first_missed:
-            if solution.unknowns is first_missed[0]:
-                solution = self._against_energy(
-                    linear, unknowns, solution, errors, weights, pose
-                )
-            is_in_vain = solution.unknowns is first_missed[0]
+        if missing is not None:
+            is_in_vain = solution.unknowns is missing
             self._next_wait = min(2 * self._next_wait + 1, LONGEST_WAIT) if is_in_vain else 0
             self._wait = self._next_wait
         self._touching = dict(
@@ -844,29 +836,6 @@ class InverseActuation:
             return False
         self._wait -= 1
         return self._wait < 0
-
-    def _against_energy(
-        self, linear: Linearized, unknowns: Unknowns, first: QPCCSolution, errors: np.ndarray,
-        weights: np.ndarray, pose: Callable[[np.ndarray], QPCC],
-    ) -> QPCCSolution:  # fmt: skip
-        """The solution where twice the miss is asked for, if it misses much less; else the first.
-
-        What the energy keeps from a target is met so, as a multiplier does (Bregman's method). A
-        target that the bounds keep out of reach stays the same: of the nearest point in a convex
-        set, further away in the same direction, the nearest one is the same point.
-        """
-        missed = _missed(linear, unknowns, first.unknowns, errors, weights)
-        shifted = errors.copy()
-        shifted[: len(missed)] += missed
-        second = self.solver.solve(
-            pose(shifted), first.unknowns, first.touching, first.touching
-        )
-        if second.solved:
-            left = _missed(linear, unknowns, second.unknowns, errors, weights)
-            if np.linalg.norm(left) < MUCH_LOWER * np.linalg.norm(missed):
-                return second
-        self.solver.active = first.active
-        return first
 
     def _contact_keys(self, linear: Linearized) -> list[tuple[int, int]]:
         """Pair and key of each contact, by which it is recognised in the next step."""
