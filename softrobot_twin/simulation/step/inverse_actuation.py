@@ -613,7 +613,7 @@ class InverseActuation:
         if chosen is not None:
             loose = slack | chosen
         found, best = self._solved(
-            linear, errors, weights, held, held, path, loose, bounds, commanded, extra
+            linear, errors, weights, held, path, loose, bounds, commanded, extra
         ), None
         while found is not None:
             best = found
@@ -625,7 +625,7 @@ class InverseActuation:
                 break
             loose = slack if chosen is None else slack | chosen
             found = self._solved(
-                linear, errors, weights, held, best, path, loose, bounds, commanded, extra
+                linear, errors, weights, best, path, loose, bounds, commanded, extra
             )
         return best
 
@@ -651,7 +651,7 @@ class InverseActuation:
         proved, efforts, within, active = guessed_actuation(
             linear.W, linear.groups.effectors.start, linear.violation, errors, weights,
             self._energy_now, self._proximal_weight,
-            np.array(self._centre(linear, held, self._all_free)), held.efforts, *bounds,
+            np.array(self._all_free.stack(*self._last(linear))), held.efforts, *bounds,
             self._is_moved, stiffness, reference, active, self._may_hang, self._at_limit,
             self._round_off, self._effort_scales,
         )  # fmt: skip
@@ -662,9 +662,9 @@ class InverseActuation:
         return Actuation(efforts, within, True, WARM_START, ContactLoads(NO_FORCES, sweeps=1))
 
     def _solved(
-        self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
-        start: Actuation, path: np.ndarray, slack: np.ndarray | None, bounds: Bounds,
-        commanded: np.ndarray, extra: np.ndarray | None,
+        self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, start: Actuation,
+        path: np.ndarray, slack: np.ndarray | None, bounds: Bounds, commanded: np.ndarray,
+        extra: np.ndarray | None,
     ) -> Actuation | None:  # fmt: skip
         """The actuation in one branch of slack cables.
 
@@ -672,7 +672,6 @@ class InverseActuation:
             linear: The condensed system.
             errors: δ_e,free less the targets, then those of further rows [m].
             weights: Their weights.
-            held: What the actuators do when they stay.
             start: An actuation of this branch.
             path: Displacements of the paths when the actuators stay [m],
                 shape (actuator_row_count,).
@@ -690,20 +689,10 @@ class InverseActuation:
                 displacement_max=np.where(slack, np.inf, within.displacement_max),
                 effort_max=np.where(slack, 0.0, within.effort_max),
             )
-        return self._by_search(
-            linear, errors, weights, held, start, within, bounds, commanded, extra
-        )
-
-    def _by_search(
-        self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
-        start: Actuation, within: Bounds, bounds: Bounds, commanded: np.ndarray,
-        extra: np.ndarray | None,
-    ) -> Actuation | None:  # fmt: skip
-        """The actuation of any inverse problem; None where it has no solution."""
         # What is two-sided is held by equal bounds, not by the law of a slack cable.
         own = (commanded & self._one_sided)[linear.groups.actuators]
         unknowns = Unknowns(own, bool(own.any()))
-        problem = self._problem(linear, errors, weights, held, within, bounds, unknowns, extra)
+        problem = self._problem(linear, errors, weights, within, bounds, unknowns, extra)
         solution = self._solution(linear, problem, start, unknowns, errors, weights)
         if not solution.solved:
             return None
@@ -714,8 +703,8 @@ class InverseActuation:
         return self._settled(linear, efforts, contact, bounds, solution.solver)
 
     def _problem(
-        self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
-        within: Bounds, bounds: Bounds, unknowns: Unknowns, extra: np.ndarray | None,
+        self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, within: Bounds,
+        bounds: Bounds, unknowns: Unknowns, extra: np.ndarray | None,
     ) -> QPCC:  # fmt: skip
         """The inverse problem around one state.
 
@@ -723,7 +712,6 @@ class InverseActuation:
             linear: The condensed system.
             errors: δ_e,free less the targets, then those of further rows [m].
             weights: Their weights.
-            held: What the actuators do when they stay.
             within: Bounds of the actuators in this branch of slack cables.
             bounds: Bounds of this step.
             unknowns: Order of the unknowns.
@@ -742,7 +730,7 @@ class InverseActuation:
             system = with_effector_rows(system, extra, commanded)
         problem = build_inverse_problem(
             system, weights, self._energy_now, within, force_max,
-            self._centre(linear, held, unknowns), self._proximal_weight,
+            unknowns.stack(*self._last(linear)), self._proximal_weight,
         )  # fmt: skip
         return self._with_effort_rows(linear, problem, system, ~commanded)
 
@@ -753,15 +741,11 @@ class InverseActuation:
         share = max(LEAST_ENERGY_SHARE_IN_CONTACT, float(np.linalg.norm(asked)) / self._longest)
         return max(min(share, 1.0) * self._energy_weight, LEAST_ENERGY_WEIGHT)
 
-    def _centre(self, linear: Linearized, held: Actuation, unknowns: Unknowns) -> np.ndarray:
-        """Where the proximal term is centred.
-
-        What the targets leave open goes slowly from the last solution towards the least energy.
-        """
-        return unknowns.stack(*self._last(linear))
-
     def _last(self, linear: Linearized) -> tuple[np.ndarray, np.ndarray]:
-        """Efforts and contact forces of the last solution."""
+        """Efforts and contact forces of the last solution, where the proximal term is centred.
+
+        What the targets leave open goes slowly from there towards the least energy.
+        """
         return self._direct.last_solution(linear)
 
     @staticmethod
