@@ -770,13 +770,6 @@ class InverseActuation:
         all contacts with bodies are open.
         """
         efforts, forces = held.efforts, held.contact.multipliers
-        if not problem.contact_count:
-            none = np.zeros(0, dtype=bool)
-            last = None if self._touching is None else none
-            self._touching = {}
-            return self.solver.solve(
-                problem, unknowns.stack(efforts, forces), none, last
-            )
         taut = efforts[unknowns.commanded]
         touching = np.concatenate([taut, forces]) > 0.0
         known = self._contact_keys(linear)
