@@ -806,9 +806,12 @@ class InverseActuation:
         weights: np.ndarray,
     ) -> bool:  # fmt: skip
         """Whether a solution presses and misses, and the search is to begin a second time."""
-        if not (unknowns.split(z, linear.contact_row_count)[1] > 0.0).any():
+        efforts, forces = unknowns.split(z, linear.contact_row_count)
+        if not (forces > 0.0).any():
             return False
-        if np.linalg.norm(_missed(linear, unknowns, z, errors, weights)) <= self._tolerance:
+        places = linear.effector_places(efforts, forces)
+        left, wanted = errors[: len(places)] + places - linear.effectors, weights[: len(places)] > 0.0
+        if np.linalg.norm(left[wanted]) <= self._tolerance:
             self._wait = self._next_wait = 0
             return False
         self._wait -= 1
@@ -936,15 +939,6 @@ class InverseActuation:
         missed = np.where(weights > 0.0, errors, 0.0)
         squares = np.bincount(self._steps.row_effector, weights=missed * missed)
         return float(np.sqrt(squares.max(initial=0.0)))
-
-
-def _missed(
-    linear: Linearized, unknowns: Unknowns, z: np.ndarray, errors: np.ndarray, weights: np.ndarray
-) -> np.ndarray:
-    """What a solution leaves of the errors of effectors [m], shape (effector_row_count,)."""
-    now = linear.effector_places(*unknowns.split(z, linear.contact_row_count))
-    left = errors[: len(now)] + now - linear.effectors
-    return np.where(weights[: len(now)] > 0.0, left, 0.0)
 
 
 def rest_rows(model: Model) -> np.ndarray:
