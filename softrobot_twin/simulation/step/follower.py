@@ -498,7 +498,7 @@ class Follower(InverseActuation):
 
     def _to_goal(self, asked: Asked) -> Actuation:
         self._task, drives = None, asked.held.drives(self._limits)
-        bounds = self._near(drives, asked.commanded, asked.bounds, GREATEST)
+        bounds = self._near(drives, asked, GREATEST)
         goal = self._limits.drives_within(self._goal, bounds)
         return self._with_limits(self._direct.at_drives(asked.linear, goal, bounds))
 
@@ -632,7 +632,7 @@ class Follower(InverseActuation):
         """The box of the radius: of displacements, and of efforts that are drives."""
         # A slack cable is wound in to its path at once.
         still = self._still(asked.linear, asked.held)
-        near = self._near(still, asked.commanded, asked.bounds, self.move_limit)
+        near = self._near(still, asked, self.move_limit)
         by_effort = self._by_effort & ~asked.commanded
         # Scales of efforts say little of how far they may go: the greatest radius holds none of them.
         if self.move_limit >= GREATEST or not by_effort.any():
