@@ -19,7 +19,6 @@ from softrobot_twin.simulation.command import Command, FollowTargets
 from softrobot_twin.simulation.result import Status, StepResult
 from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.step.step_part import Planner, Steppable, StepPart
-from softrobot_twin.simulation.step.situation import CALM
 
 # Moves of one actuator, as shares of its scale, in the order in which they are tried; a move that
 # its limits shorten to less than the last share is not.
@@ -31,8 +30,9 @@ STEPS_UNTIL_EXPLORATION = 300
 # A pose is nearer where the weighted sum of squared distances is below this share.
 NEARER = 0.985
 # Steps of one trial; steps in which it comes no nearer than so far by `PROGRESS`, before it is given up
-# where it is not nearer. Where it is, it goes on until so many steps in balance were calm.
-MOST_STEPS, PATIENCE, PROGRESS, CALM_STEPS = 300, 12, 5.0e-3, 40
+# where it is not nearer. Where it is, it goes on until so many steps in balance were calm: actuators moved
+# by no more than the last share of their scales.
+MOST_STEPS, PATIENCE, PROGRESS, CALM_STEPS, CALM = 300, 12, 5.0e-3, 40, 1.0e-5
 
 
 class Exploration:
@@ -180,7 +180,7 @@ class Explorer(StepPart, Planner):
     def _begin_trial(self, simulation: Steppable) -> None:
         simulation.forget_solvers()
         if self._exploration.trial is not None:
-            simulation.inverse.depart(self._exploration.trial, True)
+            simulation.inverse.depart(self._exploration.trial)
 
     def _try(
         self, simulation: Steppable, exploration: Exploration, command: Command,

@@ -140,7 +140,7 @@ class Follower(InverseActuation):
         """See `InverseActuation`."""
         self._first: Situation | None = None
         self._situation: Situation | None = None
-        self._departure: tuple[np.ndarray, bool] | None = None
+        self._departure: np.ndarray | None = None
         # Places of effectors with the actuators at rest [m], where seen; whether it went there.
         self._placed_at_rest: np.ndarray | None = None
         self._is_noted = False
@@ -195,10 +195,10 @@ class Follower(InverseActuation):
         """See `InverseActuation`."""
         return 0.0 if self._task is None else LEAST_SHARE
 
-    def depart(self, goal: np.ndarray, follows: bool) -> None:
+    def depart(self, goal: np.ndarray) -> None:
         """See `InverseActuation`."""
         self.forget()
-        self._departure = goal, not follows
+        self._departure = goal
 
     def solve(
         self, linear: Linearized, target_rows: np.ndarray, held: Actuation, bounds: Bounds,
@@ -257,7 +257,7 @@ class Follower(InverseActuation):
         if is_same:
             self._see_drift(linear, situation)
         if self._departure is not None:
-            (self._goal, self._holds), self._departure = self._departure, None
+            self._goal, self._departure = self._departure, None
             self.is_departing, self._waits = True, 0
         self._settles, self._is_first = False, True
         if self._ends:
@@ -506,7 +506,7 @@ class Follower(InverseActuation):
 
     def _to_goal(self, asked: Asked) -> Actuation:
         self._task, drives = None, asked.held.drives(self._limits)
-        bounds = self._near(drives, asked.commanded, asked.bounds, GREATEST)
+        bounds = self._near(drives, asked, GREATEST)
         goal = self._limits.drives_within(self._goal, bounds)
         return self._with_limits(self._direct.at_drives(asked.linear, goal, bounds))
 
@@ -640,7 +640,7 @@ class Follower(InverseActuation):
         """The box of the radius: of displacements, and of efforts that are drives."""
         # A slack cable is wound in to its path at once.
         still = self._still(asked.linear, asked.held)
-        near = self._near(still, asked.commanded, asked.bounds, self.move_limit)
+        near = self._near(still, asked, self.move_limit)
         by_effort = self._by_effort & ~asked.commanded
         # Scales of efforts say little of how far they may go: the greatest radius holds none of them.
         if self.move_limit >= GREATEST or not by_effort.any():

@@ -19,7 +19,7 @@ How far an optimum is trusted is a question of its own: `Follower`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -40,7 +40,7 @@ from softrobot_twin.solvers.inverse_problem import (
     with_effort_rows,
 )
 from softrobot_twin.solvers.inverse_solver import InverseSolver, proved_efforts
-from softrobot_twin.solvers.pivoting import MUCH_LOWER, WARM_START
+from softrobot_twin.solvers.pivoting import WARM_START
 from softrobot_twin.solvers.qpcc import QPCC, QPCCSolution
 from softrobot_twin.solvers.quadratic_program import DAQPSolver, whiten
 
@@ -530,12 +530,11 @@ class InverseActuation:
     def forget(self) -> None:
         """Forget all targets."""
 
-    def depart(self, goal: np.ndarray, follows: bool) -> None:
+    def depart(self, goal: np.ndarray) -> None:
         """Forget all targets, and let the actuators go to a place first.
 
         Args:
             goal: Their displacements there, shape (actuator_count,).
-            follows: Whether they follow targets from there; else they stay.
         """
 
     def tries(self, found: Actuation, held: Actuation) -> Iterator[Actuation]:
@@ -570,17 +569,13 @@ class InverseActuation:
             places = np.concatenate([places, stiffness.places(found.efforts)])
         return places
 
-    def _near(
-        self, drives: np.ndarray, commanded: np.ndarray, bounds: Bounds, share: float
-    ) -> Bounds:
+    def _near(self, drives: np.ndarray, asked: Asked, share: float) -> Bounds:
         """Bounds in which no winch, slide or motor moves by more than a share of its scale."""
+        bounds = asked.bounds
         if self._limits.are_all_effort_driven:
             return bounds
-        lower, upper, least, most = *bounds[:2], np.empty(len(drives)), np.empty(len(drives))
-        write_near(
-            drives, share, self._scales, commanded, self._by_effort, lower, upper,
-            least, most,
-        )  # fmt: skip
+        least, most = np.empty((2, len(drives)))
+        write_near(drives, share, self._scales, asked.commanded, self._by_effort, *bounds[:2], least, most)
         return Bounds(least, most, bounds.effort_min, bounds.effort_max)
 
     def _still(self, linear: Linearized, held: Actuation) -> np.ndarray:
@@ -614,7 +609,7 @@ class InverseActuation:
         if chosen is not None:
             loose = slack | chosen
         found, best = self._solved(
-            linear, errors, weights, held, held, path, loose, bounds, commanded, extra
+            linear, errors, weights, held, path, loose, bounds, commanded, extra
         ), None
         while found is not None:
             best = found
@@ -626,7 +621,7 @@ class InverseActuation:
                 break
             loose = slack if chosen is None else slack | chosen
             found = self._solved(
-                linear, errors, weights, held, best, path, loose, bounds, commanded, extra
+                linear, errors, weights, best, path, loose, bounds, commanded, extra
             )
         return best
 
@@ -652,7 +647,7 @@ class InverseActuation:
         proved, efforts, within, active = guessed_actuation(
             linear.W, linear.groups.effectors.start, linear.violation, errors, weights,
             self._energy_now, self._proximal_weight,
-            np.array(self._centre(linear, held, self._all_free)), held.efforts, *bounds,
+            np.array(self._all_free.stack(*self._last(linear))), held.efforts, *bounds,
             self._is_moved, stiffness, reference, active, self._may_hang, self._at_limit,
             self._round_off, self._effort_scales,
         )  # fmt: skip
@@ -663,9 +658,9 @@ class InverseActuation:
         return Actuation(efforts, within, True, WARM_START, ContactLoads(NO_FORCES, sweeps=1))
 
     def _solved(
-        self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
-        start: Actuation, path: np.ndarray, slack: np.ndarray | None, bounds: Bounds,
-        commanded: np.ndarray, extra: np.ndarray | None,
+        self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, start: Actuation,
+        path: np.ndarray, slack: np.ndarray | None, bounds: Bounds, commanded: np.ndarray,
+        extra: np.ndarray | None,
     ) -> Actuation | None:  # fmt: skip
         """The actuation in one branch of slack cables.
 
@@ -673,7 +668,6 @@ class InverseActuation:
             linear: The condensed system.
             errors: δ_e,free less the targets, then those of further rows [m].
             weights: Their weights.
-            held: What the actuators do when they stay.
             start: An actuation of this branch.
             path: Displacements of the paths when the actuators stay [m],
                 shape (actuator_row_count,).
@@ -691,25 +685,11 @@ class InverseActuation:
                 displacement_max=np.where(slack, np.inf, within.displacement_max),
                 effort_max=np.where(slack, 0.0, within.effort_max),
             )
-        return self._by_search(
-            linear, errors, weights, held, start, within, bounds, commanded, extra
-        )
-
-    def _by_search(
-        self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
-        start: Actuation, within: Bounds, bounds: Bounds, commanded: np.ndarray,
-        extra: np.ndarray | None,
-    ) -> Actuation | None:  # fmt: skip
-        """The actuation of any inverse problem; None where it has no solution."""
         # What is two-sided is held by equal bounds, not by the law of a slack cable.
         own = (commanded & self._one_sided)[linear.groups.actuators]
         unknowns = Unknowns(own, bool(own.any()))
-
-        def pose(errors: np.ndarray) -> QPCC:
-            return self._problem(linear, errors, weights, held, within, bounds, unknowns, extra)
-
-        problem = pose(errors)
-        solution = self._solution(linear, problem, start, unknowns, errors, weights, pose)
+        problem = self._problem(linear, errors, weights, within, bounds, unknowns, extra)
+        solution = self._solution(linear, problem, start, unknowns, errors, weights)
         if not solution.solved:
             return None
         efforts, forces = unknowns.split(solution.unknowns, linear.contact_row_count)
@@ -719,8 +699,8 @@ class InverseActuation:
         return self._settled(linear, efforts, contact, bounds, solution.solver)
 
     def _problem(
-        self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
-        within: Bounds, bounds: Bounds, unknowns: Unknowns, extra: np.ndarray | None,
+        self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, within: Bounds,
+        bounds: Bounds, unknowns: Unknowns, extra: np.ndarray | None,
     ) -> QPCC:  # fmt: skip
         """The inverse problem around one state.
 
@@ -728,7 +708,6 @@ class InverseActuation:
             linear: The condensed system.
             errors: δ_e,free less the targets, then those of further rows [m].
             weights: Their weights.
-            held: What the actuators do when they stay.
             within: Bounds of the actuators in this branch of slack cables.
             bounds: Bounds of this step.
             unknowns: Order of the unknowns.
@@ -747,7 +726,7 @@ class InverseActuation:
             system = with_effector_rows(system, extra, commanded)
         problem = build_inverse_problem(
             system, weights, self._energy_now, within, force_max,
-            self._centre(linear, held, unknowns), self._proximal_weight,
+            unknowns.stack(*self._last(linear)), self._proximal_weight,
         )  # fmt: skip
         return self._with_effort_rows(linear, problem, system, ~commanded)
 
@@ -758,15 +737,11 @@ class InverseActuation:
         share = max(LEAST_ENERGY_SHARE_IN_CONTACT, float(np.linalg.norm(asked)) / self._longest)
         return max(min(share, 1.0) * self._energy_weight, LEAST_ENERGY_WEIGHT)
 
-    def _centre(self, linear: Linearized, held: Actuation, unknowns: Unknowns) -> np.ndarray:
-        """Where the proximal term is centred.
-
-        What the targets leave open goes slowly from the last solution towards the least energy.
-        """
-        return unknowns.stack(*self._last(linear))
-
     def _last(self, linear: Linearized) -> tuple[np.ndarray, np.ndarray]:
-        """Efforts and contact forces of the last solution."""
+        """Efforts and contact forces of the last solution, where the proximal term is centred.
+
+        What the targets leave open goes slowly from there towards the least energy.
+        """
         return self._direct.last_solution(linear)
 
     @staticmethod
@@ -783,22 +758,14 @@ class InverseActuation:
 
     def _solution(
         self, linear: Linearized, problem: QPCC, held: Actuation, unknowns: Unknowns,
-        errors: np.ndarray, weights: np.ndarray, pose: Callable[[np.ndarray], QPCC],
+        errors: np.ndarray, weights: np.ndarray,
     ) -> QPCCSolution:  # fmt: skip
         """Solve the problem, from an admissible actuation and from what touched in the last step.
 
         Where contacts press and effectors miss what is asked of them, from the branch too in which
-        all contacts with bodies are open; and where that is in vain, against the energy. `pose`
-        gives the problem of other errors.
+        all contacts with bodies are open.
         """
         efforts, forces = held.efforts, held.contact.multipliers
-        if not problem.contact_count:
-            none = np.zeros(0, dtype=bool)
-            last = None if self._touching is None else none
-            self._touching = {}
-            return self.solver.solve(
-                problem, unknowns.stack(efforts, forces), none, last
-            )
         taut = efforts[unknowns.commanded]
         touching = np.concatenate([taut, forces]) > 0.0
         known = self._contact_keys(linear)
@@ -806,12 +773,13 @@ class InverseActuation:
         if self._touching is not None and len(known) == len(forces):
             before = [self._touching.get(key, False) for key in known]
             last = np.concatenate([taut > 0.0, np.array(before, dtype=bool)])
-        first_missed: list[np.ndarray] = []
+        missing: np.ndarray | None = None
 
         def second_start(z: np.ndarray) -> np.ndarray | None:
+            nonlocal missing
             if not self._seeks_anew(linear, unknowns, z, errors, weights):
                 return None
-            first_missed.append(z)
+            missing = z
             start = problem.forces(z) > 0.0
             start[len(taut) :] = False
             return start
@@ -820,12 +788,8 @@ class InverseActuation:
             problem, unknowns.stack(efforts, forces), touching, last,
             second_start=second_start if len(forces) else None,
         )  # fmt: skip
-        if first_missed:
-            if solution.unknowns is first_missed[0]:
-                solution = self._against_energy(
-                    linear, unknowns, solution, errors, weights, pose
-                )
-            is_in_vain = solution.unknowns is first_missed[0]
+        if missing is not None:
+            is_in_vain = solution.unknowns is missing
             self._next_wait = min(2 * self._next_wait + 1, LONGEST_WAIT) if is_in_vain else 0
             self._wait = self._next_wait
         self._touching = dict(
@@ -838,36 +802,16 @@ class InverseActuation:
         weights: np.ndarray,
     ) -> bool:  # fmt: skip
         """Whether a solution presses and misses, and the search is to begin a second time."""
-        if not (unknowns.split(z, linear.contact_row_count)[1] > 0.0).any():
+        efforts, forces = unknowns.split(z, linear.contact_row_count)
+        if not (forces > 0.0).any():
             return False
-        if np.linalg.norm(_missed(linear, unknowns, z, errors, weights)) <= self._tolerance:
+        places = linear.effector_places(efforts, forces)
+        left, wanted = errors[: len(places)] + places - linear.effectors, weights[: len(places)] > 0.0
+        if np.linalg.norm(left[wanted]) <= self._tolerance:
             self._wait = self._next_wait = 0
             return False
         self._wait -= 1
         return self._wait < 0
-
-    def _against_energy(
-        self, linear: Linearized, unknowns: Unknowns, first: QPCCSolution, errors: np.ndarray,
-        weights: np.ndarray, pose: Callable[[np.ndarray], QPCC],
-    ) -> QPCCSolution:  # fmt: skip
-        """The solution where twice the miss is asked for, if it misses much less; else the first.
-
-        What the energy keeps from a target is met so, as a multiplier does (Bregman's method). A
-        target that the bounds keep out of reach stays the same: of the nearest point in a convex
-        set, further away in the same direction, the nearest one is the same point.
-        """
-        missed = _missed(linear, unknowns, first.unknowns, errors, weights)
-        shifted = errors.copy()
-        shifted[: len(missed)] += missed
-        second = self.solver.solve(
-            pose(shifted), first.unknowns, first.touching, first.touching
-        )
-        if second.solved:
-            left = _missed(linear, unknowns, second.unknowns, errors, weights)
-            if np.linalg.norm(left) < MUCH_LOWER * np.linalg.norm(missed):
-                return second
-        self.solver.active = first.active
-        return first
 
     def _contact_keys(self, linear: Linearized) -> list[tuple[int, int]]:
         """Pair and key of each contact, by which it is recognised in the next step."""
@@ -991,15 +935,6 @@ class InverseActuation:
         missed = np.where(weights > 0.0, errors, 0.0)
         squares = np.bincount(self._steps.row_effector, weights=missed * missed)
         return float(np.sqrt(squares.max(initial=0.0)))
-
-
-def _missed(
-    linear: Linearized, unknowns: Unknowns, z: np.ndarray, errors: np.ndarray, weights: np.ndarray
-) -> np.ndarray:
-    """What a solution leaves of the errors of effectors [m], shape (effector_row_count,)."""
-    now = linear.effector_places(*unknowns.split(z, linear.contact_row_count))
-    left = errors[: len(now)] + now - linear.effectors
-    return np.where(weights[: len(now)] > 0.0, left, 0.0)
 
 
 def rest_rows(model: Model) -> np.ndarray:

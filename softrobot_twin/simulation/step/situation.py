@@ -12,8 +12,6 @@ from softrobot_twin.kernels.compilation import KERNEL, njit
 ANOTHER_TARGET = 0.01
 # Loads that change by more than this share of all loads are other ones.
 OTHER_LOADS = 0.01
-# Where a nearer pose is sought by simulation, actuators are calm that move by less of their scales in a step.
-CALM = 1.0e-5
 NO_LOADS = np.empty(0)
 
 
