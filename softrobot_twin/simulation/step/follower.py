@@ -17,12 +17,13 @@ Far from the targets a promise counts how effectors curve on their way, as moves
 What targets leave open goes to where its energy is least, by moves that promise nothing and are not
 judged; where they get no shorter, the radius shrinks. Where a robot comes no nearer for long, it goes
 back to the nearest place in stable balance, at once where the body snaps, and on from there a few times,
-by shorter moves; then it rests there. Where its shape at rest is much nearer, it was caught: it lets go
-once, and where that does not help, its effectors are led back through the places where they were. It
-rests in balance only: on the way there an unstable body may go far.
+by shorter moves; then it rests at the nearest of all stable places that it passed. Where its shape at
+rest is much nearer, it was caught: it lets go once, and where that does not help, its effectors are led
+back through the places where they were. It rests in balance only: on the way there an unstable body may
+go far.
 
-A move that the body does not accept, since it would fold or go too far, is solved for again in a smaller
-box; no share of it is made, whose direction would be poor.
+A move of which the body accepts less than a half, since it would fold or go too far, is solved for again
+in a smaller box: the direction of a small share would be poor.
 
 Where a taut cable is at its greatest shortening, a nearer place may have it slack, and no small
 move leads there. Before the actuators rest, the problem is solved in each branch in which one cable
@@ -574,7 +575,7 @@ class Follower(InverseActuation):
         return any(name.endswith(RATE) for name in names)
 
     def tries(self, found: Actuation, held: Actuation) -> Iterator[Actuation]:
-        """See `InverseActuation`; optima within ever smaller boxes, of other moves shares."""
+        """See `InverseActuation`; then optima within ever smaller boxes."""
         asked, before, judges = self._task, self.move_limit, self._is_noted
         if asked is None or found is held:
             yield from super().tries(found, held)
