@@ -879,7 +879,7 @@ class InverseWithFriction(Follower):
         return linear.with_violation(violation)
 
     def tries(self, found: Actuation, held: Actuation) -> Iterator[Actuation]:
-        """See `InverseActuation`; shares of a move, since another one would try other contacts.
+        """See `InverseActuation`; any share of a move is made, since another one would try other contacts.
 
         Args:
             found: See `InverseActuation`.
