@@ -75,10 +75,9 @@ LONGEST = 2.0
 NEARER, WORTH, MOST_IN_VAIN = 0.1, 0.5, 3
 # Where contacts go on as they do, friction makes what is promised to this share of the way's square.
 SO_NEAR = 0.01
-# Where targets are reached, actuators that moved by no more than a share of their scales in so many
-# steps stay, until effectors leave by a share of the tolerance: where contacts creep by what their
-# solution leaves, a new optimum in each step would never rest.
-CALM, CALM_STEPS, LEFT = 1.0e-6, 10, 0.05
+# Actuators that came to targets within this share of the tolerance stay, until effectors leave it: where contacts
+# creep by what their solution leaves, a new optimum in each step would never rest.
+LEFT = 0.05
 # Weight of forces beyond their limit, against that of effectors.
 FORCES_FIRST = 1.0e2
 # What a pair lacks of its least force counts so many times that distance; a share of it that is none.
@@ -607,7 +606,7 @@ class InverseWithFriction(Follower):
         self._search = Search(self._learns)
         self._among_open_ones = InverseSolver(most_programs=MOST_PROGRAMS, is_exact=True)
         self._targets = self._moved = None
-        self._calm_count, self._calm, self._tried_length = 0, 0.0, GREATEST
+        self._has_come, self._tried_length = False, GREATEST
         # Least forces and margins that lacked in the last optimum.
         self._lacked = np.zeros(0 if self._grips is None else len(self._grips.least), bool)
 
@@ -619,6 +618,10 @@ class InverseWithFriction(Follower):
         if self._begins:
             self._note_motion(target_rows)
         return super().solve(linear, target_rows, held, bounds, stiffness)
+
+    def begin_step(self, is_balanced: bool, is_stable: bool, *around) -> None:
+        """See `InverseActuation`; what is in balance while contacts rub is held by them."""
+        super().begin_step(is_balanced, is_stable or is_balanced, *around)
 
     def told(self, done: Actuation, sought: Actuation) -> Actuation:
         """What actuators and contacts do by drives that were sought, with all that is told of it.
@@ -639,7 +642,7 @@ class InverseWithFriction(Follower):
             moved[places] = np.nan_to_num(target_rows - self._targets)[places]
         if moved.any():
             self._search.forget()
-            self._calm_count = 0
+            self._has_come = False
         before = np.zeros(len(moved)) if self._moved is None else np.abs(self._moved)
         self._motion = np.clip(moved, -before, before)
         self._targets, self._moved = target_rows.copy(), moved
@@ -712,7 +715,9 @@ class InverseWithFriction(Follower):
         aim = aim.short_of_targets(held, left_out, self._motion, self._brakes)
         before, negligible = aim.missed(held), self._negligible**2 * weights.max(initial=0.0)
         reached = self._tolerance**2 * weights.max(initial=0.0)
-        if self._calm_count >= CALM_STEPS and before <= min(self._calm + LEFT**2 * reached, reached):
+        is_reached = self._learns and self._now <= self._reached
+        self._has_come = is_reached and (self._has_come or before <= LEFT**2 * reached)
+        if self._has_come:
             return held
         task = Task(linear, aim, held, bounds, ~commanded, optimise, before, negligible)
         best = self._tried(task)
@@ -725,7 +730,7 @@ class InverseWithFriction(Follower):
             half = 0.5 * (held.drives(self._limits) + best.drives(self._limits))
             best = self._with_friction(linear, half, bounds, best)
         is_stalled = aim.missed(best) > (1.0 - PROGRESS) * before
-        self._search.is_stalled = before > LEFT**2 * reached and is_stalled
+        self._search.is_stalled = is_stalled and not is_reached
         slips = self._grips is not None and self._grips.slips_on(
             self._contacts, held.contact.multipliers, best.contact.multipliers
         )
@@ -734,10 +739,6 @@ class InverseWithFriction(Follower):
                 self.refuse(False)
             best = held
         self._direct.remember(best.efforts)
-        is_calm = self._length_from(held, best) <= CALM
-        self._calm_count = self._calm_count + 1 if is_calm else 0
-        if self._calm_count <= 1:
-            self._calm = before
         return best
 
     def _tried(self, task: Task) -> Actuation | None:
@@ -814,7 +815,8 @@ class InverseWithFriction(Follower):
             left = min((task.aim.missed(back) for back in backs if back), default=np.inf)
         goal = self._search.judge(far.drives(self._limits), left, task.before)
         if goal is not None:
-            self._goal, self._waits = goal, 0
+            # What refused moves here says nothing of there.
+            self._goal, self._waits, self._since, self.move_limit = goal, 0, 0, GREATEST
 
     def _nearest(
         self, task: Task, at: Actuation, system: Linearized, bounds: Bounds, rounds: int
