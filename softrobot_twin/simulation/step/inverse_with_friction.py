@@ -75,8 +75,9 @@ LONGEST = 2.0
 NEARER, WORTH, MOST_IN_VAIN = 0.1, 0.5, 3
 # Where contacts go on as they do, friction makes what is promised to this share of the way's square.
 SO_NEAR = 0.01
-# Actuators that came to targets within this share of the tolerance stay, until effectors leave it: where contacts
-# creep by what their solution leaves, a new optimum in each step would never rest.
+# Actuators that came to targets within this share of the tolerance stay, until effectors leave the
+# tolerance: where contacts creep by what their solution leaves, a new optimum in each step would
+# never rest.
 LEFT = 0.05
 # Weight of forces beyond their limit, against that of effectors.
 FORCES_FIRST = 1.0e2
