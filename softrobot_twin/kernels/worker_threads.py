@@ -111,12 +111,6 @@ def finish(task, done):
     _write(done.ctypes.data + 8 * task, 1)
 
 
-@njit(**INNER)
-def wait_for_turn(task, state, done):
-    """Wait until all tasks before one are done that wait for their turns; False as of `wait_for`."""
-    return task == 0 or wait_for(task - 1, state, done)
-
-
 NO_TASKS = np.zeros(0, np.int64)
 
 

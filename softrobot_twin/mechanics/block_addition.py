@@ -16,7 +16,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from softrobot_twin.kernels.compilation import INNER, KERNEL, njit
+from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.mechanics.element_batches import BATCH, at
 
 # Elements that are transposed together, and entries that are added at once.
@@ -130,31 +130,3 @@ def add_blocks(offsets, strides, K, storage):
                 storage[o + 1] += K[at(3 * j + 1, e)]
                 storage[o + 2] += K[at(3 * j + 2, e)]
                 o += strides[e]
-
-
-@njit(**INNER)
-def add_block(offsets, strides, are_contiguous, K, storage):
-    """The same for blocks of either kind."""
-    if are_contiguous:
-        add_contiguous_blocks(offsets, K, storage)
-    else:
-        add_blocks(offsets, strides, K, storage)
-
-
-@njit(**KERNEL)
-def add_all_blocks(offsets, strides, are_contiguous, K, storage):
-    """The same for all blocks of some batches, one after the other.
-
-    Args:
-        offsets: Place of each block, -1 where there is none, shape (batch_count, pair_count, BATCH).
-        strides: Distance of its columns, same shape.
-        are_contiguous: Whether all blocks are contiguous.
-        K: The blocks, column by column, shape (batch_count × pair_count, 9 BATCH).
-        storage: The factorization's storage [N/m]; added to.
-    """
-    batch_count, pair_count = offsets.shape[:2]
-    for k in range(batch_count):
-        for pair in range(pair_count):
-            add_block(
-                offsets[k, pair], strides[k, pair], are_contiguous, K[k * pair_count + pair], storage
-            )

@@ -78,14 +78,13 @@ from softrobot_twin.geometry.shape_functions import HourglassFields
 from softrobot_twin.geometry.vector3 import add_scaled, dot, row, scaled, set_row
 from softrobot_twin.geometry.vector_arrays import write_differences
 from softrobot_twin.kernels.compilation import INNER, KERNEL, ONCE, njit
-from softrobot_twin.kernels.worker_threads import finish, take, wait_for_turn
-from softrobot_twin.mechanics.block_addition import add_all_blocks, add_block
+from softrobot_twin.kernels.worker_threads import finish, take, wait_for
+from softrobot_twin.mechanics.block_addition import add_blocks, add_contiguous_blocks
 from softrobot_twin.mechanics.element_assembly import deform, gather, subtract_forces
 from softrobot_twin.mechanics.element_batches import (
     BATCH,
     ElementBatches,
     at,
-    copy_entries,
     in_batches,
     matrix_at,
     of_node,
@@ -351,7 +350,9 @@ def add_stiffness(
     """Add the stiffness of all elements.
 
     Args:
-        waits_for_all, state, done: See `element_assembly.add_stiffness`.
+        waits_for_all: Whether to return when all tasks are done, or when none is left to begin.
+        state: Of the list of tasks, see `worker_threads`.
+        done: Which tasks are done, shape (task_count,); empty without threads.
         is_linear, moduli, scale, floor, gradients, gammas, deformations, h, g: See `add_forces`.
         projected: True for its positive semidefinite part.
         offsets: Place of each block, see `bind_stencils`, shape (batch_count, pair_count, BATCH).
@@ -362,10 +363,10 @@ def add_stiffness(
     C, factors, dC, dF = scratch(9), scratch(3), scratch(9), scratch(9)
     dh, dy, dg, pair_count = scratch(12), scratch(12), scratch(12), offsets.shape[1]
     force, dP = scratch(12), np.empty((3, 21 * BATCH))
-    # Without tasks each block is added at once.
-    has_tasks, size = len(done) > 0, -(-len(moduli) // max(len(done), 1))
-    kept, K = np.empty((size * pair_count if has_tasks else 0, 9 * BATCH)), scratch(9)
-    number = take(state) if has_tasks else 0
+    # The blocks of a task are added at its turn; without tasks, those of a batch at once.
+    has_tasks = len(done) > 0
+    size = -(-len(moduli) // len(done)) if has_tasks else 1
+    kept, number = np.empty((size * pair_count, 9 * BATCH)), take(state) if has_tasks else 0
     for k in range(len(moduli)):
         if k < number * size:
             continue
@@ -373,7 +374,7 @@ def add_stiffness(
         find_state(is_linear, F, C, factors)
         for i in range(len(force)):
             force[i] = 0.0 if projected else g[k, i]
-        pair = 0
+        pair = k % size * pair_count
         for b in range(8):
             for j in range(3):
                 dF[:], dh[:] = 0.0, 0.0
@@ -389,21 +390,23 @@ def add_stiffness(
             for a in range(b, 8):
                 for j in range(3):
                     for e in range(BATCH):
-                        put_vector(K, j, e, _to_node(dP[j], gradients[k], gammas[k], a, e))
-                if has_tasks:
-                    copy_entries(K, kept[k % size * pair_count + pair])
-                else:
-                    add_block(offsets[k, pair], strides[k, pair], are_contiguous, K, storage)
+                        put_vector(kept[pair], j, e, _to_node(dP[j], gradients[k], gammas[k], a, e))
                 pair += 1
-        if has_tasks and (k % size == size - 1 or k == len(moduli) - 1):
-            if not wait_for_turn(number, state, done):
-                return
-            first = number * size
-            add_all_blocks(offsets[first : k + 1], strides[first : k + 1], are_contiguous, kept, storage)
+        if k % size < size - 1 and k < len(moduli) - 1:
+            continue
+        if has_tasks and number > 0 and not wait_for(number - 1, state, done):
+            return
+        for i in range(pair):
+            batch, of_batch = k - k % size + i // pair_count, i % pair_count
+            if are_contiguous:
+                add_contiguous_blocks(offsets[batch, of_batch], kept[i], storage)
+            else:
+                add_blocks(offsets[batch, of_batch], strides[batch, of_batch], kept[i], storage)
+        if has_tasks:
             finish(number, done)
             number = take(state)
     if has_tasks and waits_for_all:
-        wait_for_turn(len(done), state, done)
+        wait_for(len(done) - 1, state, done)
 
 
 @njit(**KERNEL)

@@ -50,7 +50,8 @@ from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, row, scaled,
 from softrobot_twin.geometry.vector_arrays import write_differences
 from softrobot_twin.kernels.compilation import INLINED, INNER, KERNEL, ONCE, njit
 from softrobot_twin.mechanics.block_addition import (
-    add_block,
+    add_blocks,
+    add_contiguous_blocks,
     are_contiguous,
 )
 from softrobot_twin.mechanics.element_batches import BATCH, in_batches, put_vector, scratch
@@ -327,7 +328,10 @@ def add_patch_stiffness(bulk_modulus, projected, rest_volumes, x, moves, cells, 
         for b in range(width):
             for a in range(b, width):
                 write_block(stiffness, pressures, g[a], g[b], curvature[a, b], K)
-                add_block(offsets[k, pair], strides[k, pair], are_contiguous, K, storage)
+                if are_contiguous:
+                    add_contiguous_blocks(offsets[k, pair], K, storage)
+                else:
+                    add_blocks(offsets[k, pair], strides[k, pair], K, storage)
                 pair += 1
 
 

@@ -20,7 +20,7 @@ from softrobot_twin.kernels.worker_threads import (
     helper_ids,
     take,
     team_of,
-    wait_for_turn,
+    wait_for,
 )
 
 
@@ -32,12 +32,12 @@ def _sum_up(waits_for_all, state, done, numbers):
         worked = 0.0
         for k in range(1000 * (number % 3)):
             worked += np.sqrt(k)
-        if not wait_for_turn(number, state, done):
+        if number > 0 and not wait_for(number - 1, state, done):
             return -1
         numbers[number] = (number > 0 and numbers[number - 1]) + (worked >= 0.0)
         finish(number, done)
         number = take(state)
-    if waits_for_all and not wait_for_turn(len(done), state, done):
+    if waits_for_all and not wait_for(len(done) - 1, state, done):
         return -1
     return numbers[-1]
 
