@@ -716,7 +716,7 @@ class InverseWithFriction(Follower):
         aim = aim.short_of_targets(held, left_out, self._motion, self._brakes)
         before, negligible = aim.missed(held), self._negligible**2 * weights.max(initial=0.0)
         reached = self._tolerance**2 * weights.max(initial=0.0)
-        is_reached = self._learns and self._now <= self._reached
+        is_reached = self._learns and self._rubs and self._now <= self._reached
         self._has_come = is_reached and (self._has_come or before <= LEFT**2 * reached)
         if self._has_come:
             return held
