@@ -1206,6 +1206,7 @@ class ChannelInput(Input):
             now: Time on the clock of `Arrival.time` [s].
             since: NaN too where nothing was heard after this time [s].
         """
+        # Each tick reads all channels, of which most are never heard.
         if self.time == -math.inf:
             return self._values.copy()
         is_late = (now - self._heard > self.settings.device_timeout) | (self._heard <= since)

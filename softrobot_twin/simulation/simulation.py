@@ -746,7 +746,7 @@ class Simulation(Readouts):
         if share:
             settled = newton.settle(positions, share, is_sought)
             if settled != share:
-                share, residual = settled, newton.residual(positions, actuation)
+                share, residual = settled, float(newton.balance.largest[0])
                 clock.mark("residual")
         return share, residual, actuation
 

@@ -317,7 +317,7 @@ class Newton:
             is_sought: Whether targets chose what the actuators do.
 
         Returns:
-            The share that is made. Where it is another, the residual is to be taken again.
+            The share that is made; forces and residual of the balance are those of it.
         """
         is_too_stiff = self.tangent.is_projected
         settled = self.share_rule.settle(positions, share, self._was_folded, is_too_stiff, is_sought)

@@ -30,13 +30,13 @@ from softrobot_twin.geometry.vector_arrays import copy_vectors
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.step.actuation import Actuation
 from softrobot_twin.simulation.step.force_balance import ForceBalance
+from softrobot_twin.simulation.step.tangent import TOO_SHORT
 
 # Where -r(1)·dq is more than this share of r(0)·dq, a move went too far unless the merit falls by the second
 # share of what was promised; by the third one where moves are doubted, which lead to and fro else.
 OVERSHOOT, DECREASE, DOUBTED = 0.5, 0.05, 0.25
-# A move by a projected tangent was far too short where r(1)·dq is more than this share of r(0)·dq; it is made
-# longer by the second factor.
-TOO_SHORT, LONGER = 0.9, 4.0
+# A move by a projected tangent that was far too short is made longer by this factor.
+LONGER = 4.0
 # Penalty of held actuators by their λ (Nocedal and Wright 2006, section 17.2).
 PENALTY = 2.0
 # Largest penalty of overlaps that are found after a move, by r(0)·dq; beyond, moves are doubted: what they

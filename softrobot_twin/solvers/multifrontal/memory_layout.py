@@ -269,7 +269,7 @@ def plan_updates(
     offsets = np.zeros(len(sizes), dtype=np.int64)
     memory = FirstFit()
     unused: list[list[tuple[int, int]]] = []  # of each subtree that is complete
-    begins = np.arange(len(sizes)) < 0 if begins is None else begins
+    begins = np.zeros(len(sizes), bool) if begins is None else begins
     for s in range(len(sizes)):
         own = children[fronts[s]["child_start"] : fronts[s]["child_end"]]
         if begins[s]:
