@@ -308,7 +308,8 @@ class TracedStages:
                     one.is_used = False
             self.are_known = all(one.is_known or not one.is_used for one in self._stages)
         else:
-            known.trace, known.table, known.is_known = new, None, False
+            self.forget()
+            known.trace, known.table = new, None
             self._changes = max(0, self._changes - self._driven // PAYING_RUNS) + 1
             self._driven = 0
             if self._changes > FEW * len(self._stages):

@@ -127,6 +127,14 @@ def test_where_one_stage_does_something_else_none_is_run_by_the_driver(monkeypat
     vectors[0, 0] = -1.0
     stages.run(0)
     assert stages.run(1)
+    # Nor is one that was learned while the other one was not known.
+    vectors[0, 0] = 1.0
+    for place in (0, 1, 1):
+        stages.run(place)
+    vectors[0, 0] = -1.0
+    for _ in range(3):
+        stages.run(0)
+    assert stages.run(1)
 
 
 @njit(**{**KERNEL, "cache": False})
