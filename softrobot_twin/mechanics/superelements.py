@@ -705,17 +705,6 @@ class Superelements(ForceTerm):
         variables = np.concatenate([self.deformations[index], pressures])
         return self._scaling[index] @ (variables - self._middle[index])
 
-    def write_deformation_slopes(self, index: int, place: np.ndarray, out: np.ndarray) -> None:
-        """Write ∂e by the unknowns of a superelement, at the state evaluated last.
-
-        Args:
-            index: The superelement.
-            place: Place of each unknown in `out`, shape (free_node_count,).
-            out: Shape (6, place_count, 3); that of other unknowns stays.
-        """
-        moving = self.unknowns[index] >= 0
-        out[:, place[self.unknowns[index][moving]]] = self._by_unknowns[index][:, moving]
-
 
 def _places(variable_count: int, monomials: Monomials) -> list[int]:
     """Places of the monomials of the first variables among those of all."""

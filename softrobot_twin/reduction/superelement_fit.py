@@ -355,15 +355,11 @@ class FittedPart(NamedTuple):
 
     Attributes:
         fit: Π; end points in mesh coordinates.
-        samples: z of the samples, shape (sample_count, n).
-        residuals: ∂Π/∂e of the fit less that of each sample [N] and [N m], shape (sample_count, 6).
-        shares: Residual of each by what is usual, both scaled to energies, shape (sample_count,).
+        shares: Residual of ∂Π of each sample by what is usual, both scaled to energies, shape (sample_count,).
         lost: Samples for which no equilibrium was found.
     """
 
     fit: SuperelementFit
-    samples: np.ndarray
-    residuals: np.ndarray
     shares: np.ndarray
     lost: int
 
@@ -415,10 +411,9 @@ def fit_enthalpy(
     low = monomials.count_up_to(CENTRE_DEGREE)
     centres, *_ = np.linalg.lstsq(values[:, :low], np.array([s.centre for s in samples]))
     usual = np.sqrt((wanted**2).sum(axis=1).mean())
-    forces = (residuals @ within.scaling)[:, :DEFORMATIONS]
     rest = np.concatenate([model.rest, np.zeros(3)])
     fit = SuperelementFit(
         np.array(part.ends), part.end_points, rest, np.array(part.cavities, np.int64),
         within.middle, within.scaling, found, centres.T, float(model.masses.sum()),
     )  # fmt: skip
-    return FittedPart(fit, z, forces, np.linalg.norm(residuals, axis=1) / usual, lost)
+    return FittedPart(fit, np.linalg.norm(residuals, axis=1) / usual, lost)

@@ -68,7 +68,6 @@ class Accuracy(NamedTuple):
         errors: Distance at each state [m], shape (state_count, name_count).
         displacements: Displacement of the full model from the setpoints of rest [m], same shape.
         ranges: Largest |z| at each state, shape (state_count,).
-        estimates: Live estimates of the reduced model [m], shape (state_count,).
         seed: Of the states.
         lost: States of the full model at which the reduced one found no equilibrium.
     """
@@ -77,7 +76,6 @@ class Accuracy(NamedTuple):
     errors: np.ndarray
     displacements: np.ndarray
     ranges: np.ndarray
-    estimates: np.ndarray
     seed: int
     lost: int = 0
 
@@ -195,9 +193,7 @@ def reduce_body(
         samples, lost = sample(model, within, count, seed + index)
         made.append(fit_enthalpy(model, part, within, samples, degree, lost))
     reduction = Reduction(
-        tuple(fitted.fit for fitted in made), degree, tuple(fitted.samples for fitted in made),
-        tuple(fitted.residuals for fitted in made), volumes, areas,
-    )  # fmt: skip
+        tuple(fitted.fit for fitted in made), degree, volumes, areas)
     return reduction, made
 
 
@@ -225,8 +221,7 @@ def accuracy_of(scene: Scene, count: int, seed: int) -> Accuracy:
             continue
         at, states = _places(full, own), reduced.reduction_state().values()
         rows.append((np.linalg.norm(_places(reduced, others) - at, axis=1),
-                     np.linalg.norm(at - start, axis=1), max(state.range for state in states),
-                     max(state.error for state in states)))
+                     np.linalg.norm(at - start, axis=1), max(state.range for state in states)))
     if not rows:
         raise ReductionError(
             f"full and reduced model have an equilibrium in common at no setpoints of seed {seed}"
@@ -336,7 +331,7 @@ def _make(scene: Scene, found: list[Division], outdated: list[str], seed: int, o
             "not reached", "residual of the fit, median", "95 %", "worst", rows=(
                 [" - ".join(division.names[end] for end in part.ends), str(len(part.inner)),
                  ", ".join(division.cavities[c] for c in part.cavities) or "-",
-                 str(len(fitted.samples)), str(fitted.lost),
+                 str(len(fitted.shares)), str(fitted.lost),
                  *(f"{100.0 * np.percentile(fitted.shares, q):.2f} %" for q in (50, 95, 100))]
                 for part, fitted in zip(division.parts, made, strict=True)))
         path = reduction_path(division.body, scene)
@@ -374,7 +369,4 @@ def _print_accuracy(found: Accuracy, out) -> None:
     out.print(rows)
     if found.lost:
         out.print(f"the reduced model found no equilibrium at {found.lost} states more")
-    worst = found.errors.max(axis=1)
     out.print(f"largest share of the sampled range: {found.ranges.max():.2f} (out of it above 1)")
-    out.print(f"live estimate of the error: median {1e3 * np.median(found.estimates):.4f} mm where "
-              f"the error is {1e3 * np.median(worst):.4f} mm")

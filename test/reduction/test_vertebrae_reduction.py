@@ -190,7 +190,6 @@ def test_the_tip_is_where_the_full_model_has_it(workshop):
     assert found.ranges.max() <= 1.0
     assert np.median(found.shares[:, 0]) < 0.03
     assert found.shares.max() < 0.06
-    assert (found.estimates > 0.2 * found.errors[:, 0]).mean() > 0.6
 
 
 @pytest.mark.exhaustive
@@ -329,7 +328,6 @@ def test_a_state_outside_of_the_sampled_range_is_told(reduced):
     assert outside.report.sampled_range > 1.0
     assert f"fetch.{SAMPLED}" in outside.report.active_limits
     assert far.range > 1.0 >= near.range
-    assert far.error > 2.0 * near.error
 
 
 CHANGES = {

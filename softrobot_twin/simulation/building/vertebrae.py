@@ -283,9 +283,6 @@ class Reduction(NamedTuple):
     Attributes:
         fits: Π of each soft part, in the order of the division; end points in mesh coordinates.
         degree: Total degree of Π.
-        samples: z of the samples of each soft part, each of shape (sample_count, n).
-        residuals: What the forces ∂Π/∂e of each sample are wrong by [N] and [N m],
-            shape (sample_count, 6).
         rest_volumes: Volume of each cavity at rest [m³], shape (cavity_count,).
         rest_areas: Area of its walls at rest [m²], shape (cavity_count,).
         measured: Median and largest error of the reduced model against the full one, by the
@@ -294,8 +291,6 @@ class Reduction(NamedTuple):
 
     fits: tuple[SuperelementFit, ...]
     degree: int
-    samples: tuple[np.ndarray, ...]
-    residuals: tuple[np.ndarray, ...]
     rest_volumes: np.ndarray
     rest_areas: np.ndarray
     measured: np.ndarray = np.full(2, np.nan)
@@ -317,8 +312,6 @@ def write_reduction(path: Path, reduction: Reduction, prints: dict[str, str]) ->
     }  # fmt: skip
     for s, fit in enumerate(reduction.fits):
         arrays.update({f"{name}_{s}": getattr(fit, name) for name in _SAVED})
-        for name in ("samples", "residuals"):
-            arrays[f"{name}_{s}"] = getattr(reduction, name)[s].astype(np.float32)
     np.savez_compressed(path, **arrays)
 
 
@@ -338,7 +331,7 @@ def read_reduction(path: Path, division: Division) -> Reduction:
     count = int(file.taken("count", kind="i"))
     if count != len(division.parts):
         raise file.damaged(f"it has {count} superelements for {len(division.parts)} soft parts")
-    fits, samples, residuals = [], [], []
+    fits = []
     for s, part in enumerate(division.parts):
         n = DEFORMATIONS + len(part.cavities)
         fit = SuperelementFit(
@@ -356,11 +349,9 @@ def read_reduction(path: Path, division: Division) -> Reduction:
                 _rest_stiffness(fit, degree))[0] > 0.0:  # fmt: skip
             raise file.damaged(f"the stiffness at rest of superelement {s} is not positive definite")
         fits.append(fit)
-        samples.append(file.taken(f"samples_{s}", None, n))
-        residuals.append(file.taken(f"residuals_{s}", len(samples[-1]), 6))
     cavity_count = len(division.cavities)
     return Reduction(
-        tuple(fits), degree, tuple(samples), tuple(residuals),
+        tuple(fits), degree,
         file.taken("rest_volumes", cavity_count, least=LEAST),
         file.taken("rest_areas", cavity_count, least=LEAST),
         file.taken("measured", 2, least=0.0, may_be_nan=True),

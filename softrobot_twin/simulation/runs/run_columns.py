@@ -192,9 +192,8 @@ class RunColumns:
         self._simulation, model = simulation, simulation.model
         self._pairs = pair_names(simulation)
         self._judged: tuple[str, ...] = ()
-        if with_reduction_errors:
-            spare = reduced_bodies(model) if has_spare_modes(model) else ()
-            self._judged = (*model.superelements, *(body.name for body in spare))
+        if with_reduction_errors and has_spare_modes(model):
+            self._judged = tuple(body.name for body in reduced_bodies(model))
         self._parts = [
             Cells((STEP, TIME), lambda row: (row.step, row.time)),
             *self._of_channels("effector_names", followed),
