@@ -46,16 +46,15 @@ from softrobot_twin.solvers.multifrontal.symbolic import NONE
 from softrobot_twin.study.bench import bench_rows, measure_all, print_sizes
 from softrobot_twin.study.bench_measurement import (
     OUTSIDE,
-    SUPERLU,
     WHOLE_STEP,
     BenchCase,
-    SizeMeasurement,
     circle_targets,
     default_scene_path,
     held_commands,
     swept_setpoints,
 )
 from step_overhead import compared, overhead_of, overhead_table, read_earlier
+from superlu_reference import SUPERLU, BesideSuperLU, beside_superlu
 
 
 INTERVAL_TIME_STEP = 0.02
@@ -304,7 +303,7 @@ REQUIRED_REDUCED_TAIL = 1.3
 """The same for a reduced model, whose bar counts the largest allowed value."""
 
 
-def requirements(size: SizeMeasurement) -> Iterator[tuple[str, bool, str]]:
+def requirements(size: BesideSuperLU) -> Iterator[tuple[str, bool, str]]:
     """What is required of a step: the requirement, whether it is met, and what was measured.
 
     Args:
@@ -325,7 +324,7 @@ def requirements(size: SizeMeasurement) -> Iterator[tuple[str, bool, str]]:
                f"with {paper.dof}, on another machine")
 
 
-def print_requirements(sizes: Sequence[SizeMeasurement]) -> None:
+def print_requirements(sizes: Sequence[BesideSuperLU]) -> None:
     """Prints whether each requirement is met, and the share of steps that were interrupted.
 
     Args:
@@ -342,7 +341,7 @@ def print_requirements(sizes: Sequence[SizeMeasurement]) -> None:
 _ALGEBRA = ("factor", "condense", "correct")
 
 
-def print_operations(sizes: Sequence[SizeMeasurement]) -> None:
+def print_operations(sizes: Sequence[BesideSuperLU]) -> None:
     """Prints the operations of factor and solves, and the share of the speed of dense products reached.
 
     Args:
@@ -387,18 +386,18 @@ def growth_exponent(sizes, times) -> float:
     return float(np.polyfit(x, y, 1)[0]) if len(np.unique(x)) > 1 else float("nan")
 
 
-def _families_of(sizes: Sequence[SizeMeasurement]) -> dict[str, list[SizeMeasurement]]:
+def _families_of(sizes: Sequence[BesideSuperLU]) -> dict[str, list[BesideSuperLU]]:
     """Sizes by family, whose scenes differ in the mesh only, in their order."""
     return by_key((re.sub(r"_\d[\dx]*$", "", size.case.name), size) for size in sizes)
 
 
-def _stage_names(sizes: Sequence[SizeMeasurement]) -> list[str]:
+def _stage_names(sizes: Sequence[BesideSuperLU]) -> list[str]:
     """All stages in their order, then the time outside them, then the whole step."""
     inner = dict.fromkeys(name for size in sizes for name in size.stages)
     return [name for name in inner if name not in (OUTSIDE, WHOLE_STEP)] + [OUTSIDE, WHOLE_STEP]
 
 
-def _growth_table(sizes: Sequence[SizeMeasurement]) -> Table | None:
+def _growth_table(sizes: Sequence[BesideSuperLU]) -> Table | None:
     """Exponent of each stage over each family; None when no family has two sizes."""
     families = {family: members for family, members in _families_of(sizes).items()
                 if len({size.dof_count for size in members}) > 1}
@@ -410,7 +409,7 @@ def _growth_table(sizes: Sequence[SizeMeasurement]) -> Table | None:
               for stage in (*_stage_names(sizes), SUPERLU)))
 
 
-def exponent(sizes: Sequence[SizeMeasurement], stage: str) -> float:
+def exponent(sizes: Sequence[BesideSuperLU], stage: str) -> float:
     """Growth exponent of one stage's median over sizes.
 
     Args:
@@ -420,12 +419,12 @@ def exponent(sizes: Sequence[SizeMeasurement], stage: str) -> float:
     return growth_exponent([size.dof_count for size in sizes], _medians(sizes, stage))
 
 
-def _medians(sizes: Sequence[SizeMeasurement], stage: str) -> list[float]:
+def _medians(sizes: Sequence[BesideSuperLU], stage: str) -> list[float]:
     """Median of a stage of each size [s]; NaN where a size does not have this stage."""
     return [size.times[stage].median if stage in size.times else np.nan for size in sizes]
 
 
-def draw_bench(path: Path, sizes: Sequence[SizeMeasurement], conditions: str) -> None:
+def draw_bench(path: Path, sizes: Sequence[BesideSuperLU], conditions: str) -> None:
     """Draws all sizes and writes the picture.
 
     Args:
@@ -443,7 +442,7 @@ def draw_bench(path: Path, sizes: Sequence[SizeMeasurement], conditions: str) ->
         _draw_ratios(right, sizes)
 
 
-def _draw_stages(axes, sizes: Sequence[SizeMeasurement]) -> None:
+def _draw_stages(axes, sizes: Sequence[BesideSuperLU]) -> None:
     """Medians of each stage, one line for each family of meshes."""
     inner = list(dict.fromkeys(name for size in sizes for name in size.stages if name != WHOLE_STEP))
     colours = dict(zip(inner, _STAGE_COLOURS * 2))
@@ -466,7 +465,7 @@ def _draw_stages(axes, sizes: Sequence[SizeMeasurement]) -> None:
     axes.legend(loc="upper left", fontsize=8)
 
 
-def _draw_ratios(axes, sizes: Sequence[SizeMeasurement]) -> None:
+def _draw_ratios(axes, sizes: Sequence[BesideSuperLU]) -> None:
     """Median and 99th percentile of the whole step, in SuperLU factorizations.
 
     Reduced models, of which none is factorized, are left out.
@@ -493,20 +492,20 @@ def _draw_ratios(axes, sizes: Sequence[SizeMeasurement]) -> None:
         axes.legend(loc="lower left", fontsize=8)
 
 
-def _styles(families: dict[str, list[SizeMeasurement]]) -> list[str]:
+def _styles(families: dict[str, list[BesideSuperLU]]) -> list[str]:
     """Line styles: a line for each family of more than two sizes, points for the others."""
     shapes = cycle(_MARKERS)
     return ["o-" if len(members) > 2 else next(shapes) for members in families.values()]
 
 
-def _growth_label(sizes: Sequence[SizeMeasurement], stage: str) -> str:
+def _growth_label(sizes: Sequence[BesideSuperLU], stage: str) -> str:
     growth = exponent(sizes, stage)
     if len(sizes) < 3 or not np.isfinite(growth):
         return ""
     return f" ~ dof^{growth:.2f}"
 
 
-def _families_label(families: dict[str, list[SizeMeasurement]]) -> str:
+def _families_label(families: dict[str, list[BesideSuperLU]]) -> str:
     lines = [family for family, members in families.items() if len(members) > 2]
     points = [family for family, members in families.items() if len(members) <= 2]
     if not lines or not points:
@@ -526,7 +525,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             make_folder(given.output)
         earlier = {} if given.compare is None else read_earlier(given.compare)
         cases = standard_cases()
-        sizes = measure_all(cases, given.steps)
+        sizes = [beside_superlu(size) for case in cases for size in measure_all([case], given.steps)]
         added = {case.name: overhead_of(case) for case in cases}
         conditions = describe_machine(NUMERICAL_LIBRARIES)
         console().print(conditions + "\n")
@@ -539,8 +538,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print_requirements(sizes)
         print_operations(sizes)
         if given.output is not None:
+            own = {size.case.name: size for size in sizes}
             write_rows(given.output / "bench.csv",
-                       [row | added[row["scene"]].columns for row in bench_rows(sizes)])
+                       [row | own[row["scene"]].columns(row["stage"]) | added[row["scene"]].columns
+                        for row in bench_rows(sizes)])
             draw_bench(given.output / "bench.png", sizes, conditions)
     except SoftRobotTwinError as error:
         print(error, file=sys.stderr)

@@ -24,7 +24,7 @@ from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.harness.machine_facts import NUMERICAL_LIBRARIES, describe_machine
 from softrobot_twin.harness.output_file import OutputError, make_folder
 from softrobot_twin.harness.terminal import console, table, warn
-from softrobot_twin.harness.timing import Spread, SuperLUReference, spread
+from softrobot_twin.harness.timing import Spread, spread
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.solvers.dense_stiffness import without_rows
 from softrobot_twin.solvers.factorization import Factorization, NodeRows
@@ -43,6 +43,7 @@ from softrobot_twin.study.bench_measurement import (
     given_cases,
     without_garbage_collection,
 )
+from superlu_reference import SuperLUReference
 
 # Every set of active rows is tried up to this many unknowns.
 MOST_ENUMERATED = 4

@@ -23,11 +23,11 @@ import yaml
 from scipy.sparse.linalg import splu
 
 import softrobot_twin as st
-from softrobot_twin.harness.timing import SuperLUReference
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation
 from softrobot_twin.solvers.dense_stiffness import without_rows
 from softrobot_twin.study.bench_measurement import circle_targets
+from superlu_reference import SuperLUReference
 
 ROOT = Path(st.__file__).resolve().parents[1]
 """The checkout of the package that runs: its scenes and meshes are used, too."""

@@ -27,7 +27,8 @@ from softrobot_twin.harness.terminal import report_activity, table
 from softrobot_twin.harness.timing import without_garbage_collection
 from softrobot_twin.simulation import FollowTargets, Simulation
 from softrobot_twin.simulation.runs.input_tables import TableFileError
-from softrobot_twin.study.bench_measurement import WHOLE_STEP, BenchCase, SizeMeasurement
+from softrobot_twin.study.bench_measurement import WHOLE_STEP, BenchCase
+from superlu_reference import BesideSuperLU
 
 UNCOUNTED_STEPS = 10
 """Steps before those that are counted: the first ones on a path take more linearizations."""
@@ -121,7 +122,7 @@ def read_earlier(path: Path) -> dict[str, tuple[float, float]]:
 
 
 def compared(
-    sizes: Sequence[SizeMeasurement], found: dict[str, Overhead], earlier: dict[str, tuple[float, float]],
+    sizes: Sequence[BesideSuperLU], found: dict[str, Overhead], earlier: dict[str, tuple[float, float]],
 ) -> Table:  # fmt: skip
     """Each step beside that of an earlier run, by SuperLU's time in the same run and by calls.
 

@@ -6,17 +6,10 @@ import gc
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
-from time import thread_time
 from typing import NamedTuple
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import ArrayLike
-from scipy.sparse.linalg import splu
-
-from softrobot_twin.solvers.factorization import Factorization
-from softrobot_twin.solvers.multifrontal import Multifrontal
-from softrobot_twin.solvers.superlu import OPTIONS, SuperLU
 
 
 class Spread(NamedTuple):
@@ -63,47 +56,6 @@ def without_garbage_collection() -> Iterator[None]:
     finally:
         if was_on:
             gc.enable()
-
-
-_TRANSPOSED = np.arange(9).reshape(3, 3).T.ravel()
-"""Places of the entries of a transposed block."""
-
-
-class SuperLUReference:
-    """Factorizes a simulation's matrix by SuperLU, for comparison, with nodes in the mesh's
-    order.
-    """
-
-    def __init__(self, factorization: Factorization):
-        """Finds where each entry is stored.
-
-        Args:
-            factorization: A simulation's factorization.
-        """
-        self._factorization = factorization
-        if isinstance(factorization, Multifrontal):
-            keys, count = factorization.layout.block_keys, len(factorization.elimination_rank)
-            node = np.argsort(factorization.elimination_rank)
-            rows, columns = node[keys % count], node[keys // count]
-            self._copy = SuperLU(rows, columns, count)
-            starts, _ = self._copy.slots(np.maximum(rows, columns), np.minimum(rows, columns))
-            # What is below the diagonal in one order may be above it in the other.
-            within = np.where((rows < columns)[:, None], _TRANSPOSED, np.arange(9))
-            self._places = (starts[:, None] + within).ravel()
-
-    def matrix(self) -> sp.csc_array:
-        """The matrix assembled last, full, shape (dof_count, dof_count)."""
-        if not isinstance(self._factorization, Multifrontal):
-            return self._factorization.matrix()
-        self._copy.storage[self._places] = self._factorization.storage
-        return self._copy.matrix()
-
-    def factorize(self) -> float:
-        """Processor time of one factorization [s], whose result is not used."""
-        matrix = self.matrix()
-        start = thread_time()
-        splu(matrix, **OPTIONS)
-        return thread_time() - start
 
 
 Round = Callable[[], np.ndarray]

@@ -19,7 +19,6 @@ from softrobot_twin.harness.terminal import console, print_apart, report_activit
 from softrobot_twin.harness.timing import Spread
 from softrobot_twin.study.bench_measurement import (
     OUTSIDE,
-    SUPERLU,
     WHOLE_STEP,
     BenchCase,
     SizeMeasurement,
@@ -51,8 +50,6 @@ def _row(size: SizeMeasurement, stage: str, full: SizeMeasurement | None) -> dic
         "threads": size.thread_count,
         "steps": size.step_count, "stage": stage, "median_ms": 1e3 * times.median,
         "p99_ms": 1e3 * times.p99, "max_ms": 1e3 * times.maximum,
-        "ratio_to_superlu": times.median / size.superlu.median,
-        "superlu_ms": 1e3 * size.superlu.median, "superlu_samples": size.superlu_count,
         "interrupted_share": size.interrupted_share, "resident_bytes": size.resident,
         "full_ms": whole and 1e3 * whole, "ratio_to_full": whole and times.median / whole,
     }  # fmt: skip
@@ -61,8 +58,8 @@ def _row(size: SizeMeasurement, stage: str, full: SizeMeasurement | None) -> dic
 def _stage_table(sizes: Sequence[SizeMeasurement]) -> Table:
     """Median, 99th percentile and maximum of each stage of each size."""
     return table("Time of a step in ms: median / p99 / max", "stage", *map(_title, sizes),
-                 rows=([stage, *(_times(size.times.get(stage)) for size in sizes)]
-                       for stage in (*_stage_names(sizes), SUPERLU)))
+                 rows=([stage, *(_times(size.stages.get(stage)) for size in sizes)]
+                       for stage in _stage_names(sizes)))
 
 
 def _title(size: SizeMeasurement) -> str:
@@ -80,8 +77,7 @@ def _size_table(sizes: Sequence[SizeMeasurement]) -> Table:
         ("threads that factorize", lambda size: str(size.thread_count)),
         ("rows of H, contacts with force",
          lambda size: f"{size.row_count:.0f}, {size.contact_count:.0f}"),
-        ("steps timed, SuperLU timed", lambda size: f"{size.step_count}, {size.superlu_count}"),
-        ("whole step / one SuperLU", lambda size: _number(size.ratio, "{:.3f}")),
+        ("steps timed", lambda size: str(size.step_count)),
         ("full model's step / this one", lambda size: _full_ratio(size, full_size(size, sizes))),
         ("steps interrupted by other programs",
          lambda size: f"{100.0 * size.interrupted_share:.1f} %"),
@@ -122,10 +118,6 @@ def _count(number: float | None) -> str:
     return "-" if number is None else f"{1e-6 * number:.2f}"
 
 
-def _number(value: float, form: str) -> str:
-    return form.format(value) if np.isfinite(value) else "-"
-
-
 def _shares(counted: Counter[str]) -> str:
     total = sum(counted.values())
     return ", ".join(f"{name or 'none'} {100.0 * count / total:.0f} %"
@@ -160,9 +152,8 @@ def bench(scenes: list[Path], steps: int, output: Path | None = None,
     shown.print("Garbage collection off. Effectors move along a circle; robots without\n"
                 "effectors move their actuators over their limits; with --commands robots repeat\n"
                 "the longest hold of a commands file.\n"
-                "Steps are measured in elapsed time, SuperLU in processor time, which does not\n"
-                "include other processes. Reduced models are compared with full ones of the same\n"
-                "mesh and element in the same run.")
+                "Steps are measured in elapsed time. Reduced models are compared with full ones of\n"
+                "the same mesh and element in the same run.")
     shown.print(describe_machine(NUMERICAL_LIBRARIES) + "\n")
     print_sizes(sizes)
     if output is not None:

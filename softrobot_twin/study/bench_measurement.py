@@ -1,7 +1,7 @@
 """Measurements of ``bench``: the cases, their commands, and the timing of their steps.
 
 A case moves its effectors on a circle, moves its actuators over their limits, or repeats the longest
-constant part of a commands file. Between the steps, SuperLU is timed.
+constant part of a commands file.
 """
 
 from __future__ import annotations
@@ -20,12 +20,7 @@ import numpy as np
 
 from softrobot_twin.errors import NamedError, SoftRobotTwinError
 from softrobot_twin.harness.machine_facts import resident_bytes
-from softrobot_twin.harness.timing import (
-    Spread,
-    SuperLUReference,
-    spread,
-    without_garbage_collection,
-)
+from softrobot_twin.harness.timing import Spread, spread, without_garbage_collection
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.shared_files import shared_folders
 from softrobot_twin.simulation import (
@@ -278,13 +273,8 @@ def _bodies(scene: Scene) -> list[tuple]:
 
 
 WHOLE_STEP = "whole step"
-SUPERLU = "one SuperLU factorization"
 OUTSIDE = "outside the stages"
 """Time outside the stages: checks of commands, copies of states, reports."""
-# SuperLU takes much longer than a step, so it runs only between some of the timed steps.
-_SUPERLU_SAMPLES = 20
-_SUPERLU_SECONDS = 20.0
-_FEWEST_SAMPLES = 3
 INTERRUPTION = 1.0e-4
 """A step that waited longer than this for the processor was interrupted [s]."""
 
@@ -306,11 +296,8 @@ class SizeMeasurement:
         contact_count: Contacts with force, median.
         stages: Time of each stage [s], of what is outside them, and of the whole step.
         step_count: Steps timed.
-        superlu: Time of one SuperLU factorization of the same matrices [s]; NaN for a reduced
-            model, whose matrix is dense and small.
-        superlu_count: Number of timed SuperLU factorizations.
         interrupted_share: Share of steps during which another program took the processor.
-        resident: Memory of the process before the first call of SuperLU [B].
+        resident: Memory of the process [B].
         statuses: Number of timed steps by status.
         qp_solvers: Number of timed steps by solver of the inverse problem.
     """
@@ -327,8 +314,6 @@ class SizeMeasurement:
     contact_count: float
     stages: dict[str, Spread]
     step_count: int
-    superlu: Spread
-    superlu_count: int
     interrupted_share: float
     resident: int | None
     statuses: Counter[str]
@@ -338,16 +323,6 @@ class SizeMeasurement:
     def is_reduced(self) -> bool:
         """Whether a body is reduced to modes."""
         return self.mode_count > 0
-
-    @property
-    def times(self) -> dict[str, Spread]:
-        """Those of the stages, and of one SuperLU factorization where it was timed [s]."""
-        return self.stages | ({SUPERLU: self.superlu} if self.superlu_count else {})
-
-    @property
-    def ratio(self) -> float:
-        """The whole step in SuperLU factorizations, medians."""
-        return self.stages[WHOLE_STEP].median / self.superlu.median
 
     @property
     def tail(self) -> float:
@@ -370,19 +345,18 @@ def measure(case: BenchCase, steps: int) -> SizeMeasurement:
     commands = case.drive(simulation)
     resident, model = resident_bytes(), simulation.model
     with without_garbage_collection():
-        record = _follow(simulation, commands, steps, not is_reduced(case.scene))
+        made = [_timed(simulation, next(commands)) for _ in range(steps)]
     factorization = without_rows(model.factorization)
     reductions = [body.reduction.reduction for body in model.bodies if body.reduction is not None]
-    reports = [step.report for step in record.steps]
+    reports = [step.report for step in made]
     return SizeMeasurement(
         case, factorization.name, getattr(factorization, "thread_count", 1),
         simulation.node_count, simulation.tet_count, simulation.dof_count, sum(one.mode_count for one in reductions),
         sum(len(one.sampled.cells) for one in reductions),
-        spread([step.row_count for step in record.steps]).median,
-        spread([report.contact_count for report in reports]).median,
-        _stages(record.steps, simulation.stages), steps, spread(record.superlu), len(record.superlu),
-        sum(step.time - step.worked > INTERRUPTION for step in record.steps) / steps,
-        resident, Counter(step.status.value for step in record.steps),
+        spread([step.row_count for step in made]).median,
+        spread([report.contact_count for report in reports]).median, _stages(made, simulation.stages), steps,
+        sum(step.time - step.worked > INTERRUPTION for step in made) / steps,
+        resident, Counter(step.status.value for step in made),
         Counter(report.qp_solver for report in reports))
 
 
@@ -396,13 +370,6 @@ class _TimedStep(NamedTuple):
     row_count: int
 
 
-class _Record(NamedTuple):
-    """Timed steps, and between them times of SuperLU [s]."""
-
-    steps: list[_TimedStep]
-    superlu: list[float]
-
-
 def _stages(steps: Sequence[_TimedStep], names: Sequence[str]) -> dict[str, Spread]:
     """Times of each stage, of what is outside them, and of the whole step [s]."""
     whole = np.array([step.time for step in steps])
@@ -412,24 +379,8 @@ def _stages(steps: Sequence[_TimedStep], names: Sequence[str]) -> dict[str, Spre
     return {**spreads, OUTSIDE: spread(whole - booked.sum(axis=1)), WHOLE_STEP: spread(whole)}
 
 
-def _follow(simulation: Simulation, commands, steps: int, with_superlu: bool) -> _Record:
-    """Times steps, and between them SuperLU where it is asked for."""
-    record, yardstick = _Record([], []), None
-    samples = _SUPERLU_SAMPLES
-    if with_superlu:
-        yardstick = SuperLUReference(without_rows(simulation.model.factorization))
-        samples = int(np.clip(_SUPERLU_SECONDS / yardstick.factorize(), _FEWEST_SAMPLES, _SUPERLU_SAMPLES))
-    interval = max(1, steps // samples)
-    for number in range(steps):
-        if number % interval == 0 and yardstick is not None:
-            record.superlu.append(yardstick.factorize())
-            # It removes a step's data from the caches, so one more step runs before the next
-            # timing.
-            simulation.step(next(commands))
-        command, worked = next(commands), thread_time()
-        start = perf_counter()
-        result = simulation.step(command)
-        time = perf_counter() - start
-        record.steps.append(_TimedStep(time, thread_time() - worked, result.report, result.status,
-                                       simulation.model.rows.row_count))
-    return record
+def _timed(simulation: Simulation, command: Command) -> _TimedStep:
+    worked, start = thread_time(), perf_counter()
+    result = simulation.step(command)
+    time = perf_counter() - start
+    return _TimedStep(time, thread_time() - worked, result.report, result.status, simulation.model.rows.row_count)
