@@ -5,6 +5,7 @@ In a scene file ``on`` is a key, not the truth value, and a key occurs once per 
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable, Iterable, Mapping
 from functools import lru_cache
@@ -214,14 +215,20 @@ def _plain(value: Any, of_leaf: Callable[[Any], Any] = lambda leaf: leaf) -> Any
     return [_plain(one, of_leaf) for one in value] if isinstance(value, list | tuple) else of_leaf(value)
 
 
-def text_of(scene: Scene) -> str:
-    """A scene as the text of a file that may stand in any folder, with all that was changed.
+def text_of(scene: Scene, folder: Path | None = None) -> str:
+    """A scene as the text of a file, with all that was changed.
 
     Args:
         scene: The scene.
+        folder: Folder of the file, from which other files are named; None where it may stand in any.
     """
-    content = _plain(scene.model_dump(exclude_unset=True), lambda value: (
-        str(scene.file_path(value)) if isinstance(value, Path) else value))
+    def written(value: Any) -> Any:
+        if not isinstance(value, Path):
+            return value
+        path = scene.file_path(value)
+        return str(path) if folder is None else os.path.relpath(path, folder)
+
+    content = _plain(scene.model_dump(exclude_unset=True), written)
     return yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None, width=100)
 
 

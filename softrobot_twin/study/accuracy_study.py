@@ -7,7 +7,6 @@ mesh, or extrapolated from quadratic meshes with v(h) = v∞ + c hᵖ, whichever
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -16,7 +15,6 @@ from time import perf_counter, thread_time
 from typing import NamedTuple
 
 import numpy as np
-import yaml
 from scipy.optimize import minimize_scalar
 
 from softrobot_twin.errors import NamedError, SoftRobotTwinError
@@ -27,12 +25,11 @@ from softrobot_twin.harness.study_rows import read_rows
 from softrobot_twin.harness.terminal import tracked, warn
 from softrobot_twin.harness.timing import spread, without_garbage_collection
 from softrobot_twin.mechanics.element_kinds import HEXAHEDRAL
-from softrobot_twin.scene import Scene, load_scene
-from softrobot_twin.scene.body_entries import FixedRegion, Material, Mesh, Reduced
-from softrobot_twin.scene.entry import expanded
-from softrobot_twin.scene.loading import changes_of, read_yaml, written_out
+from softrobot_twin.scene import Scene
+from softrobot_twin.scene.body_entries import FixedRegion, Material, Reduced
+from softrobot_twin.scene.loading import text_of
 from softrobot_twin.scene.scene_changes import unlimited, with_mesh_file, with_newton
-from softrobot_twin.scene.scene_parameters import with_values
+from softrobot_twin.scene.schema import Solver
 from softrobot_twin.simulation import (
     CommandEfforts,
     CommandSetpoints,
@@ -54,48 +51,24 @@ class AccuracyError(NamedError):
     """Accuracy cannot be determined for a scene or from a file."""
 
 
-def write_scene_copy(path: Path, original: Path, chosen: Scene, setting: Setting, remarks: list[str]) -> None:
-    """Writes a copy of a scene file in which only the keys of a setting are changed.
+def write_scene_copy(path: Path, chosen: Scene, setting: Setting, remarks: list[str]) -> None:
+    """Writes a scene file for a setting, with all that the scene says besides.
 
     Args:
         path: File to write.
-        original: The user's scene file. Comments are lost.
-        chosen: The scene on the chosen mesh.
+        chosen: The scene on the chosen mesh, with its element, law and reduced model.
         setting: The chosen setting.
         remarks: Comment lines for the beginning of the file.
 
     Raises:
         OutputError: The file cannot be written.
     """
-    content = expanded(Scene, written_out(read_yaml(original.read_text(encoding="utf-8"))))
-    content = with_values(content, chosen, changes_of(original))
-    body = content["body"]
-    body["mesh"] = expanded(Mesh, body["mesh"])
-    folder = path.resolve().parent
-    file = None if chosen.body.mesh.file is None else os.path.relpath(chosen.mesh_path, folder)
-    if chosen.body.fixed == load_scene(original).body.fixed:
-        if file is not None:  # a box needs none
-            body["mesh"]["file"] = file
-    else:  # a refined mesh is already placed, and is fixed by node indices
-        body["mesh"] = {"file": file}
-        body["fixed"] = [region.model_dump(mode="json", exclude_defaults=True) for region in chosen.body.fixed]
-    body["element"] = setting.element
-    body.pop("reduced", None)
-    solver = {**(content.get("solver") or {}), "newton_iterations": setting.iterations}
+    solver = chosen.solver.model_dump(exclude_unset=True) | {"newton_iterations": setting.iterations}
     if chosen.body.reduced is not None:
-        body["reduced"] = {"file": os.path.relpath(chosen.body.reduced.file, folder)}
         solver.pop("factorization", None)  # that of a reduced body is a dense one
-    if setting.law != load_scene(original).body.material.law:
-        body["material"] |= _constants_of(load_scene(original).body.material, setting.law)
-        body["material"] = {key: value for key, value in body["material"].items() if value is not None}
-    body["material"]["law"] = setting.law
-    for entry, cable in zip(content.get("cables", ()), chosen.cables, strict=True):
-        entry["hold_radius"] = cable.hold_radius
-    content["solver"] = solver
     head = "".join(f"# {line}\n" for line in remarks)
-    text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None)
     with writing(path):
-        path.write_text(head + text, encoding="utf-8")
+        path.write_text(head + text_of(chosen.changed(solver=Solver(**solver)), path.resolve().parent), encoding="utf-8")
 
 
 def _own_level(scene: Scene) -> MeshLevel:

@@ -464,7 +464,7 @@ def choose(
     if clock is not None:
         remarks.append("Times are those of a machine without other programs; this one was "
                        f"{clock.timing.slowdown:.2f} times slower in the median round of the timing.")
-    write_scene_copy(write, scene_path, chosen, best.setting, remarks)
+    write_scene_copy(write, chosen, best.setting, remarks)
     load_scene(write)  # checks the written file
     shown.print(_table(candidates, best, rate))
     for line in remarks[1:]:

@@ -96,7 +96,7 @@ def trained(family, levels, tmp_path_factory):
     """File of the reduced model of the middle mesh, trained for the poses of a study."""
     folder = tmp_path_factory.mktemp("trained")
     scene, file = folder / "column_20.yaml", folder / "column_20_reduced.npz"
-    write_scene_copy(scene, family, levels[1].scene, Setting("column_20", "linear", "corotational", 1), [])
+    write_scene_copy(scene, levels[1].scene, Setting("column_20", "linear", "corotational", 1), [])
     reduce(scene, TrainingOptions(
         energy=1.0e-5, tolerance=5.0e-3, snapshots=60, states=0, workers=1, output=file, tilt=np.pi,
         ranges=tuple(f"{name}_shortening_m=0:0.008" for name in "abc")))
@@ -282,7 +282,7 @@ def test_a_scene_with_patterns_is_copied_with_its_cables_written_out(tmp_path):
     assert "repeat" in original.read_text()
     scene = load_scene(original)
     held = with_hold_radius(scene, 0.004)
-    write_scene_copy(tmp_path / "held.yaml", original, held,
+    write_scene_copy(tmp_path / "held.yaml", held,
                      Setting("diamond_1600", "linear", "corotational", 2), [])
     copied = load_scene(tmp_path / "held.yaml")
     assert [cable.name for cable in copied.cables] == [cable.name for cable in scene.cables]

@@ -126,7 +126,7 @@ def test_a_copy_of_its_scene_keeps_the_box_or_names_the_refined_mesh(path):
     for level in levels:
         copy = path.with_name(f"{level.name}.yaml")
         setting = Setting(level.name, "linear", "corotational", 2, None)
-        write_scene_copy(copy, path, level.scene, setting, ["a remark"])
+        write_scene_copy(copy, level.scene, setting, ["a remark"])
         assert Simulation(load_scene(copy)).tet_count == level.tet_count
     assert load_scene(path.with_name("box.yaml")).body.mesh.box is not None
     assert load_scene(path.with_name("box_refined_1.yaml")).body.mesh.box is None
