@@ -12,22 +12,22 @@ from __future__ import annotations
 
 import hashlib
 import json
-import multiprocessing
 import os
-import signal
 import threading
+from collections import Counter
 from collections.abc import Callable, Container, Iterator, Sequence
-from contextlib import closing, suppress
-from multiprocessing.connection import Connection, wait
+from contextlib import closing
+from functools import partial
+from multiprocessing.connection import wait
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from softrobot_twin.errors import NamedError, SoftRobotTwinError, one_line
+from softrobot_twin.errors import NamedError, one_line
 from softrobot_twin.harness.figure import MissingExtraError
 from softrobot_twin.harness.terminal import progress
-from softrobot_twin.kernels.worker_threads import use_one_thread
+from softrobot_twin.harness.worker_process import WorkerError, WorkerProcess
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.entry import values_below
 from softrobot_twin.simulation.result import Status
@@ -48,10 +48,6 @@ CONNECTION_TIMEOUT = 10.0
 
 class SchedulerError(NamedError):
     """A Dask scheduler cannot be used."""
-
-
-class WorkerError(SoftRobotTwinError):
-    """Processes of this machine end before they compute anything."""
 
 
 class RunError(NamedError):
@@ -187,99 +183,35 @@ class LocalWorkers:
             for index, setpoints in samples:
                 yield SampleOutcome(index, compute(setpoints))
             return
-        with closing(_Pool(job, count)) as pool:
-            yield from pool.run(samples)
-
-
-class _Process:
-    """A process, its pipe, and the sample that it has."""
-
-    def __init__(self, job: Job):
-        context = multiprocessing.get_context("spawn")
-        self.pipe, other = context.Pipe()
-        self.process = context.Process(target=_serve, args=(other, job), daemon=True)
-        self.process.start()
-        other.close()
-        self.sample: tuple[int, np.ndarray] | None = None
-        self.is_ready = False
-
-    def give(self, sample: tuple[int, np.ndarray]) -> None:
-        """Send a sample."""
-        self.sample = sample
-        with suppress(OSError):  # It has ended, which is noticed at its pipe.
-            self.pipe.send(sample)
-
-
-def _serve(pipe: Connection, job: Job) -> None:
-    """Computes the samples that come through a pipe, until it is closed."""
-    # Ctrl-C reaches the parent too, which ends this process.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    use_one_thread()
-    with suppress(EOFError, BrokenPipeError, ConnectionResetError):
-        compute = job.make(job.scene, job.content)
-        pipe.send(None)
-        while True:
-            index, setpoints = pipe.recv()
-            pipe.send((index, compute(setpoints)))
-
-
-class _Pool:
-    """Gives samples to processes, and replaces those that are lost."""
-
-    def __init__(self, job: Job, count: int):
-        self._job = job
-        self._processes = [_Process(job) for _ in range(count)]
-        self._was_ready, self._lost = False, 0
-
-    def run(self, samples: Sequence[tuple[int, np.ndarray]]) -> Iterator[SampleOutcome]:
-        """See `LocalWorkers.run`."""
-        waiting, tries, left = list(reversed(samples)), {}, len(samples)
-        while left:
-            by_pipe = {process.pipe: process for process in self._processes}
-            for process in [by_pipe[pipe] for pipe in wait(list(by_pipe))]:
-                outcome = None
-                try:
-                    answer = process.pipe.recv()
-                except (EOFError, OSError):
-                    outcome = self._replace(process, waiting, tries)
-                else:
-                    process.is_ready = self._was_ready = True
-                    if answer is not None:
-                        process.sample, outcome = None, SampleOutcome(*answer)
-                if outcome is not None:
-                    left -= 1
-                    yield outcome
-            for process in self._processes:
-                if process.is_ready and process.sample is None and waiting:
-                    process.give(waiting.pop())
-
-    def _replace(self, process: _Process, waiting: list, tries: dict) -> SampleOutcome | None:
-        """Start another process; tells the sample that is given up."""
-        process.process.join()
-        code, sample = process.process.exitcode, process.sample
-        self._lost += 1
-        if not self._was_ready and self._lost >= MOST_TRIES * len(self._processes):
-            raise WorkerError(
-                f"the processes of --workers end before they compute anything, with code {code}"
-            )
-        place = self._processes.index(process)
-        process.pipe.close()
-        self._processes[place] = _Process(self._job)
-        if sample is None:
-            return None
-        tries[sample[0]] = tries.get(sample[0], 0) + 1
-        if tries[sample[0]] < MOST_TRIES:
-            waiting.append(sample)
-            return None
-        return SampleOutcome(sample[0], None, f"its process ended with code {code}")
-
-    def close(self) -> None:
-        """End all processes."""
-        for process in self._processes:
-            process.process.terminate()
-        for process in self._processes:
-            process.process.join()
-            process.pipe.close()
+        start = partial(WorkerProcess, job.make, job.scene, job.content)
+        waiting, tries, lost, is_any_done = list(reversed(samples)), Counter[int](), 0, False
+        idle, busy = [start() for _ in range(count)], dict[Any, tuple[WorkerProcess, tuple[int, np.ndarray]]]()
+        try:
+            while waiting or busy:
+                while idle and waiting:
+                    process, sample = idle.pop(), waiting.pop()
+                    busy[process.pipe] = process.ask(sample[1]), sample
+                for pipe in wait(list(busy)):
+                    process, sample = busy.pop(pipe)
+                    try:
+                        outcome = SampleOutcome(sample[0], process.result())
+                        is_any_done = True
+                    except WorkerError as error:
+                        process.close()
+                        process, lost = start(), lost + 1
+                        if not is_any_done and lost >= MOST_TRIES * count:
+                            raise WorkerError(f"the processes of --workers compute nothing: {error}") from None
+                        # As long as none computes anything, the sample is not the cause.
+                        tries[sample[0]] += is_any_done
+                        outcome = SampleOutcome(sample[0], None, str(error))
+                    idle.append(process)
+                    if outcome.row is None and tries[sample[0]] < MOST_TRIES:
+                        waiting.append(sample)
+                    else:
+                        yield outcome
+        finally:
+            for process in [*idle, *(process for process, _ in busy.values())]:
+                process.close()
 
 
 class DaskWorkers:

@@ -10,22 +10,18 @@ does depends on its seed and its actions alone, not on the number of workers.
 
 from __future__ import annotations
 
-import multiprocessing
-import signal
 import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
-from contextlib import suppress
 from functools import partial
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
 from softrobot_twin.errors import CommandError, one_line
-from softrobot_twin.harness.sample_workers import WorkerError, core_count
-from softrobot_twin.kernels.worker_threads import use_one_thread
+from softrobot_twin.harness.sample_workers import core_count
+from softrobot_twin.harness.worker_process import WorkerError, WorkerProcess
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.scene.loading import changes_of
 from softrobot_twin.scripting.gym_environment import (  # type: ignore[attr-defined]
@@ -200,11 +196,11 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.nd
             self.close()  # Answers that are left would be taken for those of the next question.
             if not isinstance(error, Exception):
                 raise
-            own = self._shares[index]
+            own, kind = self._shares[index], "" if isinstance(error, WorkerError) else f"{type(error).__name__}: "
             raise WorkerError(
                 f"{self.scene.path or self.scene.name}: worker {index + 1} of "
                 f"{len(self._workers)}, robots {own.start} to {own.stop - 1}: "
-                f"{one_line(error)}; all workers are closed") from error
+                f"{kind}{one_line(error)}; all workers are closed") from error
 
     def _joined(self, infos: Sequence[dict[str, Any]]) -> dict[str, Any]:
         """Infos of the workers as one, with rows of zeros for robots without an entry."""
@@ -283,11 +279,9 @@ class _Robots:
 
     def answer(self, what: str, *arguments: Any) -> Any:
         """What is asked for, by its name."""
-        try:
-            return getattr(self, what)(*arguments)
-        except Exception as error:
-            # Not all errors can be sent as they are.
-            raise RuntimeError(f"{type(error).__name__}: {one_line(error)}") from None
+        return getattr(self, what)(*arguments)
+
+    __call__ = answer
 
 
 class _Here:
@@ -303,55 +297,6 @@ class _Here:
 
     def close(self) -> None:
         pass
-
-
-class _Process:
-    """A worker in a process of its own, which ends when its pipe is closed, or this process ends."""
-
-    def __init__(self, *robots: Any):
-        context = multiprocessing.get_context("spawn")
-        self._pipe, other = context.Pipe()
-        self._process = context.Process(target=_serve, args=(other, robots), daemon=True)
-        self._process.start()
-        other.close()
-
-    def ask(self, what: str, *arguments: Any) -> _Answer:
-        with suppress(BrokenPipeError):  # It has ended, which is noticed when its answer is read.
-            self._pipe.send((what, arguments))
-        return self
-
-    def result(self) -> Any:
-        """The answer to what was asked last."""
-        try:
-            answer, error = self._pipe.recv()
-        except (EOFError, ConnectionResetError):
-            self._process.join()
-            raise RuntimeError(f"its process ended with code {self._process.exitcode}") from None
-        if error:
-            raise RuntimeError(error)
-        return answer
-
-    def close(self) -> None:
-        self._process.terminate()
-        self._process.join()
-        self._pipe.close()
-
-
-def _serve(pipe: Connection, robots: tuple[Any, ...]) -> None:
-    """Answers what comes through a pipe, until it is closed."""
-    # Ctrl-C reaches the parent too, which ends this process.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    use_one_thread()
-    own = _Robots(*robots)
-    with suppress(EOFError, BrokenPipeError, ConnectionResetError):
-        while True:
-            own.prepare(pipe.poll)
-            what, arguments = pipe.recv()
-            try:
-                answer = own.answer(what, *arguments), ""
-            except RuntimeError as error:
-                answer = None, str(error)
-            pipe.send(answer)
 
 
 class _OnCluster:
@@ -373,7 +318,7 @@ def _starts_of(workers: Any) -> list[Any]:
     if hasattr(workers, "nthreads"):
         return [partial(_OnCluster, workers, address) for address in workers.nthreads()]
     count = core_count() if workers is None else _count("workers", workers)
-    return [_Here] if count == 1 else [_Process] * count
+    return [_Here] if count == 1 else [partial(WorkerProcess, _Robots)] * count
 
 
 def _count(name: str, value: Any) -> int:

@@ -14,7 +14,7 @@ import pytest
 
 import softrobot_twin as st
 from softrobot_twin.errors import CommandError, SceneError
-from softrobot_twin.harness.sample_workers import WorkerError
+from softrobot_twin.harness.worker_process import WorkerError
 from softrobot_twin.scene import load_scene
 
 gymnasium = pytest.importorskip("gymnasium")
