@@ -92,8 +92,7 @@ def targets(positions: Mapping[str, Any] | None = None, /, **named: Any) -> Targ
             - ``tip_stiffness_N_per_m=[kx, ky, kz]``: its stiffness, None along a free axis;
             - ``spine_length_m=0.1``: a sensor with a weight, by its column;
             - ``north_shortening_m=0.01`` and all names of `setpoints`: an actuator that is
-              commanded while the others are optimised around it;
-            - the columns of a targets file, such as ``tip_x_m=0.0``, in place of a list.
+              commanded while the others are optimised around it.
 
     Raises:
         CommandError: Nothing is named, or a value is not a finite number or has another shape.
@@ -335,10 +334,17 @@ class CommandReader:
         columns = simulation.sensor_columns
         sensors = np.array([one_number(own, values[own]) if own in values else np.nan for own in columns])
         values = {name: numbers for name, numbers in values.items() if name not in columns}
-        whole, commanded = self._gathered(values)
+        forms = {f"{name}{part}": (name, part) for name in self._effectors for part in _PARTS}
         positions, turns, stiffness = wanted = [
             np.full((count, channel.width), np.nan) for channel in WANTED]
-        for (effector, part), (name, numbers) in whole.items():
+        commanded = dict[str, Numbers]()
+        for name, numbers in values.items():
+            if name not in forms:
+                if name not in self.drives:
+                    raise self._refused(name, "targets", self.target_names + self.setpoint_names)
+                commanded[name] = numbers
+                continue
+            effector, part = forms[name]
             channel, place = _PARTS[part], self._effectors[effector]
             if len(numbers) != channel.width:
                 raise CommandError(name, f"must be {channel.width} numbers, not {len(numbers)}")
@@ -357,37 +363,6 @@ class CommandReader:
                      simulation.scene_stiffness) if np.isfinite(stiffness).any() else None,
             sensors=sensors if np.isfinite(sensors).any() else None,
         )  # fmt: skip
-
-    def _gathered(
-        self, values: Mapping[str, Numbers]
-    ) -> tuple[dict[tuple[str, str], tuple[str, Numbers]], dict[str, Numbers]]:
-        """What is asked of effectors, by effector and part, and what is asked of actuators."""
-        whole: dict[tuple[str, str], tuple[str, Numbers]] = {}
-        single: dict[tuple[str, str], dict[str, Numbers]] = {}
-        commanded = {}
-        forms = {f"{name}{part}": (name, part) for name in self._effectors for part in _PARTS}
-        ends = {f"{name}{end}": (name, part) for name in self._effectors
-                for part, channel in _PARTS.items() for end in channel.columns("")}
-        for name, numbers in values.items():
-            if name in forms:
-                whole[forms[name]] = name, numbers
-            elif name in ends:
-                single.setdefault(ends[name], {})[name] = numbers
-            elif name in self.drives:
-                commanded[name] = numbers
-            else:
-                raise self._refused(name, "targets", self.target_names + self.setpoint_names)
-        for (effector, part), given in single.items():
-            needed = _PARTS[part].columns(effector)
-            if (effector, part) in whole:
-                raise CommandError(next(iter(given)), f"is given twice, also by {effector}{part}")
-            lacking = next((name for name in needed if name not in given), None)
-            if lacking is not None and _PARTS[part].word != "stiffness":
-                raise CommandError(lacking, f"is missing beside {next(iter(given))}")
-            numbers = tuple(one_number(name, given[name]) if name in given else np.nan
-                            for name in needed)
-            whole[effector, part] = f"{effector}{part}", numbers
-        return whole, commanded
 
     def _needs(self, channel: Channel, place: int, name: str) -> None:
         asks = channel.are_asked(self._simulation)

@@ -20,44 +20,12 @@ _VACUUM, _NOTHING, _MIDDLE, _MOST = ([43, 98, 201], [150, 152, 158], [226, 176, 
 _NOT_FINITE_COLOUR = np.array([255, 0, 255, 255], dtype=np.uint8)
 _SCALE_SIZE = 256
 
-# Oklab (Ottosson 2020): first matrix: linear
-# sRGB to cone responses; second: their cube roots to lightness and two opponent colours.
-_CONES = np.array([[0.4122214708, 0.5363325363, 0.0514459929],
-                   [0.2119034982, 0.6806995451, 0.1073969566],
-                   [0.0883024619, 0.2817188376, 0.6299787005]])
-_OPPONENTS = np.array([[0.2104542553, 0.7936177850, -0.0040720468],
-                       [1.9779984951, -2.4285922050, 0.4505937099],
-                       [0.0259040371, 0.7827717662, -0.8086757660]])
-
-
-def to_oklab(srgb: np.ndarray) -> np.ndarray:
-    """Colours of sRGB from 0 to 1 in OKLab, shape (count, 3).
-
-    Args:
-        srgb: The colours, 0 to 1, shape (count, 3).
-    """
-    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-    return np.cbrt(linear @ _CONES.T) @ _OPPONENTS.T
-
-
-def from_oklab(lab: np.ndarray) -> np.ndarray:
-    """Colours of OKLab in sRGB from 0 to 1, shape (count, 3).
-
-    Args:
-        lab: Lightness and two opponent colours of each, shape (count, 3).
-    """
-    cones = np.linalg.solve(_OPPONENTS, lab.T) ** 3
-    linear = np.clip(np.linalg.solve(_CONES, cones).T, 0.0, 1.0)
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-
 
 def _scale(stops: dict[float, list[int]]) -> np.ndarray:
     """Colours between those at places from 0 to 1, shape (_SCALE_SIZE, 4)."""
-    stop_colours = to_oklab(np.array(list(stops.values())) / 255.0)
     place = np.linspace(0.0, 1.0, _SCALE_SIZE)
-    lab = np.column_stack([np.interp(place, list(stops), axis) for axis in stop_colours.T])
-    opaque = np.full((_SCALE_SIZE, 1), 255.0)
-    return np.rint(np.hstack([255.0 * from_oklab(lab), opaque])).astype(np.uint8)
+    colours = [np.interp(place, list(stops), part) for part in np.transpose(list(stops.values()))]
+    return np.rint(np.column_stack([*colours, np.full(_SCALE_SIZE, 255.0)])).astype(np.uint8)
 
 
 _TENSION_SCALE = _scale({0.0: _NOTHING, 0.5: _MIDDLE, 1.0: _MOST})
@@ -65,7 +33,7 @@ _PRESSURE_SCALE = _scale({0.0: _VACUUM, 0.5: _NOTHING, 0.75: _MIDDLE, 1.0: _MOST
 
 
 def tension_colours(tensions: np.ndarray, tension_range: tuple[float, float]) -> np.ndarray:
-    """Colours of tensions on a perceptually uniform scale.
+    """Colours of tensions: grey, amber, red.
 
     Args:
         tensions: Tensions [N], shape (cable_count,).

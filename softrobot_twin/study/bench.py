@@ -23,7 +23,6 @@ from softrobot_twin.study.bench_measurement import (
     BenchCase,
     SizeMeasurement,
     default_scene_path,
-    full_size,
     given_cases,
     measure,
 )
@@ -35,14 +34,7 @@ def bench_rows(sizes: Sequence[SizeMeasurement]) -> list[dict[str, object]]:
     Args:
         sizes: What was measured.
     """
-    return [_row(size, stage, full_size(size, sizes)) for size in sizes for stage in size.stages]
-
-
-def _row(size: SizeMeasurement, stage: str, full: SizeMeasurement | None) -> dict[str, object]:
-    """The cells of a stage by their columns."""
-    times = size.stages[stage]
-    whole = full and full.stages[WHOLE_STEP].median
-    return {
+    return [{
         "scene": size.case.name, "nodes": size.node_count,
         "tets": size.tet_count, "dof": size.dof_count, "modes": size.mode_count or None,
         "points": size.point_count or None, "rows": size.row_count,
@@ -51,8 +43,7 @@ def _row(size: SizeMeasurement, stage: str, full: SizeMeasurement | None) -> dic
         "steps": size.step_count, "stage": stage, "median_ms": 1e3 * times.median,
         "p99_ms": 1e3 * times.p99, "max_ms": 1e3 * times.maximum,
         "interrupted_share": size.interrupted_share, "resident_bytes": size.resident,
-        "full_ms": whole and 1e3 * whole, "ratio_to_full": whole and times.median / whole,
-    }  # fmt: skip
+    } for size in sizes for stage, times in size.stages.items()]  # fmt: skip
 
 
 def _stage_table(sizes: Sequence[SizeMeasurement]) -> Table:
@@ -78,7 +69,6 @@ def _size_table(sizes: Sequence[SizeMeasurement]) -> Table:
         ("rows of H, contacts with force",
          lambda size: f"{size.row_count:.0f}, {size.contact_count:.0f}"),
         ("steps timed", lambda size: str(size.step_count)),
-        ("full model's step / this one", lambda size: _full_ratio(size, full_size(size, sizes))),
         ("steps interrupted by other programs",
          lambda size: f"{100.0 * size.interrupted_share:.1f} %"),
         ("p99 / median", lambda size: f"{size.tail:.2f}"),
@@ -94,12 +84,6 @@ def _stage_names(sizes: Sequence[SizeMeasurement]) -> list[str]:
     """All stages in their order, then the time outside them, then the whole step."""
     inner = dict.fromkeys(name for size in sizes for name in size.stages)
     return [name for name in inner if name not in (OUTSIDE, WHOLE_STEP)] + [OUTSIDE, WHOLE_STEP]
-
-
-def _full_ratio(size: SizeMeasurement, full: SizeMeasurement | None) -> str:
-    if full is None:
-        return "-"
-    return f"{full.stages[WHOLE_STEP].median / size.stages[WHOLE_STEP].median:.1f}"
 
 
 def _times(times: Spread | None) -> str:
@@ -152,8 +136,7 @@ def bench(scenes: list[Path], steps: int, output: Path | None = None,
     shown.print("Garbage collection off. Effectors move along a circle; robots without\n"
                 "effectors move their actuators over their limits; with --commands robots repeat\n"
                 "the longest hold of a commands file.\n"
-                "Steps are measured in elapsed time. Reduced models are compared with full ones of\n"
-                "the same mesh and element in the same run.")
+                "Steps are measured in elapsed time.")
     shown.print(describe_machine(NUMERICAL_LIBRARIES) + "\n")
     print_sizes(sizes)
     if output is not None:

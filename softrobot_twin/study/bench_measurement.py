@@ -242,36 +242,6 @@ def usual_commands(simulation: Simulation) -> Iterator[Command]:
     return circle_targets(simulation) if simulation.effector_names else swept_setpoints(simulation)
 
 
-def is_reduced(scene: Scene) -> bool:
-    """Whether a body of a scene is reduced to modes.
-
-    Args:
-        scene: The scene.
-    """
-    return any(body.reduced is not None for body in scene.deformables)
-
-
-def full_size(size: SizeMeasurement, sizes: Sequence[SizeMeasurement]) -> SizeMeasurement | None:
-    """The full model of a reduced one among measured sizes; None where there is none.
-
-    Args:
-        size: What was measured of a model.
-        sizes: All that was measured.
-    """
-    if not size.is_reduced:
-        return None
-    own = _bodies(size.case.scene)
-    return next((other for other in sizes if not other.is_reduced
-                 and _bodies(other.case.scene) == own), None)
-
-
-def _bodies(scene: Scene) -> list[tuple]:
-    """Mesh, element and material of each body, which a reduced model shares with its full one."""
-    return [(body.mesh if body.mesh.file is None else
-             body.mesh.changed(file=scene.file_path(body.mesh.file).resolve()),
-             body.element, body.material) for body in scene.deformables]
-
-
 WHOLE_STEP = "whole step"
 OUTSIDE = "outside the stages"
 """Time outside the stages: checks of commands, copies of states, reports."""

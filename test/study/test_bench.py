@@ -1,9 +1,7 @@
 """``bench`` over mesh sizes: its output, its files and its measurements."""
 
 import pytest
-import yaml
 
-from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.study.bench_measurement import OUTSIDE, WHOLE_STEP, default_scene_path
 from test.run_files import rows_of
@@ -11,7 +9,7 @@ from test.run_files import rows_of
 COLUMNS = """
 scene nodes tets dof modes points rows contacts factorization threads steps stage median_ms p99_ms
 max_ms interrupted_share
-resident_bytes full_ms ratio_to_full
+resident_bytes
 """
 
 
@@ -28,18 +26,8 @@ def test_bench_writes_a_row_for_each_stage(column, tmp_path, call):
 
 
 @pytest.mark.exhaustive
-def test_a_reduced_model_is_compared_with_its_full_one(tmp_path, call):
-    reduced = default_scene_path().parent / "diamond_reduced.yaml"
-    full = tmp_path / "full.yaml"
-    content = yaml.safe_load(reduced.read_text())
-    del content["body"]["reduced"]
-    content["body"]["mesh"]["file"] = str(load_scene(reduced).mesh_path)
-    full.write_text(yaml.safe_dump(content))
-    call("bench", full, reduced, "--steps", 3, "--output", tmp_path)
-    theirs, ours = (row for row in rows_of(tmp_path / "bench.csv") if row["stage"] == WHOLE_STEP)
-    # Sizes are those of the mesh.
-    assert (ours["nodes"], ours["tets"]) == (theirs["nodes"], theirs["tets"])
-    modes = int(ours["modes"])
-    assert 10 < modes < 60 and int(ours["dof"]) == modes and int(ours["points"]) > modes
-    assert theirs["modes"] == theirs["points"] == theirs["full_ms"] == ""
-    assert ours["full_ms"] == theirs["median_ms"]
+def test_a_reduced_model_is_timed_with_its_modes_and_points(tmp_path, call):
+    call("bench", default_scene_path().parent / "diamond_reduced.yaml", "--steps", 3, "--output", tmp_path)
+    row = rows_of(tmp_path / "bench.csv")[-1]
+    modes = int(row["modes"])
+    assert 10 < modes < 60 and int(row["dof"]) == modes and int(row["points"]) > modes
