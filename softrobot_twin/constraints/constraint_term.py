@@ -57,8 +57,8 @@ class ConstraintTerm(Protocol):
         row_count: Number of its rows k.
         entry_rows: Row of each entry of H, from 0, shape (entry_count,).
         entry_nodes: Unknown of each entry, shape (entry_count,).
-        scales: Natural scale of each row, to which its violation is compared: for instance the
-            length of a cable at rest [unit of δ], shape (k,).
+        scales: Natural scale of each row of an actuator: for instance the length of a cable at rest
+            [unit of δ], shape (k,).
     """
 
     name: str

@@ -532,11 +532,6 @@ class Contacts(VaryingTerm):
         return self._entry_nodes[: self._entry_count[0]]
 
     @property
-    def scales(self) -> np.ndarray:
-        """The distance from which contacts are watched, for every row [m], shape (row_count,)."""
-        return np.full(self.row_count, self._alarm)
-
-    @property
     def margin(self) -> float:
         """Things nearer than this are contacts [m]."""
         return float(self._reach[0])

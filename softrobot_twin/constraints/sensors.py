@@ -68,7 +68,7 @@ class Sensors(ConstraintTerm):
         self.entry_nodes = np.concatenate([part.term.entry_nodes for part in parts])
         self.lengths, spans = (np.concatenate([getattr(part, field) for part in parts])
                                for field in ("lengths", "spans"))
-        self.row_lengths = self.scales = self.lengths * spans
+        self.row_lengths = self.lengths * spans
 
     def evaluate(self, positions: np.ndarray, blocks: np.ndarray, values: np.ndarray) -> None:
         """Write H [m per m] and the values [m]; see `ConstraintTerm.evaluate`."""
@@ -123,7 +123,6 @@ class Bends(ConstraintTerm):
             rows.append(np.full(len(points), row))
             nodes.append(free[points, places])
         self.entry_rows, self.entry_nodes = np.concatenate(rows), np.concatenate(nodes)
-        self.scales = np.ones(self.row_count)
 
     def evaluate(self, positions: np.ndarray, blocks: np.ndarray, values: np.ndarray) -> None:
         """Write H [rad/m] and the angles [rad]; see `ConstraintTerm.evaluate`."""
@@ -159,7 +158,6 @@ class GasPressures(ConstraintTerm):
         self._volumes, self._rest, self._ambient = volumes, rest, ambient
         self._work, self.row_count = absolute * rest, volumes.row_count
         self.entry_rows, self.entry_nodes = volumes.entry_rows, volumes.entry_nodes
-        self.scales = absolute
 
     def evaluate(self, positions: np.ndarray, blocks: np.ndarray, values: np.ndarray) -> None:
         """Write H [Pa/m] and the gauge pressures [Pa]; see `ConstraintTerm.evaluate`."""
@@ -185,7 +183,6 @@ class PressingForces(ConstraintTerm):
         """
         self._contacts, self._pairs, self.row_count = contacts, contacts.pairs_named(pairs), len(pairs)
         self.entry_rows = self.entry_nodes = np.empty(0, np.int64)
-        self.scales = np.ones(self.row_count)
 
     def evaluate(self, positions: np.ndarray, blocks: np.ndarray, values: np.ndarray) -> None:
         """Write the forces of the last solution [N]; see `ConstraintTerm.evaluate`."""

@@ -106,11 +106,6 @@ class RobustTiming:
         return Spread(float(median), float(p99), float(p99))
 
     @property
-    def reference(self) -> float:
-        """Shortest median time of a step of the reference [s]."""
-        return min(self._references)
-
-    @property
     def slowdown(self) -> float:
         """Median over rounds of the reference's time over its shortest time."""
         return float(np.median(self._references) / min(self._references))

@@ -664,15 +664,6 @@ class Superelements(ForceTerm):
         weight = float(np.einsum("sa,sai,si->", shares, points, self._weights))
         return self._bare_enthalpy() - weight
 
-    def curvature(self, positions: np.ndarray) -> np.ndarray:
-        """∂²Π/∂(e, p)² of each superelement at a state, shape (count, n, n).
-
-        Args:
-            positions: Node positions [m], shape (node_count, 3).
-        """
-        self.evaluate(positions)
-        return self._curvature
-
     def add_growths(
         self, positions: np.ndarray, entry: np.ndarray, values: np.ndarray, blocks: np.ndarray,
         compliance: np.ndarray,

@@ -158,19 +158,18 @@ class Columns:
             if len(row) != len(header):
                 raise TableFileError(source, f"has {len(row)} cells where the header has {len(header)}", line)
         self._places = {name: place for place, name in enumerate(header)}
-        self._made: dict[str, np.ndarray] = {}
         self._signs: dict[str, float] = {}
 
     def __len__(self) -> int:
         return len(self.lines)
 
     def __contains__(self, name: str) -> bool:
-        return name in self._made or name in self._places
+        return name in self._places
 
     @property
     def left(self) -> list[str]:
         """Names of the columns that nobody has taken out."""
-        return [*self._places, *self._made]
+        return list(self._places)
 
     def given(self, name: str) -> str:
         """Name of a column in the file, which may name axes otherwise.
@@ -235,24 +234,12 @@ class Columns:
         Raises:
             TableFileError: A cell is not a number, or is not finite.
         """
-        if name in self._made:
-            values = self._made.pop(name)
-        else:
-            place = self._places.pop(name)
-            values = self._signs.get(name, 1.0) * np.array([
-                self._number(name, line, row[place], may_be_open)
-                for line, row in zip(self.lines, self._cells, strict=True)])
+        place = self._places.pop(name)
+        values = self._signs.get(name, 1.0) * np.array([
+            self._number(name, line, row[place], may_be_open)
+            for line, row in zip(self.lines, self._cells, strict=True)])
         self.taken[name] = values
         return values
-
-    def put(self, name: str, values: np.ndarray) -> None:
-        """Adds a column that follows from others.
-
-        Args:
-            name: Name of the column.
-            values: Its values, shape (row_count,).
-        """
-        self._made[name] = values
 
     def _number(self, name: str, line: int, cell, may_be_open: bool = False) -> float:
         try:
