@@ -16,7 +16,6 @@ from pydantic import BaseModel, ValidationError
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene.entry import is_entry, item_of_list, plain
 
-NOT_BUILT = {"shells": "shells", "reduction": "reduced models"}
 SYNONYMS = {
     "e": "young_modulus", "nu": "poisson_ratio", "rho": "density", "mu": "friction",
     "file": "mesh", "center": "centre", "length": "shortening", "force": "tension",
@@ -211,8 +210,8 @@ def _missing(root, location: tuple, value: Any) -> tuple[tuple, Any, str]:
 
 def _unknown_key(root, location: tuple) -> str:
     key = str(location[-1])
-    if key in NOT_BUILT:
-        return f"{NOT_BUILT[key]} are not available in this version"
+    if key == "shells":
+        return "shells are not available in this version"
     model = _model_at(root, location[:-1])
     known = [name for name in model.model_fields if name != "path"] if model else []
     if key == "repeat":
@@ -261,9 +260,6 @@ def _reason(root, location: tuple, details: Any) -> str:
     if kind == "literal_error":
         # The error contains the words of a list that can be extended, such as that of the laws.
         words = context.get("words") or get_args(plain(_annotation_at(root, location)))
-        if str(value) in NOT_BUILT:
-            missing = f"{NOT_BUILT[str(value)]} is not available in this version"
-            return f"{missing}; must be one of {', '.join(map(str, words))}"
         return f"must be one of {', '.join(words)}{nearest(value, words)}"
     if kind == "finite_number":
         return "must be finite"

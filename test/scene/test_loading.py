@@ -60,7 +60,6 @@ MATERIAL, CABLE = ("body", "material"), ("cables", 0)
     ((*CABLE, "tension"), [-1.0, 5.0], "cables[0].tension", "N", "push"),
     ((*CABLE, "shortening"), [0.01, 0.02], "cables[0].shortening", "m", "rest"),
     (("shells",), [{"name": "x"}], "shells", "", "shells.*not available"),
-    (("reduction",), [{"name": "x"}], "reduction", "", "reduced models.*not available"),
     (("body", "element"), "cubic", "body.element", "", "quadratic"),
     (("cables", 2, "ratee"), 0.1, "cables[2].ratee", "", "rate.*shortening"),
     ((*CABLE, "pull_point"), MISSING, "cables[0].pull_point", "m", "required"),
