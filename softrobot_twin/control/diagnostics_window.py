@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict
+from operator import attrgetter
 
 import numpy as np
 
@@ -21,6 +22,7 @@ _LARGEST = {
     "linearization_error": False,  # A NaN tells that there are no effectors.
 }  # fmt: skip
 """Fields of the reports of steps whose largest value is told, and whether NaN is larger than all."""
+_LARGEST_OF = attrgetter(*_LARGEST)
 
 
 class DiagnosticsWindow:
@@ -84,10 +86,12 @@ class DiagnosticsWindow:
         self.sources.add(source)
         self.add_again(outcome)
         result, report = outcome.result, outcome.result.report
-        self.worst = max(self.worst, result.status, key=_SEVERITY.__getitem__)
-        for field, before in self.largest.items():
-            value = getattr(report, field)
-            if value > before or (value != value and _LARGEST[field]):
+        if result.status is not self.worst:
+            self.worst = max(self.worst, result.status, key=_SEVERITY.__getitem__)
+        for (field, tells_nan), before, value in zip(
+            _LARGEST.items(), self.largest.values(), _LARGEST_OF(report)
+        ):
+            if value > before or (tells_nan and value != value):
                 self.largest[field] = value
         self.overloaded += report.is_overloaded
         self.late += report.is_late
@@ -95,12 +99,15 @@ class DiagnosticsWindow:
         if report.qp_solver:
             self.qp_solvers.add(report.qp_solver)
         for stage, time in report.stage_times.items():
-            self.stage_maxima[stage] = max(time, self.stage_maxima[stage])
-        self.limits.update(report.active_limits)
+            if time > self.stage_maxima[stage]:
+                self.stage_maxima[stage] = time
+        if report.active_limits:
+            self.limits.update(report.active_limits)
         if report.strains:
             self.strains |= {outside.key: outside for outside in report.strains}
-        self.violated.update(outcome.violated)
-        self.blocked += bool(outcome.violated)
+        if outcome.violated:
+            self.violated.update(outcome.violated)
+            self.blocked += 1
         if result.contacts is not None:
             self._add_contacts(result)
         for error in outcome.tracking_errors.tolist():

@@ -233,7 +233,8 @@ class ForceObserver:
             effectors: Its effectors [m], shape (effector_count, 3).
         """
         shown = self._together(markers, self._simulation.sensor_readings(), effectors)
-        return Moment(shown + self.lag, effectors, self.loads, self.by_loads,
+        # Later looks write into the same matrix.
+        return Moment(shown + self.lag, effectors, self.loads, self.by_loads.copy(),
                       setpoints=self._simulation.state.setpoints)  # fmt: skip
 
     @property

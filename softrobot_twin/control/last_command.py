@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import threading
 import time
@@ -26,9 +27,10 @@ from softrobot_twin.simulation.appearance import Pose
 LONGEST_WRITE = 1.0
 """A write that takes longer [s] counts as failed for who reads."""
 WRITE_PAUSE = 0.005
-"""Time from write to write [s]. At more than 200 Hz the thread would take the interpreter from the
-ticks in each of them; a process that is killed loses what it sent within this time.
-"""
+"""Time from write to write [s], and to the next command; a process that is killed loses what it sent
+within it. So the thread wakes where a tick ends: in a tick it would take the interpreter from it."""
+LONGEST_PAUSE = 0.05
+"""A command that no other one follows is written after this time [s]."""
 
 
 class StoredCommand(NamedTuple):
@@ -70,6 +72,7 @@ class LastCommand:
         self._rest = simulation.rest_setpoints
         self._zero_errors = zero_errors(simulation.limits, self._rest)
         self._newest: tuple | None = None
+        self._due = -math.inf
         self._changed, self._is_pending, self._ends = threading.Condition(), False, False
         self._thread: threading.Thread | None = None
 
@@ -128,7 +131,9 @@ class LastCommand:
             self._thread.start()
         with self._changed:
             self._newest, self._is_pending = (setpoints, efforts, dict(poses)), True
-            self._changed.notify_all()
+            if (now := time.monotonic()) >= self._due:
+                self._due = now + WRITE_PAUSE
+                self._changed.notify_all()
 
     def close(self) -> None:
         """Writes the newest command, and ends."""
@@ -149,7 +154,6 @@ class LastCommand:
             while (newest := self._take()) is not None:
                 # One call writes the whole line: a process that dies leaves the old or the new.
                 os.pwrite(file, self._line(*newest), 0)
-                time.sleep(WRITE_PAUSE)
         except OSError as error:
             self._fail(error)
         finally:
@@ -160,7 +164,8 @@ class LastCommand:
         with self._changed:
             self._is_pending = self._newest is not None
             self._changed.notify_all()
-            self._changed.wait_for(lambda: self._newest is not None or self._ends)
+            while self._newest is None and not self._ends:
+                self._changed.wait(LONGEST_PAUSE)
             newest, self._newest = self._newest, None
         return newest
 

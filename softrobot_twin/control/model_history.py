@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from typing import NamedTuple
 
 import numpy as np
@@ -70,6 +71,9 @@ class ModelHistory:
         if load_count:
             self._by_loads = np.zeros((2 * capacity, 3 * marker_count, load_count))
         self._capacity, self._count = capacity, 0
+        # Ticks that nothing was compared with yet: most wait for no measurement.
+        self._newest = deque[tuple[int, np.ndarray, Moment]](maxlen=capacity)
+        self._last = 0
         # Twice the capacity: so the ticks are always in one piece, and are seldom moved.
         self._times = np.zeros(2 * capacity, np.int64)
         self._setpoints = np.zeros((2 * capacity, len(self._scales)))
@@ -80,28 +84,40 @@ class ModelHistory:
 
         Args:
             time: Time of the tick [ns]; when the clock was set back, a new history starts.
-            setpoints: The model's setpoints, in the actuators' units, shape (actuator_count,).
+            setpoints: The model's setpoints, in the actuators' units, shape (actuator_count,). Its
+                numbers, as those of the moment, do not change later.
             moment: The model.
         """
-        if self._count and time < self._times[self._count - 1]:
+        if time < self._last:
             self.forget()
-        if self._count == len(self._times):
+        self._last = time
+        self._newest.append((time, setpoints, moment))
+
+    def _store(self) -> None:
+        """Writes the newest ticks into the ring."""
+        if not self._newest:
+            return
+        times, setpoints, moments = zip(*self._newest, strict=True)
+        self._newest.clear()
+        if self._count + len(times) > len(self._times):
+            kept = slice(self._count - self._capacity, self._count)
             self._count = self._capacity
             for array in (self._times, self._setpoints, self._values, self._loads, self._by_loads):
-                if array is None:
-                    continue
-                array[: self._capacity] = array[self._capacity :]
-        at, self._count = self._count, self._count + 1
-        self._times[at], self._setpoints[at] = time, setpoints / self._scales
-        values = self._values[at]
-        values[: self._markers], values[self._markers :] = moment[:2]
+                if array is not None:
+                    array[: self._capacity] = array[kept]
+        at = slice(self._count, self._count + len(times))
+        self._count = at.stop
+        self._times[at], self._setpoints[at] = times, setpoints / self._scales
+        self._values[at, : self._markers] = [one.markers for one in moments]
+        self._values[at, self._markers :] = [one.effectors for one in moments]
         if self._by_loads is not None:
-            self._loads[at], self._by_loads[at] = moment.loads, moment.by_loads
+            self._loads[at] = [one.loads for one in moments]
+            self._by_loads[at] = [one.by_loads for one in moments]
 
     @property
     def is_any(self) -> bool:
         """Whether there is a tick."""
-        return self._count > 0
+        return self._count > 0 or bool(self._newest)
 
     def at(self, time: int) -> Moment:
         """The model at a time [ns], interpolated linearly between two ticks; there is one tick at least.
@@ -111,6 +127,7 @@ class ModelHistory:
         Args:
             time: The time on the clock of stamps [ns].
         """
+        self._store()
         first = max(0, self._count - self._capacity)
         times = self._times[first : self._count]
         after = int(np.searchsorted(times, time))
@@ -131,6 +148,7 @@ class ModelHistory:
         Returns:
             The model; None where it was not near these setpoints.
         """
+        self._store()
         oldest = time - round(LONGEST_DELAY * NANOSECONDS)
         first = max(int(np.searchsorted(self._times[: self._count], oldest)), self._count - self._capacity, 0)
         first = min(first, self._count - 1)
@@ -174,6 +192,7 @@ class ModelHistory:
             before: One of them.
             after: The same, under the other loads.
         """
+        self._store()
         moved = (after.markers - before.markers).ravel() - np.einsum(
             "tml,tl->tm", self._by_loads, self._loads - before.loads)
         self._values[:, : self._markers] += moved.reshape(len(moved), -1, 3)
@@ -181,4 +200,5 @@ class ModelHistory:
 
     def forget(self) -> None:
         """Starts a new history."""
-        self._count = 0
+        self._count = self._last = 0
+        self._newest.clear()

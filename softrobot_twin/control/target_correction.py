@@ -366,7 +366,8 @@ class TargetCorrection:
     """
 
     def __init__(self, effector_count: int, lengths_per_radian: np.ndarray | None = None):
-        self.offsets, self.turns = np.zeros((2, effector_count, 3))
+        self._both = np.zeros((2, effector_count, 3))
+        self.offsets, self.turns = self._both
         self._lengths_per_radian = lengths_per_radian
         self.law = Law.NONE
         self._stamp = self._aligned = 0
@@ -375,7 +376,7 @@ class TargetCorrection:
     @property
     def is_any(self) -> bool:
         """Whether any target is moved or turned."""
-        return bool(self.offsets.any() or self.turns.any())
+        return bool(self._both.any())
 
     def turned(self, wanted: np.ndarray) -> np.ndarray:
         """Wanted orientations, each turned by its correction.
@@ -520,9 +521,8 @@ class TargetCorrection:
             time_step: Time that has passed [s].
             gain: Inverse of the time constant [1/s].
         """
-        self.offsets *= math.exp(-gain * time_step)
-        self.turns *= math.exp(-gain * time_step)
+        self._both *= math.exp(-gain * time_step)
 
     def reset(self) -> None:
         """Sets the correction to zero."""
-        self.offsets[:], self.turns[:] = 0.0, 0.0
+        self._both[:] = 0.0

@@ -1086,38 +1086,39 @@ class TwinLoop:
         result: StepResult, now: float,
     ) -> None:  # fmt: skip
         """Updates the correction of the targets by the measured effectors and markers [m]."""
-        touches, errors, misfit = result.touches, None, None
-        stamp, follows = self.markers.stamp, activity is Activity.FOLLOWING
-        # What a finger displaces is not an error of the model.
-        is_touched = touches is not None and bool(touches.is_touched.any())
-        # Nor is what a new force displaces, until it is known.
-        is_touched |= self.observer is not None and self.observer.is_settling
-        if self.settings.closed_loop and follows and not is_touched:
+        errors, misfit, stands = None, None, False
+        stamp, targets, before = self.markers.stamp, aims.reading.targets, self._aimed
+        self._aimed = targets
+        corrects = self.settings.closed_loop and activity is Activity.FOLLOWING
+        if corrects and self.correction.is_new(stamp) and not self._is_touched(result):
             # Nor is its distance while an effector approaches a far target.
             comparable = np.where(aims.arrived, effectors, np.nan)
-            errors = self.measurement.differences(aims.reading.targets, comparable)
+            errors = self.measurement.differences(targets, comparable)
             # Measured lengths do not tell which tensions were executed.
             by_effort = self.dynamic is not None and self.dynamic.by_effort
-            is_new = self.correction.is_new(stamp) and not by_effort
-            model = self._executed(stamp, self.markers.time) if is_new else None
+            model = None if by_effort else self._executed(stamp, self.markers.time)
             if model is not None:
                 self.lead.see(model.delay, stamp)
                 if self.observer is not None:
                     model = self.observer.under_loads(model)
                 misfit = self.measurement.misfit(markers, model)
-        if self.settings.closed_loop and follows and self.sensors is not None:
+                stands = targets.tobytes() == before.tobytes() and result.status.is_success
+        if corrects and self.sensors is not None:
             # Each measurement counts once.
             since, self._followed = self._followed, now
             self._of_sensors.follow(
                 self._sensors(lambda one: one.read(now, since)), self.simulation.sensor_readings(),
                 self.settings.correction_limit,
                 0.0 if self.observer is None else self.observer.of_sensors(self.observer.shifts))
-        targets, before = aims.reading.targets, self._aimed
-        self._aimed = targets
-        stands = targets is before or targets.tobytes() == before.tobytes()
         loaded = None if self.observer is None else self.measurement.moved(self.observer.shifts)
         self.correction.tick(self.settings, stamp, errors, misfit, result.status,
-                             self._plausibility.noise, stands and result.status.is_success, loaded)  # fmt: skip
+                             self._plausibility.noise, stands, loaded)
+
+    def _is_touched(self, result: StepResult) -> bool:
+        """Whether what displaces an effector is no error of the model: a finger, or a force that is new."""
+        touches = result.touches
+        is_new = self.observer is not None and self.observer.is_settling
+        return is_new or (touches is not None and bool(touches.is_touched.any()))
 
 
 def _commands_same(result: StepResult, before: StepResult) -> bool:

@@ -13,7 +13,11 @@ PERIOD = 1.0
 
 
 class Audience:
-    """Which publishers have subscribers."""
+    """Which publishers have subscribers.
+
+    Attributes:
+        rounds: How often all were to be asked anew.
+    """
 
     def __init__(self, now: Callable[[], float] = time.monotonic):
         """Ask nobody yet.
@@ -21,7 +25,7 @@ class Audience:
         Args:
             now: Gives the time [s].
         """
-        self._now, self._due = now, -math.inf
+        self._now, self._due, self.rounds = now, -math.inf, 0
         self._heard: dict[Publisher, bool] = {}
 
     def hears(self, publisher: Publisher) -> bool:
@@ -30,14 +34,19 @@ class Audience:
         Args:
             publisher: The publisher.
         """
-        now = self._now()
-        if now >= self._due:
-            self._heard.clear()
-            self._due = now + PERIOD
+        self.begin_round()
         heard = self._heard.get(publisher)
         if heard is None:
             heard = self._heard[publisher] = publisher.get_subscription_count() > 0
         return heard
+
+    def begin_round(self) -> int:
+        """Forgets the answers that are older than `PERIOD`; gives `rounds`."""
+        now = self._now()
+        if now >= self._due:
+            self._heard.clear()
+            self._due, self.rounds = now + PERIOD, self.rounds + 1
+        return self.rounds
 
     def hears_any(self, publishers: Iterable[Publisher]) -> bool:
         """Whether somebody has subscribed to one of them.

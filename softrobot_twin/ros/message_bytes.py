@@ -25,6 +25,7 @@ from softrobot_twin.control.loop_timing import NANOSECONDS
 
 # CDR of version 1, little-endian, without options (OMG DDSI-RTPS, section 10.5).
 _ENCAPSULATION, _STAMP = b"\x00\x01\x00\x00", struct.Struct("<iI")
+_DOUBLE = np.dtype("<f8")
 _NUMBERS = {
     "boolean": "?", "octet": "B", "uint8": "B", "int8": "b", "uint16": "H", "int16": "h",
     "uint32": "I", "int32": "i", "uint64": "Q", "int64": "q", "float": "f", "double": "d",
@@ -180,7 +181,7 @@ class MessageBytes:
         """
         put_stamp(self._content, stamp)
         for place, values in zip(self._places, numbers, strict=True):
-            place[:] = np.asarray(values, "<f8").tobytes()
+            place[:] = np.asarray(values, _DOUBLE).tobytes()
         return bytes(self._content)
 
 

@@ -82,15 +82,10 @@ if TYPE_CHECKING:
 class RepeatedMessages:
     """Publishes messages with a header, and again with another stamp while nothing else changes.
 
-    To make and convert a message takes longer than to publish its bytes. What nobody receives is not
-    published again, and but for commands not even made.
-
-    Args:
-        audience: Who receives what.
+    To make and convert a message takes longer than to publish its bytes.
     """
 
-    def __init__(self, audience: Audience) -> None:
-        self._audience = audience
+    def __init__(self) -> None:
         self.forget()
 
     def send(self, publisher: Publisher, message: object) -> None:
@@ -102,58 +97,22 @@ class RepeatedMessages:
         """
         content = to_bytes(message)
         publisher.publish(content)
-        self._sent.append((publisher, bytearray(content)))
-
-    def offer(self, publisher: Publisher, make: Callable[..., object], *values: object) -> None:
-        """Makes and publishes a message if somebody receives it.
-
-        Args:
-            publisher: Where it is published.
-            make: Makes the message of the values.
-            *values: The values.
-        """
-        if self.is_heard(publisher):
-            self.send(publisher, make(*values))
-        else:
-            self.leave_out(publisher)
-
-    def leave_out(self, *publishers: Publisher) -> None:
-        """Makes no messages of some publishers, which nobody receives.
-
-        Args:
-            *publishers: The publishers.
-        """
-        self._left_out.extend(publishers)
-
-    def is_heard(self, publisher: Publisher) -> bool:
-        """Whether messages are received or, as those of a recorded run, kept.
-
-        Args:
-            publisher: The publisher.
-        """
-        return type(publisher) is not Publisher or self._audience.hears(publisher)
+        self._sent.append((publisher, content))
 
     def forget(self) -> None:
         """The messages that are sent from now on are those to publish again."""
-        self._sent: list[tuple[Publisher, bytearray]] = []
-        self._left_out: list[Publisher] = []
+        self._sent: list[tuple[Publisher, bytes]] = []
 
-    def send_again(self, stamp: int) -> bool:
+    def send_again(self, stamp: int) -> None:
         """Publishes all messages since `forget` again, with another stamp [ns].
 
         Args:
             stamp: The other stamp [ns].
-
-        Returns:
-            Whether it did: somebody may have subscribed to what was not made.
         """
-        if self._audience.hears_any(self._left_out):
-            return False
-        for publisher, content in self._sent:
-            if self.is_heard(publisher):
-                put_stamp(content, stamp)
-                publisher.publish(bytes(content))
-        return True
+        for publisher, before in self._sent:
+            content = bytearray(before)
+            put_stamp(content, stamp)
+            publisher.publish(bytes(content))
 
 
 def _paths(simulation: Simulation, positions: np.ndarray) -> list[tuple]:
@@ -432,7 +391,7 @@ class TwinNode(TickingNode):
     def _open_outputs(self) -> None:
         simulation = self.loop.simulation
         self._audience = Audience()
-        self._repeated = RepeatedMessages(self._audience)
+        self._repeated, self._round = RepeatedMessages(), 0
         frame = self.loop_frame
         self._orders, self._outputs = (
             [(output, self._maker(output), publishers)
@@ -653,25 +612,30 @@ class TwinNode(TickingNode):
             self.recording.pass_on()
 
     def _publish(self, outcome: TickOutcome, stamp: int) -> None:
-        may_repeat = self.loop.is_repeating and not self._has_listeners
-        if may_repeat and self._repeated.send_again(stamp):
+        if self._audience.begin_round() != self._round:
+            self._ask_audience()
+        elif self.loop.is_repeating and not self._has_listeners:
+            self._repeated.send_again(stamp)
             return
         self._repeated.forget()
-        offer = self._repeated.offer
         if outcome.command is not None:
             self._publish_command(outcome.command, outcome.guided_poses, stamp)
-            if self.last_command is not None:
-                self.last_command.keep(*outcome.command, outcome.guided_poses)
-        for output, make, publishers in self._outputs:
-            hears = self._audience.hears if output.is_costly else self._repeated.is_heard
-            if not any(map(hears, publishers.values())):
-                self._repeated.leave_out(*publishers.values())
-                continue
+        for output, make, publishers in self._heard:
             rows = output.read(outcome)
-            for index, publisher in publishers.items() if rows else ():
-                offer(publisher, make, stamp, *rows[index])
+            for index, publisher in publishers if rows else ():
+                self._repeated.send(publisher, make(stamp, *rows[index]))
         outputs, header = (self._compliances, self._transforms), partial(self._header, stamp)
         self._has_listeners = any([output.publish(outcome, header) for output in outputs])
+
+    def _ask_audience(self) -> None:
+        """Finds the outputs that are received or, as those of a recorded run, kept: no other is read."""
+        self._round, self._heard = self._audience.rounds, []
+        for output, make, publishers in self._outputs:
+            heard = [(index, one) for index, one in publishers.items()
+                     if type(one) is not Publisher or self._audience.hears(one)]
+            is_wanted = not output.is_costly or any(self._audience.hears(one) for _, one in heard)
+            if heard and is_wanted:
+                self._heard.append((output, make, heard))
 
     def _publish_command(self, command: ActuatorCommand, poses: Mapping[str, Pose], stamp: int) -> None:
         for output, make, publishers in self._orders:
@@ -707,6 +671,8 @@ class TwinNode(TickingNode):
         if self.has_worked:
             self.visualization.offer(newest, self.stamp, now)
         if self.has_worked and not self.loop.is_repeating:
+            if self.last_command is not None and newest.command is not None:
+                self.last_command.keep(*newest.command, newest.guided_poses)
             self.status.offer(newest, now)
             self._warn_of(newest, now)
         if now < self._diagnostics_due:
