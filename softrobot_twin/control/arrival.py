@@ -187,8 +187,8 @@ def refusal_of_vector(vector: np.ndarray, may_be_nan: bool = False) -> Refusal |
     """
     if vector.shape != (3,):
         return Refusal.WRONG_SIZE
-    is_wrong = np.isinf(vector) if may_be_nan else ~np.isfinite(vector)
-    return Refusal.NOT_FINITE if is_wrong.any() else None
+    is_right = ~np.isinf(vector) if may_be_nan else np.isfinite(vector)
+    return None if is_right.all() else Refusal.NOT_FINITE
 
 
 class Input:

@@ -165,7 +165,7 @@ class LoopSettings:
         Args:
             position: The position [m], shape (3,).
         """
-        return np.clip(position, self.workspace_min, self.workspace_max)
+        return np.minimum(np.maximum(position, self.workspace_min), self.workspace_max)
 
     @property
     def budget(self) -> float | None:

@@ -226,6 +226,7 @@ class EffectorMeasurement:
             [axis in effector.directions for effector in simulation.scene.effectors for axis in "xyz"],
             bool,
         ).reshape(-1, 3)
+        self._is_all_controlled = bool(self._controlled.all())
         self._nowhere = nowhere = np.full(self._controlled.shape, np.nan)
         # The kernels are loaded before the first tick.
         self.errors(nowhere, nowhere, approach(nowhere, nowhere, math.inf))
@@ -298,7 +299,7 @@ class EffectorMeasurement:
             targets: Targets [m], shape (effector_count, 3).
             positions: Positions [m], same shape.
         """
-        return np.where(self._controlled, targets, positions)
+        return targets if self._is_all_controlled else np.where(self._controlled, targets, positions)
 
     def differences(self, targets: np.ndarray, positions: np.ndarray) -> np.ndarray:
         """Target minus position, 0 in directions that are not controlled [m], same shape.

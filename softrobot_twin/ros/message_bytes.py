@@ -3,14 +3,21 @@
 A `geometry_msgs/Point` takes 2 µs to make and to convert, and a surface of 2000 triangles has 6000
 of them: as long as a step of the simulation. rclpy also publishes bytes that are serialized
 already, and the points of a message are then the bytes of an array. Of a command or a position only
-the stamp and the numbers change from tick to tick.
+the stamp and the numbers change from tick to tick. Received bytes are read here too: between two ticks
+rclpy takes 0.12 ms for a point.
 """
 
 from __future__ import annotations
 
 import struct
+import sys
+from array import array
+from collections import namedtuple
 from collections.abc import Callable, Sequence
 from copy import copy
+from functools import cache, partial
+from importlib import import_module
+from itertools import groupby
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -141,6 +148,111 @@ def to_bytes(message: object) -> bytes:
     if isinstance(message, bytes):
         return message
     return exact_bytes(message) if isinstance(message, JointState) else serialize_message(message)
+
+
+_Read = Callable[[bytes, int, bool], tuple[Any, int]]
+"""Reads a value from bytes at a place, little-endian or not; gives also the place behind it. Places are
+counted from the start of the first field."""
+
+
+def read_message(content: bytes, kind: type) -> tuple[Any, int]:
+    """A message in CDR as a named tuple of its fields, in which those of messages are the same.
+
+    Args:
+        content: The message in CDR; bytes may follow its end.
+        kind: Class of the message.
+
+    Returns:
+        The message, and how many bytes are its.
+
+    Raises:
+        ValueError: The bytes are no message of this kind.
+    """
+    if len(content) < len(_ENCAPSULATION) or content[0] or content[1] > 1:
+        raise ValueError("the message is not in CDR of version 1")
+    try:
+        message, end = reader_of(kind)(content[len(_ENCAPSULATION) :], 0, content[1] == 1)
+    except struct.error as error:
+        raise ValueError("the message ends too early") from error
+    return message, len(_ENCAPSULATION) + end
+
+
+@cache
+def reader_of(kind: type | str) -> _Read:
+    """What reads a message, or a field of a kind as messages state them: a string, a message or a
+    sequence.
+
+    Args:
+        kind: Class of the message, or the kind.
+    """
+    if kind == "string":
+        return _read_string
+    if isinstance(kind, str) and kind.startswith("sequence<"):
+        element = kind[len("sequence<") : -1]
+        if element in _NUMBERS:
+            return partial(_read_numbers, _NUMBERS[element])
+        return partial(_read_sequence, reader_of(element))
+    if isinstance(kind, str):
+        package, _, name = kind.partition("/")
+        kind = getattr(import_module(f"{package}.msg"), name)
+    fields, steps = kind.get_fields_and_field_types(), []
+    make = namedtuple(kind.__name__, fields)._make
+    # Numbers of one size that follow each other are read at once.
+    for size, run in groupby(fields.values(), lambda field: struct.calcsize(_NUMBERS.get(field, ""))):
+        codes = "".join(_NUMBERS[field] for field in run) if size else ""
+        each = [(size, (struct.Struct(f">{codes}"), struct.Struct(f"<{codes}")))]
+        steps += each if size else [(0, reader_of(field)) for field in run]
+
+    def read(content: bytes, place: int, is_little: bool) -> tuple[Any, int]:
+        values: list = []
+        for size, step in steps:
+            if size:
+                numbers = step[is_little]
+                place += -place % size
+                values += numbers.unpack_from(content, place)
+                place += numbers.size
+            else:
+                value, place = step(content, place, is_little)
+                values.append(value)
+        return make(values), place
+
+    return read
+
+
+def _read_count(content: bytes, place: int, is_little: bool, size: int) -> tuple[int, int]:
+    """How many elements of a size follow, and where the first one is; they are within the bytes."""
+    place += -place % 4
+    (count,) = struct.unpack_from("<I" if is_little else ">I", content, place)
+    place += 4
+    place += -place % size if count else 0
+    if place + count * size > len(content):
+        raise ValueError("a sequence is longer than the message")
+    return count, place
+
+
+def _read_string(content: bytes, place: int, is_little: bool) -> tuple[str, int]:
+    count, place = _read_count(content, place, is_little, 1)
+    # The last byte is a zero.
+    return content[place : place + max(count - 1, 0)].decode(errors="replace"), place + count
+
+
+def _read_numbers(code: str, content: bytes, place: int, is_little: bool) -> tuple[array, int]:
+    numbers = array(code)
+    count, place = _read_count(content, place, is_little, numbers.itemsize)
+    end = place + count * numbers.itemsize
+    numbers.frombytes(content[place:end])
+    if is_little != (sys.byteorder == "little"):
+        numbers.byteswap()
+    return numbers, end
+
+
+def _read_sequence(read: _Read, content: bytes, place: int, is_little: bool) -> tuple[list, int]:
+    count, place = _read_count(content, place, is_little, 1)
+    values = []
+    for _ in range(count):
+        value, place = read(content, place, is_little)
+        values.append(value)
+    return values, place
 
 
 def put_stamp(content: bytearray, stamp: int) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -78,21 +79,14 @@ class RunRecording:
         """
         return RecordedPublisher(publisher, self.recorder)
 
-    def receiver(self, kind: type, topic: str, receive: Callable) -> Callable:
-        """A function that records a message and passes it to another.
+    def receiver(self, kind: type, topic: str) -> Callable[[bytes], None]:
+        """What records the bytes of messages.
 
         Args:
             kind: Type of the messages.
             topic: Full name of the topic.
-            receive: The other function; what it returns is returned.
         """
-        note, described = self.recorder.note_message, _described(kind, topic, "in")
-
-        def receive_and_note(message):
-            note(described, message)
-            return receive(message)
-
-        return receive_and_note
+        return partial(self.recorder.note_message, _described(kind, topic, "in"))
 
     def pass_on(self) -> None:
         """Passes on what was noted in a tick; see `RunRecorder`."""

@@ -12,7 +12,6 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 
 from softrobot_twin.control.arrival import Arrival, Refusal, RefusalCounts
@@ -25,6 +24,7 @@ from softrobot_twin.control.loop_timing import (
 )
 from softrobot_twin.control.voices import PublisherWatch
 from softrobot_twin.errors import one_line
+from softrobot_twin.ros.message_bytes import read_message, reader_of
 from softrobot_twin.ros.messages import arrival_of
 from softrobot_twin.ros.one_line_logger import OneLineLogger
 from softrobot_twin.ros.parameters import ALL_TABLES, Entry, similar, unknown_parameters
@@ -295,8 +295,8 @@ class TickingNode(Node):
         """
         kind, most, warn = topic.kind, largest_message(topic.kind, names), self.warner()
         shown = self.resolve_topic_name(topic.full_name(name, twin))
-        take = self.noted(kind, shown, take)
-
+        note = self.noted(kind, shown)
+        reader_of(kind)  # Made before the first tick.
         watch, said = PublisherWatch(), ""
 
         def receive(content: bytes, about: dict) -> None:
@@ -314,10 +314,11 @@ class TickingNode(Node):
                 warn(shown, refusals.add(Refusal.TOO_LARGE))
                 return
             try:
-                message = deserialize_message(content, kind)
-            except Exception:  # noqa: BLE001 - whatever the middleware raises
+                message, size = read_message(content, kind)
+            except ValueError:
                 warn(shown, refusals.add(Refusal.UNREADABLE))
                 return
+            note(content[:size])
             warn(shown, take(message))
 
         return open_subscription(self, topic, receive, name, twin)
@@ -332,15 +333,14 @@ class TickingNode(Node):
         """
         self.get_logger().error(sentence, throttle_duration_sec=_WARN_EVERY)
 
-    def noted(self, kind: type, topic: str, take: Callable) -> Callable:
-        """A function that takes messages of a topic as `take` does, and may record them.
+    def noted(self, kind: type, topic: str) -> Callable[[bytes], object]:
+        """What takes the bytes of each message of a topic before it is used, to record them.
 
         Args:
             kind: Class of the messages.
             topic: Name of the topic.
-            take: Takes a message.
         """
-        return take
+        return len
 
     def refuse_request(self, error: Exception) -> None:
         """Counts and logs a message that rclpy failed to process; the node continues.

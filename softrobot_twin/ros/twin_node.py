@@ -370,15 +370,16 @@ class TwinNode(TickingNode):
         publisher = super().create_publisher(*arguments, **options)
         return publisher if self.recording is None else self.recording.publisher(publisher)
 
-    def noted(self, kind: type, topic: str, take: Callable) -> Callable:
-        """A function that also records the messages with `record`; see `TickingNode.noted`.
+    def noted(self, kind: type, topic: str) -> Callable[[bytes], object]:
+        """What records the messages with `record`; see `TickingNode.noted`.
 
         Args:
             kind: Class of the messages.
             topic: Name of the topic.
-            take: Takes a message.
         """
-        return take if self.recording is None else self.recording.receiver(kind, topic, take)
+        if self.recording is None:
+            return super().noted(kind, topic)
+        return self.recording.receiver(kind, topic)
 
     def _velocity_effector(self, simulation: Simulation) -> int:
         name, names = self._values["velocity_effector"], simulation.effector_names

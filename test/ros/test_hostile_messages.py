@@ -501,7 +501,7 @@ def test_a_message_that_is_too_large_is_refused_unread_on_every_topic(told, monk
         raise AssertionError(f"{len(content)} bytes of a {kind.__name__} are read")
 
     node, told = told
-    monkeypatch.setattr(ticking_node, "deserialize_message", read)
+    monkeypatch.setattr(ticking_node, "read_message", read)
     ends = inputs(node)
     for end in 2 * ends:
         end.callback(bytes(2**21), UNNUMBERED)
