@@ -100,8 +100,7 @@ class ModelHistory:
         times, setpoints, moments = zip(*self._newest, strict=True)
         self._newest.clear()
         if self._count + len(times) > len(self._times):
-            kept = slice(self._count - self._capacity, self._count)
-            self._count = self._capacity
+            kept, self._count = slice(self._count - self._capacity, self._count), self._capacity
             for array in (self._times, self._setpoints, self._values, self._loads, self._by_loads):
                 if array is not None:
                     array[: self._capacity] = array[kept]

@@ -10,7 +10,6 @@ rclpy takes 0.12 ms for a point.
 from __future__ import annotations
 
 import struct
-import sys
 from array import array
 from collections import namedtuple
 from collections.abc import Callable, Sequence
@@ -31,7 +30,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from softrobot_twin.control.loop_timing import NANOSECONDS
 
 # CDR of version 1, little-endian, without options (OMG DDSI-RTPS, section 10.5).
-_ENCAPSULATION, _STAMP = b"\x00\x01\x00\x00", struct.Struct("<iI")
+_ENCAPSULATION, _STAMP, _COUNT = b"\x00\x01\x00\x00", struct.Struct("<iI"), struct.Struct("<I")
 _DOUBLE = np.dtype("<f8")
 _NUMBERS = {
     "boolean": "?", "octet": "B", "uint8": "B", "int8": "b", "uint16": "H", "int16": "h",
@@ -150,9 +149,8 @@ def to_bytes(message: object) -> bytes:
     return exact_bytes(message) if isinstance(message, JointState) else serialize_message(message)
 
 
-_Read = Callable[[bytes, int, bool], tuple[Any, int]]
-"""Reads a value from bytes at a place, little-endian or not; gives also the place behind it. Places are
-counted from the start of the first field."""
+_Read = Callable[[bytes, int], tuple[Any, int]]
+"""Reads a value from bytes at a place; gives also the place behind it."""
 
 
 def read_message(content: bytes, kind: type) -> tuple[Any, int]:
@@ -168,19 +166,19 @@ def read_message(content: bytes, kind: type) -> tuple[Any, int]:
     Raises:
         ValueError: The bytes are no message of this kind.
     """
-    if len(content) < len(_ENCAPSULATION) or content[0] or content[1] > 1:
-        raise ValueError("the message is not in CDR of version 1")
+    begin = len(_ENCAPSULATION)
+    if len(content) < begin or content[:2] != _ENCAPSULATION[:2]:
+        raise ValueError("the message is not in CDR of version 1, little-endian")
     try:
-        message, end = reader_of(kind)(content[len(_ENCAPSULATION) :], 0, content[1] == 1)
+        message, end = reader_of(kind)(content[begin:], 0)
     except struct.error as error:
         raise ValueError("the message ends too early") from error
-    return message, len(_ENCAPSULATION) + end
+    return message, begin + end
 
 
 @cache
 def reader_of(kind: type | str) -> _Read:
-    """What reads a message, or a field of a kind as messages state them: a string, a message or a
-    sequence.
+    """What reads a message, or a field of a kind as messages state them that is no number.
 
     Args:
         kind: Class of the message, or the kind.
@@ -189,9 +187,8 @@ def reader_of(kind: type | str) -> _Read:
         return _read_string
     if isinstance(kind, str) and kind.startswith("sequence<"):
         element = kind[len("sequence<") : -1]
-        if element in _NUMBERS:
-            return partial(_read_numbers, _NUMBERS[element])
-        return partial(_read_sequence, reader_of(element))
+        code = _NUMBERS.get(element, "")
+        return partial(_read_sequence, code, None if code else reader_of(element))
     if isinstance(kind, str):
         package, _, name = kind.partition("/")
         kind = getattr(import_module(f"{package}.msg"), name)
@@ -199,70 +196,60 @@ def reader_of(kind: type | str) -> _Read:
     make = namedtuple(kind.__name__, fields)._make
     # Numbers of one size that follow each other are read at once.
     for size, run in groupby(fields.values(), lambda field: struct.calcsize(_NUMBERS.get(field, ""))):
-        codes = "".join(_NUMBERS[field] for field in run) if size else ""
-        each = [(size, (struct.Struct(f">{codes}"), struct.Struct(f"<{codes}")))]
-        steps += each if size else [(0, reader_of(field)) for field in run]
+        if size:
+            steps.append((size, struct.Struct("<" + "".join(map(_NUMBERS.__getitem__, run)))))
+        else:
+            steps += [(0, reader_of(field)) for field in run]
 
-    def read(content: bytes, place: int, is_little: bool) -> tuple[Any, int]:
+    def read(content: bytes, place: int) -> tuple[Any, int]:
         values: list = []
         for size, step in steps:
             if size:
-                numbers = step[is_little]
                 place += -place % size
-                values += numbers.unpack_from(content, place)
-                place += numbers.size
+                values += step.unpack_from(content, place)
+                place += step.size
             else:
-                value, place = step(content, place, is_little)
+                value, place = step(content, place)
                 values.append(value)
         return make(values), place
 
     return read
 
 
-def _read_count(content: bytes, place: int, is_little: bool, size: int) -> tuple[int, int]:
-    """How many elements of a size follow, and where the first one is; they are within the bytes."""
-    place += -place % 4
-    (count,) = struct.unpack_from("<I" if is_little else ">I", content, place)
-    place += 4
-    place += -place % size if count else 0
-    if place + count * size > len(content):
-        raise ValueError("a sequence is longer than the message")
-    return count, place
+def _read_string(content: bytes, place: int) -> tuple[str, int]:
+    letters, place = _read_sequence("B", None, content, place)
+    return letters[:-1].tobytes().decode(errors="replace"), place  # Without the zero at its end.
 
 
-def _read_string(content: bytes, place: int, is_little: bool) -> tuple[str, int]:
-    count, place = _read_count(content, place, is_little, 1)
-    # The last byte is a zero.
-    return content[place : place + max(count - 1, 0)].decode(errors="replace"), place + count
-
-
-def _read_numbers(code: str, content: bytes, place: int, is_little: bool) -> tuple[array, int]:
-    numbers = array(code)
-    count, place = _read_count(content, place, is_little, numbers.itemsize)
-    end = place + count * numbers.itemsize
-    numbers.frombytes(content[place:end])
-    if is_little != (sys.byteorder == "little"):
-        numbers.byteswap()
-    return numbers, end
-
-
-def _read_sequence(read: _Read, content: bytes, place: int, is_little: bool) -> tuple[list, int]:
-    count, place = _read_count(content, place, is_little, 1)
+def _read_sequence(code: str, read: _Read | None, content: bytes, place: int) -> tuple[Any, int]:
+    """Reads numbers, which have a code, or elements that are read one by one."""
+    place += -place % _COUNT.size
+    (count,) = _COUNT.unpack_from(content, place)
+    place += _COUNT.size
+    if read is None:
+        numbers = array(code)
+        place += -place % numbers.itemsize if count else 0
+        end = place + count * numbers.itemsize
+        if end > len(content):
+            raise ValueError("a sequence is longer than its message")
+        numbers.frombytes(content[place:end])
+        return numbers, end
     values = []
     for _ in range(count):
-        value, place = read(content, place, is_little)
+        value, place = read(content, place)
         values.append(value)
     return values, place
 
 
-def put_stamp(content: bytearray, stamp: int) -> None:
-    """Writes a time [ns] into the header of a message in CDR, its first field.
+def stamped(content: bytes | bytearray, stamp: int) -> bytes:
+    """A message in CDR with another time [ns] in its header, its first field.
 
     Args:
-        content: The message in CDR; is changed.
+        content: The message in CDR.
         stamp: The time [ns].
     """
-    _STAMP.pack_into(content, len(_ENCAPSULATION), *divmod(stamp, NANOSECONDS))
+    begin, time = len(_ENCAPSULATION), _STAMP.pack(*divmod(stamp, NANOSECONDS))
+    return b"".join((content[:begin], time, content[begin + _STAMP.size :]))
 
 
 class MessageBytes:
@@ -291,10 +278,9 @@ class MessageBytes:
             stamp: Its time [ns].
             numbers: The arrays, shape (count,) each.
         """
-        put_stamp(self._content, stamp)
         for place, values in zip(self._places, numbers, strict=True):
             place[:] = np.asarray(values, _DOUBLE).tobytes()
-        return bytes(self._content)
+        return stamped(self._content, stamp)
 
 
 class _Cut(NamedTuple):

@@ -36,7 +36,7 @@ from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.audience import Audience
 from softrobot_twin.ros.claim import TopicClaim
 from softrobot_twin.ros.diagnostics import TwinDiagnostics
-from softrobot_twin.ros.message_bytes import MessageBytes, put_stamp, to_bytes
+from softrobot_twin.ros.message_bytes import MessageBytes, stamped, to_bytes
 from softrobot_twin.ros.messages import (
     READERS,
     cables_message,
@@ -77,42 +77,6 @@ from softrobot_twin.simulation.channels import BUILT_IN, registered, measured
 
 if TYPE_CHECKING:
     from softrobot_twin.ros.run_recording import RunRecording
-
-
-class RepeatedMessages:
-    """Publishes messages with a header, and again with another stamp while nothing else changes.
-
-    To make and convert a message takes longer than to publish its bytes.
-    """
-
-    def __init__(self) -> None:
-        self.forget()
-
-    def send(self, publisher: Publisher, message: object) -> None:
-        """Publishes a message, serialized or not, whose first field is its header.
-
-        Args:
-            publisher: Where it is published.
-            message: The message, or its bytes.
-        """
-        content = to_bytes(message)
-        publisher.publish(content)
-        self._sent.append((publisher, content))
-
-    def forget(self) -> None:
-        """The messages that are sent from now on are those to publish again."""
-        self._sent: list[tuple[Publisher, bytes]] = []
-
-    def send_again(self, stamp: int) -> None:
-        """Publishes all messages since `forget` again, with another stamp [ns].
-
-        Args:
-            stamp: The other stamp [ns].
-        """
-        for publisher, before in self._sent:
-            content = bytearray(before)
-            put_stamp(content, stamp)
-            publisher.publish(bytes(content))
 
 
 def _paths(simulation: Simulation, positions: np.ndarray) -> list[tuple]:
@@ -392,7 +356,7 @@ class TwinNode(TickingNode):
     def _open_outputs(self) -> None:
         simulation = self.loop.simulation
         self._audience = Audience()
-        self._repeated, self._round = RepeatedMessages(), 0
+        self._round, self._sent = 0, list[tuple[Publisher, bytes]]()
         frame = self.loop_frame
         self._orders, self._outputs = (
             [(output, self._maker(output), publishers)
@@ -616,15 +580,17 @@ class TwinNode(TickingNode):
         if self._audience.begin_round() != self._round:
             self._ask_audience()
         elif self.loop.is_repeating and not self._has_listeners:
-            self._repeated.send_again(stamp)
+            # To make and convert a message takes longer than to publish its bytes.
+            for publisher, content in self._sent:
+                publisher.publish(stamped(content, stamp))
             return
-        self._repeated.forget()
+        self._sent.clear()
         if outcome.command is not None:
             self._publish_command(outcome.command, outcome.guided_poses, stamp)
         for output, make, publishers in self._heard:
             rows = output.read(outcome)
             for index, publisher in publishers if rows else ():
-                self._repeated.send(publisher, make(stamp, *rows[index]))
+                self._send(publisher, make(stamp, *rows[index]))
         outputs, header = (self._compliances, self._transforms), partial(self._header, stamp)
         self._has_listeners = any([output.publish(outcome, header) for output in outputs])
 
@@ -641,7 +607,13 @@ class TwinNode(TickingNode):
     def _publish_command(self, command: ActuatorCommand, poses: Mapping[str, Pose], stamp: int) -> None:
         for output, make, publishers in self._orders:
             for publisher, row in zip(publishers.values(), output.read((command, poses))):
-                self._repeated.send(publisher, make(stamp, *row))
+                self._send(publisher, make(stamp, *row))
+
+    def _send(self, publisher: Publisher, message: object) -> None:
+        """Publishes a message, serialized or not, which ticks at rest repeat with their stamps."""
+        content = to_bytes(message)
+        publisher.publish(content)
+        self._sent.append((publisher, content))
 
     def after_failure(self, now: float) -> None:
         """Tells the failure, and publishes the last safe command.

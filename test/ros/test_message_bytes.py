@@ -1,16 +1,19 @@
 """Messages as bytes against the same messages made as objects."""
 
+from array import array
 from functools import partial
+from importlib import import_module
 
 import numpy as np
 import pytest
 from geometry_msgs.msg import PointStamped, PoseStamped, Vector3Stamped
-from rclpy.serialization import deserialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import FluidPressure
 from std_msgs.msg import Header
 
-from softrobot_twin.ros.message_bytes import MessageBytes, exact_bytes
+from softrobot_twin.ros.message_bytes import MessageBytes, exact_bytes, read_message
 from softrobot_twin.ros.messages import (
+    READERS,
     cables_message,
     point_message,
     pose_message,
@@ -45,3 +48,40 @@ def test_messages_of_few_numbers_have_the_bytes_of_messages_made_anew(kind, make
         header = Header(stamp=stamp_of(stamp), frame_id="of_the_robot")
         assert of_bytes.message(stamp, *numbers) == exact_bytes(make(*numbers, header))
         assert deserialize_message(of_bytes.message(stamp, *numbers), kind) == make(*numbers, header)
+
+
+def drawn(kind, rng):
+    """A value of a kind as messages state them."""
+    if kind.startswith("sequence<"):
+        return [drawn(kind[len("sequence<") : -1], rng) for _ in range(rng.integers(4))]
+    if kind == "string":
+        return "aé" * rng.integers(4)
+    if "/" not in kind:
+        return {"double": float, "boolean": bool}.get(kind, int)(rng.integers(100))
+    package, _, name = kind.partition("/")
+    made = getattr(import_module(f"{package}.msg"), name)()
+    for field, inner in made.get_fields_and_field_types().items():
+        setattr(made, field, drawn(inner, rng))
+    return made
+
+
+def plain(value):
+    """A message or what was read of one, as lists."""
+    if isinstance(value, (list, array)):
+        return [*map(plain, value)]
+    of_message = getattr(value, "get_fields_and_field_types", list)
+    names = value._fields if isinstance(value, tuple) else of_message()
+    return [(name, plain(getattr(value, name))) for name in names] or value
+
+
+@pytest.mark.parametrize("kind", READERS)
+def test_received_bytes_are_read_as_rclpy_reads_them(kind, drawn_rng):
+    for _ in range(20):
+        name = f"{kind.__module__.partition('.')[0]}/{kind.__name__}"
+        content = serialize_message(drawn(name, drawn_rng))
+        found, size = read_message(content + b"more", kind)
+        assert plain(found) == plain(deserialize_message(content, kind))
+        assert size == len(exact_bytes(deserialize_message(content, kind)))
+        for end in range(size):
+            with pytest.raises(ValueError):
+                read_message(content[:end], kind)
