@@ -397,14 +397,17 @@ class TickingNode(Node):
         """
         if self._watched is None:
             return []
-        found, ghosts = [], self.ghosts()
-        own = self.get_name(), self.get_namespace()
-        if (count := self.get_node_names_and_namespaces().count(own)) > 1 and own not in ghosts:
+        found, own = [], (self.get_name(), self.get_namespace())
+        # The names are full: `count_publishers` would check and expand each, in five times the time.
+        counts = [self.handle.get_count_publishers(topic) for topic, _ in self._watched]
+        count = self.get_node_names_and_namespaces().count(own)
+        ghosts = self.ghosts() if max([count, *counts]) > 1 else set()
+        if count > 1 and own not in ghosts:
             name = self.get_fully_qualified_name()
             found.append(Clash("name", f"{count} nodes are called {name}: end all but one, or "
                                "rename one with -r __node:=NAME", True))
-        for topic, is_severe in self._watched:
-            if (count := self.count_publishers(topic)) > 1:
+        for (topic, is_severe), count in zip(self._watched, counts):
+            if count > 1:
                 if ghosts and publishing_nodes(self, topic) <= ghosts:
                     continue
                 names = publisher_names(self, topic)
