@@ -101,13 +101,11 @@ class DiagnosticsWindow:
         for stage, time in report.stage_times.items():
             if time > self.stage_maxima[stage]:
                 self.stage_maxima[stage] = time
-        if report.active_limits:
-            self.limits.update(report.active_limits)
+        self.limits.update(report.active_limits)
         if report.strains:
             self.strains |= {outside.key: outside for outside in report.strains}
-        if outcome.violated:
-            self.violated.update(outcome.violated)
-            self.blocked += 1
+        self.violated.update(outcome.violated)
+        self.blocked += bool(outcome.violated)
         if result.contacts is not None:
             self._add_contacts(result)
         for error in outcome.tracking_errors.tolist():

@@ -340,7 +340,7 @@ class TickingNode(Node):
             kind: Class of the messages.
             topic: Name of the topic.
         """
-        return len
+        return lambda content: None
 
     def refuse_request(self, error: Exception) -> None:
         """Counts and logs a message that rclpy failed to process; the node continues.
