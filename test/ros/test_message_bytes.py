@@ -1,6 +1,6 @@
 """Messages as bytes against the same messages made as objects."""
 
-from array import array
+import re
 from functools import partial
 from importlib import import_module
 
@@ -65,22 +65,15 @@ def drawn(kind, rng):
     return made
 
 
-def plain(value):
-    """A message or what was read of one, as lists."""
-    if isinstance(value, (list, array)):
-        return [*map(plain, value)]
-    of_message = getattr(value, "get_fields_and_field_types", list)
-    names = value._fields if isinstance(value, tuple) else of_message()
-    return [(name, plain(getattr(value, name))) for name in names] or value
-
-
 @pytest.mark.parametrize("kind", READERS)
 def test_received_bytes_are_read_as_rclpy_reads_them(kind, drawn_rng):
     for _ in range(20):
         name = f"{kind.__module__.partition('.')[0]}/{kind.__name__}"
         content = serialize_message(drawn(name, drawn_rng))
         found, size = read_message(content + b"more", kind)
-        assert plain(found) == plain(deserialize_message(content, kind))
+        by_both = (repr(found), repr(deserialize_message(content, kind)))
+        ours, theirs = (re.sub(r"\w+\.msg\.|array\('\w'(, )?|[][()]", "", one) for one in by_both)
+        assert ours == theirs
         assert size == len(exact_bytes(deserialize_message(content, kind)))
         for end in range(size):
             with pytest.raises(ValueError):
