@@ -95,13 +95,12 @@ class Effectors(ConstraintTerm):
     group = "effectors"
     is_traceable = True
 
-    def __init__(self, effectors: tuple[EffectorPoints, ...], free_index: np.ndarray, size: float):
+    def __init__(self, effectors: tuple[EffectorPoints, ...], free_index: np.ndarray):
         """Lay out the rows.
 
         Args:
             effectors: The effectors.
             free_index: Free-node index of each node, -1 where fixed, shape (node_count,).
-            size: Size of the largest body, the natural scale of the rows [m].
         """
         self.effectors = effectors
         self.row_effector = np.array(
@@ -114,7 +113,6 @@ class Effectors(ConstraintTerm):
             [effector.weight for effector in effectors for _ in effector.directions]
         )
         self.row_count = self.position_row_count = len(self.row_axis)
-        self.scales = np.full(self.row_count, size)
         self._row_place = 3 * self.row_effector + self.row_axis
         entries = [
             (row, node, weight, axis)
@@ -164,15 +162,15 @@ class Effectors(ConstraintTerm):
         )  # fmt: skip
 
 
-def along_all_axes(effectors: Effectors, free_index: np.ndarray, size: float) -> Effectors:
+def along_all_axes(effectors: Effectors, free_index: np.ndarray) -> Effectors:
     """The same points with rows along x, y and z, whatever directions a scene controls.
 
     Args:
         effectors: The effectors of a scene.
-        free_index, size: See `Effectors`.
+        free_index: See `Effectors`.
     """
     points = tuple(one._replace(directions=(0, 1, 2)) for one in effectors.effectors)
-    return Effectors(points, free_index, size)
+    return Effectors(points, free_index)
 
 
 def _node_weights(effector: EffectorPoints, free_index: np.ndarray):

@@ -282,7 +282,7 @@ class PosedEffectors(Effectors):
 
     def __init__(
         self, effectors: tuple[EffectorPoints, ...], orientations: tuple[PatchOrientation, ...],
-        free_index: np.ndarray, size: float,
+        free_index: np.ndarray,
     ):  # fmt: skip
         """Lay out the rows.
 
@@ -290,14 +290,13 @@ class PosedEffectors(Effectors):
             effectors: The effectors.
             orientations: Orientations of some of them, by ascending effector, at least one.
             free_index: Free-node index of each node, -1 where fixed, shape (node_count,).
-            size: Size of the largest body, the natural scale of the rows [m].
         """
-        super().__init__(effectors, free_index, size)
+        super().__init__(effectors, free_index)
         self.orientations = orientations
         self._patch_of_row = np.repeat(
             np.arange(len(orientations)), [one.row_count for one in orientations]
         )
-        self._lay_out_rows(size)
+        self._lay_out_rows()
         self._lay_out_entries(free_index)
         self._are_rigid = np.array([one.is_rigid for one in orientations])
         self._are_pointing = np.array([one.axis is not None for one in orientations])
@@ -307,7 +306,7 @@ class PosedEffectors(Effectors):
         self._lengths = np.array([one.length for one in orientations])
         self.forget_targets()
 
-    def _lay_out_rows(self, size: float) -> None:
+    def _lay_out_rows(self) -> None:
         owners = np.array([one.effector for one in self.orientations], np.int64)
         self._owners, patch = owners, self._patch_of_row
         weights = np.array([one.weight for one in self.orientations])
@@ -318,7 +317,6 @@ class PosedEffectors(Effectors):
         self.row_axis = np.concatenate([self.row_axis, 3 + np.arange(len(patch)) - first])
         self.row_weights = np.concatenate([self.row_weights, weights[patch]])
         self.row_count = len(self.row_effector)
-        self.scales = np.full(self.row_count, size)
 
     def _lay_out_entries(self, free_index: np.ndarray) -> None:
         self._patch_nodes = np.concatenate([one.nodes for one in self.orientations])

@@ -30,11 +30,6 @@ class Compliance:
         self._W, self.Yt = W, Yt
 
     @property
-    def row_count(self) -> int:
-        """Number of rows n."""
-        return len(self._W if self.Yt is None else self.Yt)
-
-    @property
     def W(self) -> np.ndarray:
         """The matrix [m/N], shape (n, n); formed at the first call."""
         if self._W is None:

@@ -22,7 +22,7 @@ def effectors(block):
             EffectorPoints("tip", carried(mesh, [(0.1, 0.1, 0.39)]), (0, 1, 2), 1.0),
             EffectorPoints("pad", carried(mesh, [(0.0, 0, 0), (0.2, 0.3, 0.1)]), (2,), 4.0),
         ),
-        np.arange(mesh.node_count), 0.4,
+        np.arange(mesh.node_count),
     )
     return mesh, term
 
@@ -60,7 +60,7 @@ def test_fixed_nodes_carry_no_entries(block):
     free_index = np.full(mesh.node_count, -1)
     free_index[3] = 0
     term = Effectors(
-        (EffectorPoints("e", carried(mesh, [(0.1, 0.15, 0.2)]), (0,), 1.0),), free_index, 0.4
+        (EffectorPoints("e", carried(mesh, [(0.1, 0.15, 0.2)]), (0,), 1.0),), free_index
     )
     assert set(term.entry_nodes) <= {0}
 

@@ -19,7 +19,7 @@ from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.kinematics import CarriedPoints
 from softrobot_twin.mechanics.rigid_bodies import RigidFrames
 
-SIZE, LENGTH = 0.4, 0.25
+LENGTH = 0.25
 PATCH = [(0.02, 0.02, 0.35), (0.15, 0.05, 0.36), (0.1, 0.25, 0.3), (0.05, 0.2, 0.38)]
 FLAT_PATCH = [(0.02, 0.02, 0.35), (0.15, 0.02, 0.35), (0.1, 0.25, 0.35)]
 
@@ -36,7 +36,7 @@ def posed(mesh, points=PATCH, axis=None, directions=(0, 1, 2), free_index=None):
     orientation = PatchOrientation(0, nodes, arms, False, axis, 2.0, LENGTH)
     free = np.arange(mesh.node_count) if free_index is None else free_index
     effector = EffectorPoints("tip", mapping, directions, 3.0)
-    return PosedEffectors((effector,), (orientation,), free, SIZE)
+    return PosedEffectors((effector,), (orientation,), free)
 
 
 @pytest.fixture
@@ -104,7 +104,7 @@ def test_rows_on_a_rigid_frame_are_derivatives_by_its_unknowns(axis, drawn_rng):
     axis = None if axis is None else np.array(axis) / np.linalg.norm(axis)
     orientation = PatchOrientation(0, nodes, arms, True, axis, 1.0, LENGTH)
     effector = EffectorPoints("tip", frames.points(0, [0.1, 0.2, 0.3]), (), 1.0)
-    term = PosedEffectors((effector,), (orientation,), frames.free_index(), SIZE)
+    term = PosedEffectors((effector,), (orientation,), frames.free_index())
     points = CarriedPoints(2, (frames,))
     x = rest.copy()
     frames.advance(x, drawn_rng.standard_normal((2, 3)), 1.0)

@@ -146,7 +146,7 @@ def test_rows_are_the_derivative_by_all_unknowns(joined):
         EffectorPoints(f"e{k}", joined.frames.points(2 + k, [[0.1 * k, -0.2, 0.3]]), (0, 1, 2), 1.0)
         for k in range(5)
     )
-    term = Effectors(effectors, joined.free_index, 1.0)
+    term = Effectors(effectors, joined.free_index)
     rows = RowStack([term], joined.points)
     rows.evaluate(joined.state)
     H = np.zeros((15, UNKNOWNS, 3))

@@ -108,7 +108,7 @@ def test_rows_are_the_derivative_by_translation_and_rotation(frames, positions, 
 def test_rows_of_effectors_on_rigid_bodies_are_their_derivative(frames, positions):
     free_index = np.concatenate([[0, -1, 1], frames.free_index()])
     effector = EffectorPoints("tip", frames.points(2, POINTS), (0, 1, 2), 1.0)
-    term = Effectors((effector,), free_index, 1.0)
+    term = Effectors((effector,), free_index)
     rows = CarriedRows(carried(frames), len(term.entry_rows))
     blocks, values = term.rows_at(positions)
     rows.reduce(positions, term.entry_rows, term.entry_nodes, blocks)

@@ -40,10 +40,10 @@ def effector_term(layout: Layout, notes: list[str]):
         effectors.append(EffectorPoints(effector.name, points, directions, effector.weight))
         if effector.orientation is not None:
             orientations.append(_orientation(layout, index, points, notes))
-    free_index, size = layout.nodes.free_index, layout.nodes.size
+    free_index = layout.nodes.free_index
     if orientations:
-        return PosedEffectors(tuple(effectors), tuple(orientations), free_index, size)
-    return Effectors(tuple(effectors), free_index, size)
+        return PosedEffectors(tuple(effectors), tuple(orientations), free_index)
+    return Effectors(tuple(effectors), free_index)
 
 
 def _orientation(

@@ -113,7 +113,7 @@ class ObservedRows:
             else:
                 mappings.append(_point(place.points, point) if place.is_found else place.points)
         effectors = tuple(EffectorPoints("", one, (0, 1, 2), 1.0) for one in mappings)
-        self._chosen, self._term = chosen, Effectors(effectors, self._nodes.free_index, self._nodes.size)
+        self._chosen, self._term = chosen, Effectors(effectors, self._nodes.free_index)
         terms = [self._term] if self._sensors is None else [self._sensors, self._term]
         self.stack = RowStack(terms, self._nodes.carried, self._nodes.free_axes)
         return True

@@ -138,7 +138,7 @@ def effector_rows(effectors: Effectors, nodes: Nodes) -> RowStack:
         effectors: The effectors of a scene.
         nodes: The nodes of the scene.
     """
-    return RowStack([along_all_axes(effectors, nodes.free_index, nodes.size)], nodes.carried, nodes.free_axes)
+    return RowStack([along_all_axes(effectors, nodes.free_index)], nodes.carried, nodes.free_axes)
 
 
 def sharing(diagonal: np.ndarray) -> np.ndarray:
