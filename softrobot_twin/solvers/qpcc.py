@@ -31,14 +31,14 @@ from softrobot_twin.solvers.polyhedron_projection import (
 )
 
 # A size below this share of the widest interval of a row counts as zero.
-NEGLIGIBLE = 1.0e-9
+NEGLIGIBLE = 1.0e-6
 # Objectives that differ by less are equal, in the unit of the problem's size squared.
 ROUND_OFF = 1.0e-13
 # A start that is worse than the held state by less is as good: the held state is no more exact.
 AS_GOOD = 1.0e-9
 # Excesses that differ by less are equal, in shares of the held one or of the size of the problem.
 EQUAL_EXCESS = 1.0e-7
-# What is no excess, in shares of the largest row or force.
+# What is no excess, in shares of the largest row or force, or of their bounds.
 ROUNDING = 1.0e-12
 # A relaxed bound is widened by this share, so that rounding does not make the next program empty.
 MARGIN = 1.0e-9
@@ -318,7 +318,8 @@ class BranchSolver:
         self._geometric = self._geometric_projection(reference)
         self._whitened = PolyhedronProjection(self._stack(self._T), q / size, self._geometric.lengths)
         self._reference = reference
-        self._row_unit = np.abs(problem.A @ reference).max(initial=0.0) or 1.0
+        bounds = np.concatenate([problem.A @ reference, problem.row_lower, problem.row_upper])
+        self._row_unit = np.abs(bounds[np.isfinite(bounds)]).max(initial=0.0) or 1.0
         usual = (problem.forces(reference), problem.force_max[self._limited])
         self._force_unit = np.concatenate(usual).max(initial=0.0) or 1.0
 

@@ -30,10 +30,11 @@ def test_an_answer_is_admissible_and_no_worse_than_holding(robot_in_contact, com
 
 def test_without_contacts_it_is_the_quadratic_program(robot_in_contact):
     robot = robot_in_contact(0, contacts=0, moves=0)
-    expected = DAQPSolver().solve(whiten(robot.problem(1e-3)))
-    assert expected.solved
-    answer = solve(robot, robot.problem(1e-3))
-    np.testing.assert_allclose(answer.unknowns, expected.unknowns, atol=1e-5)
+    assert (expected := DAQPSolver().solve(whiten(robot.problem(1e-3)))).solved
+    # From efforts of round-off too.
+    for size in (1.0, 1e-7, 1e-8, 1e-9, 1e-10, 1e-14):
+        answer = solve_by_pivoting(robot.problem(1e-3), size * robot.held, robot.touching)
+        np.testing.assert_allclose(answer.unknowns, expected.unknowns, atol=1e-5)
 
 
 def test_a_contact_opens_where_opening_lowers_the_objective(robot_in_contact):
