@@ -86,8 +86,7 @@ class DiagnosticsWindow:
         self.sources.add(source)
         self.add_again(outcome)
         result, report = outcome.result, outcome.result.report
-        if result.status is not self.worst:
-            self.worst = max(self.worst, result.status, key=_SEVERITY.__getitem__)
+        self.worst = max(self.worst, result.status, key=_SEVERITY.__getitem__)
         for (field, tells_nan), before, value in zip(
             _LARGEST.items(), self.largest.values(), _LARGEST_OF(report)
         ):
@@ -99,8 +98,7 @@ class DiagnosticsWindow:
         if report.qp_solver:
             self.qp_solvers.add(report.qp_solver)
         for stage, time in report.stage_times.items():
-            if time > self.stage_maxima[stage]:
-                self.stage_maxima[stage] = time
+            self.stage_maxima[stage] = max(time, self.stage_maxima[stage])
         self.limits.update(report.active_limits)
         if report.strains:
             self.strains |= {outside.key: outside for outside in report.strains}

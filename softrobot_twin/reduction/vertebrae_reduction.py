@@ -192,8 +192,7 @@ def reduce_body(
         count = sample_count(model.variable_count, degree)
         samples, lost = sample(model, within, count, seed + index)
         made.append(fit_enthalpy(model, part, within, samples, degree, lost))
-    reduction = Reduction(
-        tuple(fitted.fit for fitted in made), degree, volumes, areas)
+    reduction = Reduction(tuple(fitted.fit for fitted in made), degree, volumes, areas)
     return reduction, made
 
 

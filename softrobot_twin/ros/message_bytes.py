@@ -15,7 +15,6 @@ from collections import namedtuple
 from collections.abc import Callable, Sequence
 from copy import copy
 from functools import cache, partial
-from importlib import import_module
 from itertools import groupby
 from typing import Any, NamedTuple
 
@@ -28,6 +27,7 @@ from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from softrobot_twin.control.loop_timing import NANOSECONDS
+from softrobot_twin.ros.topics import class_named
 
 # CDR of version 1, little-endian, without options (OMG DDSI-RTPS, section 10.5).
 _ENCAPSULATION, _STAMP, _COUNT = b"\x00\x01\x00\x00", struct.Struct("<iI"), struct.Struct("<I")
@@ -190,8 +190,7 @@ def reader_of(kind: type | str) -> _Read:
         code = _NUMBERS.get(element, "")
         return partial(_read_sequence, code, None if code else reader_of(element))
     if isinstance(kind, str):
-        package, _, name = kind.partition("/")
-        kind = getattr(import_module(f"{package}.msg"), name)
+        kind = class_named(kind)
     fields, steps = kind.get_fields_and_field_types(), []
     make = namedtuple(kind.__name__, fields)._make
     # Numbers of one size that follow each other are read at once.

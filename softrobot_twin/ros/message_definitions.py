@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-
 from softrobot_twin.ros import topics
 
 _SEPARATOR = "=" * 80
@@ -51,8 +49,7 @@ def _collect(kind: type, texts: dict[str, str]) -> None:
         item = name if "/" in name else _PLAIN[name]
         lines.append(f"{item if name == idl else item + '[]'} {field}\n")
         if "/" in item:
-            package, word = item.split("/")
-            inner.append(getattr(import_module(f"{package}.msg"), word))
+            inner.append(topics.class_named(item))
     texts[key] = "".join(lines)
     for item in inner:
         _collect(item, texts)

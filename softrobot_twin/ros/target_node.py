@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from functools import partial
 
 import numpy as np
 from geometry_msgs.msg import PointStamped, PoseStamped
@@ -89,7 +88,8 @@ class TargetNode(TickingNode):
         group = "effector_poses" if self._turns else "effectors"
         topic = TOPICS[f"<twin>/{group}/<effector>"]
         self._topic = self.resolve_topic_name(topic.full_name(self._effector, self._twin))
-        self._listener = self.listen(topic, partial(self.take_start, topic.kind), RefusalCounts(), self._effector, self._twin)
+        self._read_start = READERS[topic.kind]
+        self._listener = self.listen(topic, self.take_start, RefusalCounts(), self._effector, self._twin)
         self.get_logger().info(f"ready: {what}")
 
     def _open_path(self, values: Mapping[str, object]) -> str:
@@ -159,15 +159,14 @@ class TargetNode(TickingNode):
             self._poses[name] = open_publisher(self, topic, name, self._twin)
         return f"the commands of {file}"
 
-    def take_start(self, kind: type, message: PointStamped | PoseStamped) -> None:
+    def take_start(self, message: PointStamped | PoseStamped) -> None:
         """Takes the start from the effector's first position or pose, or from that after the table
         that is played before the path; ignores later messages.
 
         Args:
-            kind: Class of the message.
             message: Where the effector is.
         """
-        start = [np.array(part) for part in READERS[kind](message)]
+        start = [np.array(part) for part in self._read_start(message)]
         now = self.monotonic()
         is_begun = now - self.began >= self._beginning
         if is_begun or not all(np.isfinite(part).all() for part in start):

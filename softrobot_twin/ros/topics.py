@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from enum import Enum
+from importlib import import_module
 from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -127,6 +128,16 @@ def type_name(kind: type) -> str:
         kind: Class of a message or service.
     """
     return f"{kind.__module__.split('.')[0]}/{kind.__name__}"
+
+
+def class_named(name: str) -> type:
+    """Class of a message by its `type_name`.
+
+    Args:
+        name: The name, as fields of messages state it too.
+    """
+    package, _, word = name.partition("/")
+    return getattr(import_module(f"{package}.msg"), word)
 
 
 def quality_in_words(quality: QoSProfile) -> str:

@@ -318,8 +318,8 @@ class BranchSolver:
         self._geometric = self._geometric_projection(reference)
         self._whitened = PolyhedronProjection(self._stack(self._T), q / size, self._geometric.lengths)
         self._reference = reference
-        bounds = np.concatenate([problem.A @ reference, problem.row_lower, problem.row_upper])
-        self._row_unit = np.abs(bounds[np.isfinite(bounds)]).max(initial=0.0) or 1.0
+        rows = np.concatenate([problem.A @ reference, problem.row_lower, problem.row_upper])
+        self._row_unit = np.abs(rows[np.isfinite(rows)]).max(initial=0.0) or 1.0
         usual = (problem.forces(reference), problem.force_max[self._limited])
         self._force_unit = np.concatenate(usual).max(initial=0.0) or 1.0
 

@@ -67,8 +67,9 @@ def write_scene_copy(path: Path, chosen: Scene, setting: Setting, remarks: list[
     if chosen.body.reduced is not None:
         solver.pop("factorization", None)  # that of a reduced body is a dense one
     head = "".join(f"# {line}\n" for line in remarks)
+    text = head + text_of(chosen.changed(solver=Solver(**solver)), path.resolve().parent)
     with writing(path):
-        path.write_text(head + text_of(chosen.changed(solver=Solver(**solver)), path.resolve().parent), encoding="utf-8")
+        path.write_text(text, encoding="utf-8")
 
 
 def _own_level(scene: Scene) -> MeshLevel:

@@ -2,7 +2,6 @@
 
 import re
 from functools import partial
-from importlib import import_module
 
 import numpy as np
 import pytest
@@ -21,6 +20,7 @@ from softrobot_twin.ros.messages import (
     stamp_of,
     vector_message,
 )
+from softrobot_twin.ros.topics import class_named, type_name
 
 
 @pytest.mark.parametrize("count", [0, 1, 3, 4])
@@ -58,8 +58,7 @@ def drawn(kind, rng):
         return "aé" * rng.integers(4)
     if "/" not in kind:
         return {"double": float, "boolean": bool}.get(kind, int)(rng.integers(100))
-    package, _, name = kind.partition("/")
-    made = getattr(import_module(f"{package}.msg"), name)()
+    made = class_named(kind)()
     for field, inner in made.get_fields_and_field_types().items():
         setattr(made, field, drawn(inner, rng))
     return made
@@ -68,8 +67,7 @@ def drawn(kind, rng):
 @pytest.mark.parametrize("kind", READERS)
 def test_received_bytes_are_read_as_rclpy_reads_them(kind, drawn_rng):
     for _ in range(20):
-        name = f"{kind.__module__.partition('.')[0]}/{kind.__name__}"
-        content = serialize_message(drawn(name, drawn_rng))
+        content = serialize_message(drawn(type_name(kind), drawn_rng))
         found, size = read_message(content + b"more", kind)
         by_both = (repr(found), repr(deserialize_message(content, kind)))
         ours, theirs = (re.sub(r"\w+\.msg\.|array\('\w'(, )?|[][()]", "", one) for one in by_both)
