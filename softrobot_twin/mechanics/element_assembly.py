@@ -71,6 +71,8 @@ from softrobot_twin.kernels.compilation import (
     UNCACHED,
     njit,
 )
+from softrobot_twin.kernels.worker_threads import NOTED, STATE_SIZE, note
+from softrobot_twin.mechanics.assembly_parts import batches_of, next_part, wait_for_parts
 from softrobot_twin.mechanics.block_addition import add_blocks, add_contiguous_blocks
 from softrobot_twin.mechanics.element_batches import (
     BATCH,
@@ -104,12 +106,7 @@ from softrobot_twin.mechanics.principal_axes import (
     principal_differential,
     principal_rows,
 )
-from softrobot_twin.mechanics.volume_barrier import (
-    add_barrier_forces,
-    barrier_acts,
-    no_volumes_yet,
-    take_least_volumes,
-)
+from softrobot_twin.mechanics.volume_barrier import BARRIER_VOLUME, no_volumes_yet, take_least_volumes
 
 # An eigenvalue of ∂P/∂F that is negative by less than this share of its trace is none.
 ROUNDING = 1.0e-13
@@ -447,14 +444,15 @@ def add_energies(law, moves, cells, gradients, weights, rotations, uprights):
 
 
 def add_forces(
-    law, moves, cells, free, gradients, weights, barrier_stiffness, to_corners, deformations,
-    rotations, uprights, forces,
+    waits_for_all, state, done, parts, law, moves, cells, free, gradients, weights, to_corners,
+    deformations, rotations, uprights, forces,
 ):  # fmt: skip
-    """Subtract the internal forces of all elements, and those of the barrier against flat ones.
+    """Subtract the internal forces of all elements, but not those of the barrier.
 
     Leaves what it finds at the points to `add_stiffness` at the same state.
 
     Args:
+        waits_for_all, state, done, parts: See `assembly_parts.py`.
         law: Parameters of the law.
         moves: Moves of the nodes from where gradients were taken [m], shape (node_count, 3).
         cells: Nodes of each batch, -1 behind the last one, see `node_count_of`,
@@ -463,7 +461,6 @@ def add_forces(
         gradients: ∇N_a at each point [1/m], shape (batch_count, point_count, 3 nodes × BATCH).
         weights: Volume of each point [m³], 0 beyond the last element,
             shape (batch_count, point_count, BATCH).
-        barrier_stiffness: κ of the barrier [Pa], see `volume_barrier.py`; zero for none.
         to_corners: See `element_inversion.py`.
         deformations: F; written, shape (batch_count, point_count, 9 × BATCH).
         rotations: R; written where the law turns, same shape.
@@ -471,47 +468,53 @@ def add_forces(
         forces: Forces on the unknowns [N]; added to.
 
     Returns:
-        Number of flat or inverted elements, and of points on which the barrier acts.
+        Number of flat or inverted elements, and whether the barrier of `volume_barrier.py` acts: a
+        point has less than J₀, and none is flat or inside out.
     """
     point_count, width = weights.shape[1], gradients.shape[2]
     U, P = np.empty(width), np.empty(width)
     S = scratch(9)
     corners = np.empty((len(to_corners), 9 * BATCH))
     lowest, sure = scratch(1), scratch(1)
-    least_volumes = no_volumes_yet()
-    inverted_count, nearly_flat_count = 0, 0
-    for k in range(len(cells)):
-        count = node_count_of(cells[k])
-        gather(moves, cells[k, :count], U)
-        P[:] = 0.0
-        lowest[:] = 1.0
-        for q in range(point_count):
-            F, G = deformations[k, q], of_nodes(gradients[k, q], count)
-            deform(U, G, F)
-            find_state(law, F, rotations[k, q], uprights[k, q])
-            take_lowest(uprights[k, q], lowest)
-            take_least_volumes(F, uprights[k, q], least_volumes)
-            weighted_stresses(law, k, q, weights[k, q], F, rotations[k, q], S)
-            _add_stress_to_nodes(S, G, P)
-        subtract_forces(free[k, :count], P, forces)
-        if len(to_corners) > 0:
-            find_folds(to_corners, deformations[k], corners, lowest, sure)
-        inverted_count += count_inverted(weights[k, 0], lowest)
-    if barrier_stiffness > 0.0 and barrier_acts(least_volumes):
-        nearly_flat_count = add_barrier_forces(
-            barrier_stiffness, free, gradients, weights, deformations, forces
-        )
-    return inverted_count, nearly_flat_count
+    noted = state if len(state) > 0 else np.zeros(STATE_SIZE, np.int64)
+    part = next_part(-1, parts, state, done)
+    while part < len(parts.begins) - 1:
+        least_volumes, inverted_count = no_volumes_yet(), 0
+        for k in batches_of(part, parts):
+            count = node_count_of(cells[k])
+            gather(moves, cells[k, :count], U)
+            P[:] = 0.0
+            lowest[:] = 1.0
+            for q in range(point_count):
+                F, G = deformations[k, q], of_nodes(gradients[k, q], count)
+                deform(U, G, F)
+                find_state(law, F, rotations[k, q], uprights[k, q])
+                take_lowest(uprights[k, q], lowest)
+                take_least_volumes(F, uprights[k, q], least_volumes)
+                weighted_stresses(law, k, q, weights[k, q], F, rotations[k, q], S)
+                _add_stress_to_nodes(S, G, P)
+            subtract_forces(free[k, :count], P, forces)
+            if len(to_corners) > 0:
+                find_folds(to_corners, deformations[k], corners, lowest, sure)
+            inverted_count += count_inverted(weights[k, 0], lowest)
+        least = least_volumes.min()
+        note(inverted_count, 0, noted)
+        note(not least > -np.inf, 1, noted)
+        note(least < BARRIER_VOLUME, 2, noted)
+        part = next_part(part, parts, state, done)
+    wait_for_parts(waits_for_all, state, done)
+    return noted[NOTED], noted[NOTED + 1] == 0 and noted[NOTED + 2] > 0
 
 
 def add_stiffness(
-    law, cells, gradients, weights, projected, deformations, rotations, uprights, offsets, strides,
-    are_contiguous, storage,
+    waits_for_all, state, done, parts, law, cells, gradients, weights, projected, deformations,
+    rotations, uprights, offsets, strides, are_contiguous, storage,
 ):  # fmt: skip
     """Add the stiffness of all elements at the state where `add_forces` was called last, but not
     that of the barrier.
 
     Args:
+        waits_for_all, state, done, parts: See `assembly_parts.py`.
         law, cells, gradients, weights: See `add_forces`.
         projected: True for a positive semidefinite stiffness.
         deformations, rotations, uprights: What `add_forces` left.
@@ -528,34 +531,38 @@ def add_stiffness(
     C = np.empty((point_count, (81 if is_tested else 0) * BATCH))
     factor, negative = scratch(81 if is_tested else 0), scratch(1)
     T, K = np.empty((point_count, 27 * BATCH)), scratch(9)
-    for k in range(len(cells)):
-        count = node_count_of(cells[k])
-        by_matrix = False
-        for q in range(point_count):
-            F, G = deformations[k, q], of_nodes(gradients[k, q], count)
-            _see_gradients(law, G, rotations[k, q], g[q])
-            linearize_all(law, k, q, F, rotations[k, q], uprights[k, q], projected, L[q])
-            if is_tested:
-                fill_derivatives(law, k, q, L[q], C[q])
-                find_negative(C[q], factor, negative)
-                by_matrix |= project_all(
-                    law, k, q, weights[k, q], negative, F, rotations[k, q], L[q], C[q]
-                )
-        pair = 0
-        for b in range(count):
+    part = next_part(-1, parts, state, done)
+    while part < len(parts.begins) - 1:
+        for k in batches_of(part, parts):
+            count = node_count_of(cells[k])
+            by_matrix = False
             for q in range(point_count):
-                if by_matrix:
-                    _apply_derivatives(b, weights[k, q], g[q], C[q], T[q])
-                else:
-                    _differentiate_node(law, k, q, b, weights[k, q], g[q], L[q], T[q])
-            for a in range(b, count):
+                F, G = deformations[k, q], of_nodes(gradients[k, q], count)
+                _see_gradients(law, G, rotations[k, q], g[q])
+                linearize_all(law, k, q, F, rotations[k, q], uprights[k, q], projected, L[q])
+                if is_tested:
+                    fill_derivatives(law, k, q, L[q], C[q])
+                    find_negative(C[q], factor, negative)
+                    by_matrix |= project_all(
+                        law, k, q, weights[k, q], negative, F, rotations[k, q], L[q], C[q]
+                    )
+            pair = 0
+            for b in range(count):
                 for q in range(point_count):
-                    contract(a, g[q], T[q], K, q == 0)
-                if are_contiguous:
-                    add_contiguous_blocks(offsets[k, pair], K, storage)
-                else:
-                    add_blocks(offsets[k, pair], strides[k, pair], K, storage)
-                pair += 1
+                    if by_matrix:
+                        _apply_derivatives(b, weights[k, q], g[q], C[q], T[q])
+                    else:
+                        _differentiate_node(law, k, q, b, weights[k, q], g[q], L[q], T[q])
+                for a in range(b, count):
+                    for q in range(point_count):
+                        contract(a, g[q], T[q], K, q == 0)
+                    if are_contiguous:
+                        add_contiguous_blocks(offsets[k, pair], K, storage)
+                    else:
+                        add_blocks(offsets[k, pair], strides[k, pair], K, storage)
+                    pair += 1
+        part = next_part(part, parts, state, done)
+    wait_for_parts(waits_for_all, state, done)
 
 
 @njit(**INNER)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -19,6 +20,7 @@ from softrobot_twin.geometry.vector_arrays import (
 )
 from softrobot_twin.kernels.traced_stage import clear
 from softrobot_twin.kernels.worker_threads import Team, run_alone
+from softrobot_twin.mechanics.assembly_parts import parts_of, sorted_along
 from softrobot_twin.mechanics.block_addition import are_contiguous
 from softrobot_twin.mechanics.compression_watch import CompressionWatch, coarseness
 from softrobot_twin.mechanics.element_assembly import assembly_of, deform_all
@@ -37,6 +39,7 @@ from softrobot_twin.mechanics.ring_barrier import RingBarrier
 from softrobot_twin.mechanics.strain_watch import StrainWatch, extreme_squares
 from softrobot_twin.mechanics.volume_barrier import (
     add_barrier_energies,
+    add_barrier_forces,
     add_barrier_stiffness,
     largest_share_of_points,
 )
@@ -45,9 +48,6 @@ from softrobot_twin.mechanics.volume_barrier import (
 SMALL_STRETCH = 1.0e-4
 # Change of the deformation gradient over which its differential is differentiated.
 CURVATURE_STEP = 2.0e-5
-# Batches of one task of threads, and fewest of a body whose hour-glass modes these assemble. What the
-# law adds is found too fast: threads would wait for each other's additions.
-TASK_BATCHES, LEAST_BATCHES = 4, 16
 
 
 class Elements(ForceTerm):
@@ -63,6 +63,7 @@ class Elements(ForceTerm):
         compression_watch: Watches the compression of hexahedra; else None.
         has_energy: Whether it is elastic: what it does follows from the state alone.
         hourglass: What resists the motions of hexahedra that their points do not see; else None.
+        parts: Parts of a large body that threads assemble; a small one is one part.
     """
 
     strain_watch: StrainWatch | None = None
@@ -70,7 +71,6 @@ class Elements(ForceTerm):
     hourglass: Hourglass | None = None
     has_energy = True
     is_traceable = True
-    _run = staticmethod(run_alone)
 
     def __init__(self, mesh, free_index: np.ndarray, law: tuple):
         """Prepare the elements.
@@ -83,6 +83,7 @@ class Elements(ForceTerm):
         self.law = self._law_at_rest = law
         self.name = f"{law_of(law).name} elements"
         self.stays_upright = not law_of(law).is_linear
+        mesh = sorted_along(mesh)
         self.mesh, self._free_index = mesh, free_index
         self._shape = mesh.shape_functions
         self._points = points_of(mesh)
@@ -120,6 +121,8 @@ class Elements(ForceTerm):
         self._cells, self._free, self._gradients, self._weights = batches[:4]
         self._offsets, self._strides = batches.offsets, batches.strides
         self._are_contiguous = are_contiguous(batches.offsets, batches.strides)
+        self.parts = parts_of(batches, self.mesh.node_positions)
+        self._run_parts = run_alone
         batch_count, point_count = self._weights.shape[:2]
         self.deformations = np.zeros((batch_count, point_count, 9 * BATCH))
         entries = 9 if law_of(self.law).turns else 0
@@ -146,9 +149,13 @@ class Elements(ForceTerm):
 
     def use_threads(self, team: Team) -> None:
         """See `ForceTerm.use_threads`; an assembly in threads is not traced."""
-        batch_count = len(self._weights)
-        if self.hourglass is not None and batch_count >= LEAST_BATCHES:
-            self._run, self.is_traceable = partial(team.run, -(-batch_count // TASK_BATCHES)), False
+        part_count = len(self.parts.begins) - 1
+        if part_count > 1:
+            self._run_parts, self.is_traceable = partial(team.run, part_count), False
+
+    def _run(self, kernel: Callable, *arguments):
+        """Run a kernel for all parts of the body."""
+        return self._run_parts(kernel, self.parts, *arguments)
 
     def _add_fold_forces(self) -> None:
         """Add the forces of the barrier between points to those of the state that is known."""
@@ -226,14 +233,20 @@ class Elements(ForceTerm):
             self._forces, self._known_at = np.empty(shape), np.empty(positions.shape)
         clear(self._forces.reshape(-1))
         copy_vectors(positions, self._known_at)
-        inverted_count, self._nearly_flat_points = self._assembly.add_forces(
-            self.law, self._moved(positions), self._cells, self._free,
-            self._gradients, self._weights, self._barrier_stiffness, self._to_corners,
+        inverted_count, acts = self._run(
+            self._assembly.add_forces, self.law, self._moved(positions), self._cells, self._free,
+            self._gradients, self._weights, self._to_corners,
             self.deformations, self._rotations, self._uprights, self._forces,
         )  # fmt: skip
+        self._nearly_flat_points = 0
+        if acts and self._barrier_stiffness:
+            self._nearly_flat_points = add_barrier_forces(
+                self._barrier_stiffness, self._free, self._gradients, self._weights,
+                self.deformations, self._forces,
+            )  # fmt: skip
         if self.hourglass is not None:
             self.hourglass.take(positions)
-            self.hourglass.add_forces(self._forces)
+            self.hourglass.add_forces(self._run, self._forces)
         self._add_fold_forces()
         return inverted_count
 
@@ -288,8 +301,8 @@ class Elements(ForceTerm):
             self.fold_barrier.add_stiffness(self._barrier_stiffness, projected, storage)
 
     def _add_stiffness(self, storage, projected: bool) -> None:
-        self._assembly.add_stiffness(
-            self.law, self._cells, self._gradients, self._weights, projected,
+        self._run(
+            self._assembly.add_stiffness, self.law, self._cells, self._gradients, self._weights, projected,
             self.deformations, self._rotations, self._uprights,
             self._offsets, self._strides, self._are_contiguous, storage,
         )  # fmt: skip

@@ -78,7 +78,7 @@ from softrobot_twin.geometry.shape_functions import HourglassFields
 from softrobot_twin.geometry.vector3 import add_scaled, dot, row, scaled, set_row
 from softrobot_twin.geometry.vector_arrays import write_differences
 from softrobot_twin.kernels.compilation import INNER, KERNEL, ONCE, njit
-from softrobot_twin.kernels.worker_threads import finish, take, wait_for
+from softrobot_twin.mechanics.assembly_parts import batches_of, next_part, wait_for_parts
 from softrobot_twin.mechanics.block_addition import add_blocks, add_contiguous_blocks
 from softrobot_twin.mechanics.element_assembly import deform, gather, subtract_forces
 from softrobot_twin.mechanics.element_batches import (
@@ -330,29 +330,33 @@ def write_forces(moduli, scale, y, start, pull, g):
 
 
 @njit(**KERNEL)
-def add_forces(is_linear, free, floor, gradients, gammas, deformations, h, g, forces):
+def add_forces(
+    waits_for_all, state, done, parts, is_linear, free, floor, gradients, gammas, deformations, h, g, forces,
+):  # fmt: skip
     """Subtract the internal forces of all elements [N]; see `find_strains` and `write_forces`."""
     C, factors, P, sums = scratch(9), scratch(3), scratch(21), scratch(24)
-    for k in range(len(free)):
-        find_state(is_linear, deformations[k], C, factors)
-        stresses(is_linear, deformations[k], C, factors, h[k], g[k], floor[k], P)
-        for a in range(8):
-            for e in range(BATCH):
-                put_vector(sums, a, e, _to_node(P, gradients[k], gammas[k], a, e))
-        subtract_forces(free[k], sums, forces)
+    part = next_part(-1, parts, state, done)
+    while part < len(parts.begins) - 1:
+        for k in batches_of(part, parts):
+            find_state(is_linear, deformations[k], C, factors)
+            stresses(is_linear, deformations[k], C, factors, h[k], g[k], floor[k], P)
+            for a in range(8):
+                for e in range(BATCH):
+                    put_vector(sums, a, e, _to_node(P, gradients[k], gammas[k], a, e))
+            subtract_forces(free[k], sums, forces)
+        part = next_part(part, parts, state, done)
+    wait_for_parts(waits_for_all, state, done)
 
 
 @njit(**KERNEL)
 def add_stiffness(
-    waits_for_all, state, done, is_linear, moduli, scale, floor, gradients, gammas, deformations, h,
-    g, projected, offsets, strides, are_contiguous, storage,
+    waits_for_all, state, done, parts, is_linear, moduli, scale, floor, gradients, gammas,
+    deformations, h, g, projected, offsets, strides, are_contiguous, storage,
 ):  # fmt: skip
     """Add the stiffness of all elements.
 
     Args:
-        waits_for_all: Whether to return when all tasks are done, or when none is left to begin.
-        state: Of the list of tasks, see `worker_threads`.
-        done: Which tasks are done, shape (task_count,); empty without threads.
+        waits_for_all, state, done, parts: See `assembly_parts.py`.
         is_linear, moduli, scale, floor, gradients, gammas, deformations, h, g: See `add_forces`.
         projected: True for its positive semidefinite part.
         offsets: Place of each block, see `bind_stencils`, shape (batch_count, pair_count, BATCH).
@@ -361,52 +365,39 @@ def add_stiffness(
         storage: The factorization's storage [N/m]; added to.
     """
     C, factors, dC, dF = scratch(9), scratch(3), scratch(9), scratch(9)
-    dh, dy, dg, pair_count = scratch(12), scratch(12), scratch(12), offsets.shape[1]
+    dh, dy, dg, K = scratch(12), scratch(12), scratch(12), scratch(9)
     force, dP = scratch(12), np.empty((3, 21 * BATCH))
-    # The blocks of a task are added at its turn; without tasks, those of a batch at once.
-    has_tasks = len(done) > 0
-    size = -(-len(moduli) // len(done)) if has_tasks else 1
-    kept, number = np.empty((size * pair_count, 9 * BATCH)), take(state) if has_tasks else 0
-    for k in range(len(moduli)):
-        if k < number * size:
-            continue
-        F = deformations[k]
-        find_state(is_linear, F, C, factors)
-        for i in range(len(force)):
-            force[i] = 0.0 if projected else g[k, i]
-        pair = k % size * pair_count
-        for b in range(8):
-            for j in range(3):
-                dF[:], dh[:] = 0.0, 0.0
-                for e in range(BATCH):
-                    for axis in range(3):
-                        dF[at(3 * j + axis, e)] = gradients[k, at(3 * b + axis, e)]
-                    for i in range(VECTORS):
-                        dh[at(3 * i + j, e)] = gammas[k, at(VECTORS * b + i, e)]
-                differentiate(
-                    is_linear, F, C, factors, h[k], force, moduli[k], scale[0], floor[k], dF, dh,
-                    dC, dy, dg, dP[j],
-                )  # fmt: skip
-            for a in range(b, 8):
+    part = next_part(-1, parts, state, done)
+    while part < len(parts.begins) - 1:
+        for k in batches_of(part, parts):
+            F = deformations[k]
+            find_state(is_linear, F, C, factors)
+            for i in range(len(force)):
+                force[i] = 0.0 if projected else g[k, i]
+            pair = 0
+            for b in range(8):
                 for j in range(3):
+                    dF[:], dh[:] = 0.0, 0.0
                     for e in range(BATCH):
-                        put_vector(kept[pair], j, e, _to_node(dP[j], gradients[k], gammas[k], a, e))
-                pair += 1
-        if k % size < size - 1 and k < len(moduli) - 1:
-            continue
-        if has_tasks and number > 0 and not wait_for(number - 1, state, done):
-            return
-        for i in range(pair):
-            batch, of_batch = k - k % size + i // pair_count, i % pair_count
-            if are_contiguous:
-                add_contiguous_blocks(offsets[batch, of_batch], kept[i], storage)
-            else:
-                add_blocks(offsets[batch, of_batch], strides[batch, of_batch], kept[i], storage)
-        if has_tasks:
-            finish(number, done)
-            number = take(state)
-    if has_tasks and waits_for_all:
-        wait_for(len(done) - 1, state, done)
+                        for axis in range(3):
+                            dF[at(3 * j + axis, e)] = gradients[k, at(3 * b + axis, e)]
+                        for i in range(VECTORS):
+                            dh[at(3 * i + j, e)] = gammas[k, at(VECTORS * b + i, e)]
+                    differentiate(
+                        is_linear, F, C, factors, h[k], force, moduli[k], scale[0], floor[k], dF, dh,
+                        dC, dy, dg, dP[j],
+                    )  # fmt: skip
+                for a in range(b, 8):
+                    for j in range(3):
+                        for e in range(BATCH):
+                            put_vector(K, j, e, _to_node(dP[j], gradients[k], gammas[k], a, e))
+                    if are_contiguous:
+                        add_contiguous_blocks(offsets[k, pair], K, storage)
+                    else:
+                        add_blocks(offsets[k, pair], strides[k, pair], K, storage)
+                    pair += 1
+        part = next_part(part, parts, state, done)
+    wait_for_parts(waits_for_all, state, done)
 
 
 @njit(**KERNEL)
@@ -501,14 +492,15 @@ class Hourglass:
             self.moduli, self.scale, self.strains, self.start, self.pull, self._forces
         )
 
-    def add_forces(self, forces: np.ndarray) -> None:
+    def add_forces(self, run: Callable, forces: np.ndarray) -> None:
         """Subtract the internal forces at the state that was taken last.
 
         Args:
+            run: Runs the kernel for all parts, see `Elements.use_threads`.
             forces: On the unknowns [N], shape (free_node_count, 3); changed.
         """
-        add_forces(
-            self._is_linear, self._free, self._floor, self._gradients, self._gammas, self.deformations,
+        run(
+            add_forces, self._is_linear, self._free, self._floor, self._gradients, self._gammas, self.deformations,
             self._vectors, self._forces, forces,
         )  # fmt: skip
 
@@ -516,7 +508,7 @@ class Hourglass:
         """Add the stiffness at the state that was taken last; see the kernel.
 
         Args:
-            run: Runs the kernel as tasks or without, see `Elements.use_threads`.
+            run: See `add_forces`.
             projected: True for its positive semidefinite part.
             are_contiguous: Whether all blocks are contiguous in the storage.
             storage: The factorization's storage [N/m]; added to.

@@ -105,21 +105,6 @@ def take_least_volumes(F, upright, least):
         least[e] = volume if volume < least[e] else least[e]
 
 
-@njit(**KERNEL)
-def barrier_acts(least):
-    """Whether a body has points with less than J₀, and none that is flat or inside out.
-
-    Args:
-        least: Of `take_least_volumes` after the last point, shape (BATCH,).
-    """
-    lowest = np.inf
-    for k in range(len(least)):
-        if not least[k] > -np.inf:
-            return False
-        lowest = min(lowest, least[k])
-    return lowest < BARRIER_VOLUME
-
-
 @njit(**INNER)
 def acts_in(F, volumes):
     """Whether a point of a batch has less than J₀; writes J of all of them."""

@@ -7,7 +7,6 @@ from scipy.spatial.transform import Rotation
 from softrobot_twin.geometry.box_mesh import read_box
 from softrobot_twin.geometry.hexahedral_mesh import HexahedralMesh
 from softrobot_twin.geometry.shape_functions import hourglass_fields
-from softrobot_twin.kernels.worker_threads import team_of
 from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.hourglass import hourglass_moduli
 from softrobot_twin.mechanics.laws import law_named, law_names
@@ -128,19 +127,6 @@ def test_strain_rate_damping_resists_bending_and_no_rotation(bind, drawn_rng):
     assert term.heat(rest) > 0.0
     assert_stiffness(bound, bent)
     assert_stiffness(bound, bent + 5e-4 * drawn_rng.standard_normal(rest.shape))
-
-
-@pytest.mark.parametrize("cells, is_large", [((2, 2, 1), False), ((8, 8, 5), True)])
-def test_stiffness_has_the_same_bits_for_any_number_of_threads(cells, is_large, bind, drawn_rng):
-    mesh = block(cells, drawn_rng)
-    bound = bind(("corotational", mesh.blocks()[0].mesh, YOUNG, 0.4))
-    x = mesh.node_positions + 5e-4 * drawn_rng.standard_normal(mesh.node_positions.shape)
-    expected = [bound.assemble(x, projected)[1].data for projected in (False, True)]
-    for count in (2, 3):
-        bound.terms[0].use_threads(team_of(count))
-        assert bound.terms[0].is_traceable != is_large
-        for projected, stiffness in enumerate(expected):
-            np.testing.assert_array_equal(bound.assemble(x, bool(projected))[1].data, stiffness)
 
 
 def test_viscous_bending_relaxes_to_the_share_that_remains(bind, drawn_rng):

@@ -13,7 +13,6 @@ from softrobot_twin.mechanics.volume_barrier import (
     BARRIER_VOLUME,
     KEPT_VOLUME,
     barrier,
-    barrier_acts,
     no_volumes_yet,
     take_least_volumes,
 )
@@ -102,7 +101,7 @@ def test_the_barrier_acts_where_a_point_is_nearly_flat_and_none_is_inside_out(sc
         F[8, 3 + place] = scale
         find_upright(F.ravel(), upright)
         take_least_volumes(F.ravel(), upright, least)
-    assert barrier_acts(least) == acts
+    assert (BARRIER_VOLUME > least.min() > -np.inf) == acts
 
 
 def test_a_body_with_one_point_inside_out_has_no_barrier(body, mesh):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.errors import SceneError
+from softrobot_twin.mechanics import assembly_parts
 from softrobot_twin.simulation import CommandSetpoints
 from softrobot_twin.solvers.multifrontal import front_tasks
 
@@ -24,7 +25,8 @@ def _run(simulation):
 
 @pytest.fixture
 def threads_pay(monkeypatch):
-    """Small systems are cut into small tasks."""
+    """Small systems are cut into small tasks, and small bodies into parts."""
+    monkeypatch.setattr(assembly_parts, "LEAST_NODES", 0)
     for name, value in (("LEAST_COST", 0.0), ("LEAST_GAIN", -10.0), ("GRAIN", 1e4), ("WAKE", 0.0)):
         monkeypatch.setattr(front_tasks, name, value)
 
@@ -34,6 +36,7 @@ def test_a_run_has_the_same_bits_for_any_number_of_threads(diamond, threads_pay)
     for count in (2, 3, 4):
         simulation = diamond({"solver.threads": count})
         assert simulation.model.factorization.thread_count > 1
+        assert not simulation.model.forces[0].is_traceable
         state = _run(simulation)
         np.testing.assert_array_equal(state.positions, one.positions)
         np.testing.assert_array_equal(state.efforts, one.efforts)
