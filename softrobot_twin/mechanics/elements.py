@@ -122,7 +122,7 @@ class Elements(ForceTerm):
         self._offsets, self._strides = batches.offsets, batches.strides
         self._are_contiguous = are_contiguous(batches.offsets, batches.strides)
         self.parts = parts_of(batches, self.mesh.node_positions)
-        self._run_parts = run_alone
+        self._run_list = run_alone
         batch_count, point_count = self._weights.shape[:2]
         self.deformations = np.zeros((batch_count, point_count, 9 * BATCH))
         entries = 9 if law_of(self.law).turns else 0
@@ -151,11 +151,11 @@ class Elements(ForceTerm):
         """See `ForceTerm.use_threads`; an assembly in threads is not traced."""
         part_count = len(self.parts.begins) - 1
         if part_count > 1:
-            self._run_parts, self.is_traceable = partial(team.run, part_count), False
+            self._run_list, self.is_traceable = partial(team.run, part_count), False
 
-    def _run(self, kernel: Callable, *arguments):
+    def run_parts(self, kernel: Callable, *arguments):
         """Run a kernel for all parts of the body."""
-        return self._run_parts(kernel, self.parts, *arguments)
+        return self._run_list(kernel, self.parts, *arguments)
 
     def _add_fold_forces(self) -> None:
         """Add the forces of the barrier between points to those of the state that is known."""
@@ -233,7 +233,7 @@ class Elements(ForceTerm):
             self._forces, self._known_at = np.empty(shape), np.empty(positions.shape)
         clear(self._forces.reshape(-1))
         copy_vectors(positions, self._known_at)
-        inverted_count, acts = self._run(
+        inverted_count, acts = self.run_parts(
             self._assembly.add_forces, self.law, self._moved(positions), self._cells, self._free,
             self._gradients, self._weights, self._to_corners,
             self.deformations, self._rotations, self._uprights, self._forces,
@@ -246,7 +246,7 @@ class Elements(ForceTerm):
             )  # fmt: skip
         if self.hourglass is not None:
             self.hourglass.take(positions)
-            self.hourglass.add_forces(self._run, self._forces)
+            self.hourglass.add_forces(self.run_parts, self._forces)
         self._add_fold_forces()
         return inverted_count
 
@@ -301,7 +301,7 @@ class Elements(ForceTerm):
             self.fold_barrier.add_stiffness(self._barrier_stiffness, projected, storage)
 
     def _add_stiffness(self, storage, projected: bool) -> None:
-        self._run(
+        self.run_parts(
             self._assembly.add_stiffness, self.law, self._cells, self._gradients, self._weights, projected,
             self.deformations, self._rotations, self._uprights,
             self._offsets, self._strides, self._are_contiguous, storage,
@@ -310,7 +310,7 @@ class Elements(ForceTerm):
 
     def _add_hourglass_stiffness(self, storage, projected: bool) -> None:
         if self.hourglass is not None:
-            self.hourglass.add_stiffness(self._run, projected, self._are_contiguous, storage)
+            self.hourglass.add_stiffness(self.run_parts, projected, self._are_contiguous, storage)
 
     def largest_share(self, before: np.ndarray, after: np.ndarray) -> float:
         """How much of a move may be made before an element loses most of its volume.

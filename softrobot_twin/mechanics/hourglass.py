@@ -496,7 +496,7 @@ class Hourglass:
         """Subtract the internal forces at the state that was taken last.
 
         Args:
-            run: Runs the kernel for all parts, see `Elements.use_threads`.
+            run: Runs the kernel for all parts: `Elements.run_parts`.
             forces: On the unknowns [N], shape (free_node_count, 3); changed.
         """
         run(

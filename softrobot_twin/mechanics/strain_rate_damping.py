@@ -177,7 +177,7 @@ class StrainRateDamping(Elements):
             super().add(positions, forces, storage, projected)
             return
         self._forget()
-        self._run(
+        self.run_parts(
             self._at_start.add_stiffness, self._law_at_start, self._cells, self._gradients, self._weights, projected,
             self.deformations, self._no_rotations, self._uprights, self._offsets, self._strides,
             self._are_contiguous, storage,

@@ -94,7 +94,7 @@ def test_flat_and_inverted_cells_have_forces_that_are_slopes_of_the_energy(bind,
         slope = (hourglass.energy(x + step * d) - hourglass.energy(x - step * d)) / (2.0 * step)
         forces = np.zeros_like(x)
         hourglass.take(x)
-        hourglass.add_forces(forces)
+        hourglass.add_forces(bound.terms[0].run_parts, forces)
         assert -np.vdot(forces, d) == pytest.approx(slope, rel=1e-4, abs=1e-9 * YOUNG * 4e-4)
 
 
