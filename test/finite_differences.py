@@ -19,6 +19,38 @@ def central_slopes(function, x, nodes, step):
     return np.stack(columns, axis=-1)
 
 
+def slots_of_dense(count):
+    """Slots of a dense matrix of so many unknowns, column by column."""
+    return lambda rows, columns: (3 * rows + 9 * count * columns, np.full(len(rows), 3 * count))
+
+
+def forces_of(term, x, count):
+    """Forces of a term on so many unknowns [N], without inverted elements."""
+    forces = np.zeros((count, 3))
+    assert term.add_forces(x, forces) == 0
+    return forces
+
+
+def assert_stiffness_of_forces(term, x, free_index, atol):
+    """The stiffness of a term, bound by `slots_of_dense`, is the slope of its forces; returns it.
+
+    Args:
+        term: The force term.
+        x: Positions of nodes.
+        free_index: Unknown of each node, -1 where it is fixed.
+        atol: Error that is allowed [N/m].
+    """
+    free = np.flatnonzero(free_index >= 0)
+    storage = np.zeros(9 * len(free) ** 2)
+    term.add(x, np.zeros((len(free), 3)), storage, False)
+    lower = storage.reshape(3 * len(free), 3 * len(free)).T
+    # Blocks below the diagonal in the elimination order stand for those above it, too.
+    found = np.where(lower != 0.0, lower, lower.T)
+    slopes = central_slopes(lambda at: forces_of(term, at, len(free)).ravel(), x, free, 1e-6)
+    np.testing.assert_allclose(found, -slopes, rtol=1e-6, atol=atol)
+    return found
+
+
 class MovedFrames:
     """A base of two free nodes, 0 and 2, and frames, whose unknowns can be moved.
 

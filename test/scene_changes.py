@@ -92,3 +92,12 @@ def solved(simulation, command, count: int = 1, **options):
     result = repeat_step(simulation, command, count, **options)
     assert result.status is Status.OK
     return result
+
+
+def in_balance(simulation, command, most: int, is_there=lambda result: result.status is Status.OK):
+    """The result of the first of equal steps that is in balance, of so many at most."""
+    for _ in range(most):
+        result = simulation.step(command)
+        if is_there(result):
+            return result
+    raise AssertionError(f"{result.status} after {most} steps")

@@ -7,7 +7,7 @@ from softrobot_twin.constraints.cable import CablePath, Cables, Wrap
 from softrobot_twin.constraints.cable_friction import CableMaterials
 from softrobot_twin.constraints.wrapped_cable import RubbingWraps, WrappedCables, course, drawn_path, side_at
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
-from test.finite_differences import central_slopes
+from test.finite_differences import central_slopes, slots_of_dense
 
 AXIS = np.array([1.0, 2.0, -0.5]) / np.linalg.norm([1.0, 2.0, -0.5])
 DRUM = Wrap(np.array([0.1, -0.2, 0.3]), AXIS, 0.05)
@@ -104,11 +104,7 @@ def test_across_the_axis_the_stiffness_is_the_derivative_of_the_pulls():
     wrap = Wrap(np.zeros(3), np.array([0.0, 0.0, 1.0]), 0.03)
     x = np.array([[-0.1, 0.01, 0.0], [0.09, 0.02, 0.0]])
     term = term_of(x, wrap._replace(side=side_at(*x, wrap)))
-
-    def slots(rows, columns):
-        return 3 * rows + 18 * columns, np.full(len(rows), 6)
-
-    term.bind(np.arange(2), slots)
+    term.bind(np.arange(2), slots_of_dense(2))
     storage = np.zeros(36)
     term.add_stiffness(x, np.array([2.0]), storage)
     lower = storage.reshape(6, 6).T

@@ -8,7 +8,6 @@ from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.geometry.smoothed_mesh import smooth
 from softrobot_twin.kernels.worker_threads import team_of
 from softrobot_twin.mechanics import assembly_parts
-from softrobot_twin.mechanics.elements import Elements
 
 SIZE = (0.02, 0.02, 0.1)
 KINDS = {
@@ -38,7 +37,8 @@ def test_parts_give_the_sums_of_the_whole_and_the_same_bits_for_any_number_of_th
     block = mesh.strained_blocks()[0].mesh
     x = mesh.node_positions + 2e-4 * drawn_rng.standard_normal(mesh.node_positions.shape)
     whole = bind((law, block, 1.0e5, 0.4), fixed=range(9))
-    assert whole.terms[0].is_traceable
+    whole.terms[0].use_threads(team_of(2))
+    assert whole.terms[0].is_traceable and len(whole.terms[0].parts.begins) == 2
     monkeypatch.setattr(assembly_parts, "LEAST_NODES", 0)
     bound = bind((law, block, 1.0e5, 0.4), fixed=range(9))
     for projected in (False, True):
@@ -83,11 +83,3 @@ def test_one_flat_element_takes_the_barrier_from_all_parts(bind, cut):
         bound.forces(folded)
         assert term.nearly_flat_count == 0
         term.use_threads(team_of(count))
-
-
-def test_a_small_body_is_one_part(bind):
-    mesh = _bar("linear")
-    term = bind(("corotational", mesh, 1.0e5, 0.4)).terms[0]
-    assert isinstance(term, Elements) and term.mesh is mesh and len(term.parts.begins) == 2
-    term.use_threads(team_of(2))
-    assert term.is_traceable

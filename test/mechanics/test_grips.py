@@ -6,7 +6,12 @@ import pytest
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.grips import Grips
 from softrobot_twin.mechanics.rotation import rotation_from_vector
-from test.finite_differences import central_slopes
+from test.finite_differences import (
+    assert_stiffness_of_forces,
+    central_slopes,
+    forces_of,
+    slots_of_dense,
+)
 
 # Five nodes of a body, of which the first is fixed, then the four of a frame.
 NODES = np.array([[0, 1, 2, 3], [4, 2, 1, 0], [1, 2, 3, 4]])
@@ -20,11 +25,7 @@ def grips() -> Grips:
     """One grip of two points on the frame, and one of a point on the world."""
     term = Grips(BarycentricMapping(NODES, WEIGHTS), np.array([0, 0, 1]), np.array([5, -1]),
                  np.array([300.0, 500.0, 200.0]), FREE)  # fmt: skip
-
-    def slots(rows, columns):
-        return 3 * rows + 9 * COUNT * columns, np.full(len(rows), 3 * COUNT)
-
-    term.bind(RANK, slots)
+    term.bind(RANK, slots_of_dense(COUNT))
     return term
 
 
@@ -34,29 +35,17 @@ def positions(seed=3) -> np.ndarray:
     return x
 
 
-def forces_of(term, places) -> np.ndarray:
-    forces = np.zeros((COUNT, 3))
-    assert term.add_forces(places, forces) == 0
-    return forces
-
-
 @pytest.mark.parametrize("held", [(True, False), (False, True), (True, True)])
 def test_the_stiffness_is_the_derivative_of_the_force_and_that_of_the_energy(held):
     term, x = grips(), positions()
     for grip, holds in enumerate(held):
         term.take_hold(grip, holds, x)
-    assert np.abs(forces_of(term, x)).max() < 1e-13
+    assert np.abs(forces_of(term, x, COUNT)).max() < 1e-13
     x = positions(seed=4)
-    storage = np.zeros(9 * COUNT**2)
-    term.add(x, np.zeros((COUNT, 3)), storage, False)
-    lower = storage.reshape(3 * COUNT, 3 * COUNT).T
-    # Blocks below the diagonal in the elimination order stand for those above it, too.
-    found = np.where(lower != 0.0, lower, lower.T)
+    assert_stiffness_of_forces(term, x, FREE, 1e-5)
     free = np.flatnonzero(FREE >= 0)
-    expected = -central_slopes(lambda at: forces_of(term, at).ravel(), x, free, 1e-6)
-    assert np.allclose(found, expected, rtol=1e-7, atol=1e-5)
     slope = -central_slopes(term.energy, x, free, 1e-6)
-    assert np.allclose(forces_of(term, x).ravel(), slope, rtol=1e-6, atol=1e-7)
+    assert np.allclose(forces_of(term, x, COUNT).ravel(), slope, rtol=1e-6, atol=1e-7)
     assert np.abs(term.forces(x)[list(held)]).max() > 1.0
 
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.touch_loads import TouchLoads
-from test.finite_differences import central_slopes
+from test.finite_differences import assert_stiffness_of_forces, forces_of, slots_of_dense
 
 NODES = np.array([[0, 1, 2, 3], [4, 2, 1, 0]])
 WEIGHTS = np.array([[0.1, 0.2, 0.3, 0.4], [0.5, 0.25, 0.25, 0.0]])
@@ -17,11 +17,7 @@ def touches() -> TouchLoads:
     """Two points on five nodes, of which the first is fixed; the second slides along x and y."""
     axes = np.array([[True, True, True], [False, False, True]])
     term = TouchLoads(BarycentricMapping(NODES, WEIGHTS), axes, np.array([500.0, 200.0]), FREE)
-
-    def slots(rows, columns):
-        return 3 * rows + 9 * COUNT * columns, np.full(len(rows), 3 * COUNT)
-
-    term.bind(RANK, slots)
+    term.bind(RANK, slots_of_dense(COUNT))
     return term
 
 
@@ -29,17 +25,11 @@ def positions() -> np.ndarray:
     return np.random.default_rng(3).uniform(-0.1, 0.1, (5, 3))
 
 
-def forces_of(term, places) -> np.ndarray:
-    forces = np.zeros((COUNT, 3))
-    assert term.add_forces(places, forces) == 0
-    return forces
-
-
 def test_a_force_is_spread_over_the_nodes_that_carry_the_point():
     term, x = touches(), positions()
     given = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
     assert not term.load(given, np.full((2, 3), np.nan))
-    forces = forces_of(term, x)
+    forces = forces_of(term, x, COUNT)
     # Node 0 is fixed and takes a tenth of the first force; the second acts along z alone.
     assert np.allclose(forces.sum(axis=0), 0.9 * given[0] + [0.0, 0.0, 6.0])
     assert np.allclose(forces[3], [0.0, 0.0, 3.0])
@@ -51,14 +41,7 @@ def test_a_force_is_spread_over_the_nodes_that_carry_the_point():
 def test_the_stiffness_of_a_held_point_is_the_derivative_of_its_force():
     term, x = touches(), positions()
     assert term.load(np.ones((2, 3)), np.full((2, 3), 0.02))
-    storage = np.zeros(9 * COUNT**2)
-    term.add(x, np.zeros((COUNT, 3)), storage, False)
-    lower = storage.reshape(3 * COUNT, 3 * COUNT).T
-    # Blocks below the diagonal in the elimination order stand for those above it, too.
-    found = np.where(lower != 0.0, lower, lower.T)
-    free = np.flatnonzero(FREE >= 0)
-    expected = -central_slopes(lambda at: forces_of(term, at).ravel(), x, free, 1e-6)
-    assert np.allclose(found, expected, rtol=1e-6, atol=1e-6)
+    found = assert_stiffness_of_forces(term, x, FREE, 1e-6)
     assert np.linalg.eigvalsh(found).min() > -1e-9
 
 
@@ -66,4 +49,4 @@ def test_a_point_without_a_touch_adds_nothing():
     term, x = touches(), positions()
     term.load(np.ones((2, 3)), np.full((2, 3), np.nan))
     assert not term.load(np.zeros((2, 3)), np.full((2, 3), np.nan))
-    assert not term.is_active and not forces_of(term, x).any()
+    assert not term.is_active and not forces_of(term, x, COUNT).any()

@@ -13,6 +13,7 @@ import pytest
 from softrobot_twin.simulation import Hold, Status
 from softrobot_twin.simulation.step.actuation import INVERSION
 from test.builder import builder
+from test.scene_changes import in_balance
 
 SIZE = (0.04, 0.04, 0.12)
 FOOT = [{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, 1e-9]}}]
@@ -27,12 +28,7 @@ def tower(simulate, body_of, block, /, element, integration="quasi_static", cell
         body=body, integration=integration,
         solver={"newton_iterations": 30, "residual_tolerance": 1e-7},
     )  # fmt: skip
-    for _ in range(60):
-        result = simulation.step(Hold(0.05))
-        if is_at_rest(result):
-            break
-    assert result.status is Status.OK
-    return simulation, result.state.positions
+    return simulation, in_balance(simulation, Hold(0.05), 60, is_at_rest).state.positions
 
 
 def collapsed(simulation, kind, rng):

@@ -5,24 +5,11 @@ import pytest
 from scipy.optimize import least_squares
 
 import softrobot_twin as st
+from test.cable_bar import LENGTH, WIDTH, cable_bar
 
-LENGTH, WIDTH = 0.1, 0.02
 # Steps of a run, and those at its end in which commands rest.
 STEPS, LATE = 300, 60
 RESTED = 1.0e-6
-
-
-def bar(cables, effectors, **solver):
-    clamp = dict(box=dict(minimum=[-1e-6, -1, -1], maximum=[1e-6, 1, 1]))
-    return st.build(
-        name="bar", gravity=[0, 0, 0],
-        body=dict(
-            mesh=dict(box=dict(size=[LENGTH, WIDTH, WIDTH], cells=[5, 2, 2])),
-            element="hexahedral", fixed=[clamp],
-            material=dict(young_modulus=2e5, poisson_ratio=0.4, density=1000.0),
-        ),
-        cables=cables, effectors=effectors, solver=solver,
-    )  # fmt: skip
 
 
 def cable(name, y, z, end=1.0, **limits):
@@ -79,7 +66,7 @@ def test_several_effectors_out_of_reach_rest_where_their_squared_distances_are_l
         dict(name="tip", points=[[LENGTH, WIDTH / 2, WIDTH / 2]], weight=1.0),
         dict(name="mid", points=[[0.6 * LENGTH, WIDTH / 2, WIDTH / 2]], weight=2.0),
     ]
-    robot = bar(cables, effectors, newton_iterations=30, residual_tolerance=1e-8)
+    robot = cable_bar(cables, effectors, 5, 2e5, newton_iterations=30, residual_tolerance=1e-8)
     targets = dict(tip=[1.4 * LENGTH, 0.01, 2.0 * LENGTH], mid=[0.6 * LENGTH, 0.01, -0.3 * LENGTH])
     weights = np.repeat(np.sqrt([1.0, 2.0]), 3)
     result = robot.settle(st.targets(targets))

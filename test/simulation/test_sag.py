@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.simulation import Hold, Status
+from softrobot_twin.simulation import Hold
 from softrobot_twin.simulation.scene_warnings import (
     LINEAR_SHARE,
     equilibrium_sag,
@@ -11,7 +11,7 @@ from softrobot_twin.simulation.scene_warnings import (
     linear_sag,
 )
 from test.builder import builder
-from test.scene_changes import repeat_step
+from test.scene_changes import in_balance, repeat_step
 
 LENGTH, SIDE, DENSITY = 0.2, 0.02, 1000.0
 
@@ -29,11 +29,7 @@ def cantilever(simulate, body_of, block, /, young_modulus, element="quadratic", 
 
 def settled_sag(simulation):
     """Sag in the simulation itself [m]."""
-    for _ in range(40):
-        result = simulation.step(Hold())
-        if result.status is Status.OK:
-            break
-    assert result.status is Status.OK
+    result = in_balance(simulation, Hold(), 40)
     way = result.state.positions - simulation.model.nodes.rest_positions
     return np.linalg.norm(way, axis=1).max()
 

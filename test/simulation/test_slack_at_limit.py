@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import softrobot_twin as st
+from test.cable_bar import LENGTH, WIDTH, cable_bar
 from test.scene_changes import repeat_step
 
-LENGTH, WIDTH = 0.1, 0.02
 LIMITED, RATE = 0.002, 0.01
 
 
@@ -22,24 +22,10 @@ def bar(places=(0.4, 0.6), effector=None, **of_other):
         points = [[share * LENGTH, y, 0.9 * WIDTH] for share in (0.25, 0.5, 0.75, 1.0)]
         return dict(name=name, pull_point=[0, y, 0.9 * WIDTH], points=points, **limits)
 
-    clamp = dict(box=dict(minimum=[-1e-6, -1, -1], maximum=[1e-6, 1, 1]))
-    return st.build(
-        name="bar", gravity=[0, 0, 0],
-        body=dict(
-            mesh=dict(box=dict(size=[LENGTH, WIDTH, WIDTH], cells=[8, 2, 2])),
-            element="hexahedral", fixed=[clamp],
-            material=dict(young_modulus=3e5, poisson_ratio=0.4, density=1000.0),
-        ),
-        cables=[
-            cable("long", places[0] * WIDTH, shortening=[0, 0.02]),
-            cable("other", places[1] * WIDTH, **of_other),
-        ],
-        effectors=[
-            dict(name="tip", points=[[LENGTH, WIDTH / 2, WIDTH / 2]])
-            | dict(directions=["z"]) | (effector or {})
-        ],
-        solver=dict(newton_iterations=20, residual_tolerance=1e-8),
-    )  # fmt: skip
+    cables = [cable("long", places[0] * WIDTH, shortening=[0, 0.02]),
+              cable("other", places[1] * WIDTH, **of_other)]  # fmt: skip
+    tip = dict(name="tip", points=[[LENGTH, WIDTH / 2, WIDTH / 2]], directions=["z"])
+    return cable_bar(cables, [tip | (effector or {})], 8, 3e5, newton_iterations=20, residual_tolerance=1e-8)
 
 
 def tensions(result):

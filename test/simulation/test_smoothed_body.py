@@ -7,8 +7,9 @@ import pytest
 
 from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.patch_volumes import PatchVolumes
-from softrobot_twin.simulation import Hold, Status
+from softrobot_twin.simulation import Hold
 from test.builder import builder
+from test.scene_changes import in_balance
 
 SIZE = (0.1, 0.02, 0.02)
 
@@ -30,11 +31,8 @@ def patches_of(simulation):
 
 
 def sag(simulation):
-    for _ in range(10):
-        result = simulation.step(Hold())
-        if result.status is Status.OK:
-            break
-    assert result.status is Status.OK and result.report.inverted_count == 0
+    result = in_balance(simulation, Hold(), 10)
+    assert result.report.inverted_count == 0
     rest = simulation.model.nodes.rest_positions
     return -float((result.state.positions - rest)[rest[:, 0] > SIZE[0] - 1e-9, 2].mean())
 
