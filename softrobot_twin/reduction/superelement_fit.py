@@ -30,7 +30,7 @@ from softrobot_twin.mechanics.superelements import (
 )
 from softrobot_twin.simulation.build import bound_factorization
 from softrobot_twin.simulation.building.cavity_walls import joined_walls
-from softrobot_twin.simulation.building.force_building import strained_terms
+from softrobot_twin.simulation.building.deformable_body import strained_terms
 from softrobot_twin.simulation.building.vertebrae import Division, SoftPart
 from softrobot_twin.solvers.multifrontal import Multifrontal
 

@@ -197,9 +197,7 @@ def fixed_places(body: Body, node_positions: np.ndarray) -> np.ndarray:
     Returns:
         Positions [m], shape (fixed_count, 3).
     """
-    fixed = body.fixed.copy()
-    if body.vertebrae is not None:
-        fixed = body.vertebrae.division.body.fixed.copy()
+    fixed = body.whole.fixed.copy()
     for nodes in body.riding.values():
         fixed[nodes] = False
     nodes = np.intersect1d(np.flatnonzero(fixed), body.mesh.surface_triangles)

@@ -21,7 +21,9 @@ from softrobot_twin.scene import Scene
 from softrobot_twin.scene.entry import values_below
 from softrobot_twin.simulation.building.actuators import Actuators
 from softrobot_twin.simulation.building.beam_bodies import build_section
+from softrobot_twin.simulation.building.deformable_body import of_kind
 from softrobot_twin.simulation.building.model import Model
+from softrobot_twin.simulation.building.reduced_body import ReducedBody
 from softrobot_twin.simulation.step.share_rule import OVERSHOOT
 
 # A slide's travel of more than this number of sizes of the largest body is reported.
@@ -437,11 +439,10 @@ def _advance_judged(
 
 def _sunk_reduced(model: Model, positions: np.ndarray) -> list[np.ndarray]:
     """Displacements of all nodes of each reduced body [m]."""
-    bodies = [body for body in model.bodies if body.reduction is not None]
     return [
         body.shown_nodes(np.arange(body.mesh.node_count)).positions(positions)
         - body.mesh.node_positions
-        for body in bodies
+        for body in of_kind(model.bodies, ReducedBody)
     ]  # fmt: skip
 
 

@@ -178,7 +178,7 @@ def _support(layout: Layout, entry: Reaction, key: str) -> Support:
         SceneError: Nothing holds the part there, or it is reduced.
     """
     scene, index = layout.scene, layout.nodes.free_index
-    reduced = [body.name for body in layout.bodies if body.reduction or body.vertebrae]
+    reduced = [body.name for body in layout.bodies if body.is_reduced]
     if reduced or layout.hinged is not None:
         what = f"the reduced body {reduced[0]}" if reduced else "beams with hinges"
         raise scene.error(key, entry.name, f"reactions are not built beside {what}")

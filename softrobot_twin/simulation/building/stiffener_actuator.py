@@ -15,8 +15,7 @@ from softrobot_twin.simulation.building.actuator_kinds import (
     group_of,
     numbers_of,
 )
-from softrobot_twin.simulation.building.deformable_body import MaterialPart, claimed_cells
-from softrobot_twin.simulation.building.force_building import strained_terms
+from softrobot_twin.simulation.building.deformable_body import MaterialPart, claimed_cells, strained_terms
 from softrobot_twin.simulation.building.scene_layout import Layout
 
 
