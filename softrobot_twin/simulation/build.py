@@ -203,7 +203,7 @@ def _terms(layout: Layout, notes: list[str]) -> Terms:
     scene, carried = layout.scene, layout.nodes.carried
     forces = tuple(on_unknowns(term, carried) for term in force_terms(layout, notes))
     actuators = build_actuators(layout, notes)
-    contacts = contact_term(layout, notes) if scene.contact is not None else None
+    contacts = contact_term(layout, notes) if scene.contact else None
     sensors = sensor_term(layout, notes, contacts) if scene.sensors else None
     wanted = sensor_term(layout, [], contacts, True) if scene.sensors else None
     return Terms(

@@ -119,7 +119,7 @@ def _long_lengths(scene: Scene, size: float) -> Iterator[str]:
     found = [(f"{key}.hold_radius", one.hold_radius, size) for key, one in scene.keyed("cables")]
     found += [(f"{key}.travel", max(map(abs, slide.travel)), MOST_SIZES * size)
               for key, slide in scene.keyed("slides")]  # fmt: skip
-    if scene.contact is not None:
+    if scene.contact:
         found += [("contact.alarm_distance", scene.contact.alarm_distance, size),
                   ("contact.contact_distance", scene.contact.contact_distance, size)]  # fmt: skip
     for key, length, most in found:

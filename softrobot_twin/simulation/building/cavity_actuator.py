@@ -107,10 +107,10 @@ class CavityActuator(ActuatorKind):
         """See `ActuatorKind.details`."""
         walls = group.term.walls
         words = [wall_details(entry, walls.rest_volumes[index], walls.rest_areas[index])]
-        if entry.liquid_density is not None:
+        if entry.liquid_density:
             words.append(f"liquid of {entry.liquid_density:.6g} kg/m³")
         words.append(f"driven by {entry.control}")
-        if entry.flow is not None:
+        if entry.flow:
             words.append(f"flow {1e6 * entry.flow:.6g} cm³/s")
         if entry.pressure_offset:
             words.append(f"zero error {1e-3 * entry.pressure_offset:.6g} kPa")
@@ -127,7 +127,7 @@ def wall_details(entry: Cavity | SealedCavity, volume: float, area: float) -> st
         volume: Volume at rest [m³].
         area: Area of its walls at rest [m²].
     """
-    walls = [f"part {wall.part}" if wall.file is None else str(wall.file) for wall in entry.walls]
+    walls = [str(wall.file) if wall.file else f"part {wall.part}" for wall in entry.walls]
     behind = "" if len(walls) == 1 else " as one cavity"
     return (f"{' and '.join(walls)}{behind}, {1e6 * volume:.6g} cm³ at rest, walls of "
             f"{1e4 * area:.6g} cm²")  # fmt: skip
@@ -144,7 +144,7 @@ def _superelement_term(layout: Layout, entries: tuple[Cavity, ...]) -> Superelem
         names += [wall.name for wall in body.division.walls]
     scene = layout.scene
     for key, cavity in scene.keyed("cavities"):
-        if cavity.liquid_density is not None:
+        if cavity.liquid_density:
             raise scene.error(f"{key}.liquid_density", cavity.liquid_density,
                               "a liquid filling of a body with vertebrae is not built", "kg/m³")
         if names.count(cavity.name) != len(cavity.walls):

@@ -539,9 +539,7 @@ class Body:
     @property
     def mass(self) -> float:
         """Its mass [kg]."""
-        if self.entry.material.total_mass is not None:
-            return self.entry.material.total_mass
-        return sum(part.density * part.volume for part in self.materials)
+        return self.entry.material.total_mass or sum(part.density * part.volume for part in self.materials)
 
     @property
     def density(self) -> float | np.ndarray:
@@ -722,7 +720,7 @@ def build_body(
 def _read_mesh(entry: BodyEntry, scene: Scene) -> MeshReading:
     """The mesh of a body from its file, or of a box."""
     mesh = entry.mesh
-    if mesh.box is not None:
+    if mesh.box:
         of_hexahedra = element_named(entry.element).of_hexahedra
         return read_box(mesh.box.size, mesh.box.cell_counts, of_hexahedra,
                         translation=mesh.translation, rotation=mesh.rotation)
@@ -852,7 +850,7 @@ def _nodes_in(region: Region, search: _RegionSearch, key: str) -> np.ndarray:
     positions = mesh.node_positions
     if region.frame == "mesh":
         positions = in_mesh(entry, positions)
-    if region.box is not None:
+    if region.box:
         low, high = np.array(region.box.minimum), np.array(region.box.maximum)
         nodes = nodes_in_box(positions, low, high)
         beside = BESIDE * _size(positions)
@@ -863,7 +861,7 @@ def _nodes_in(region: Region, search: _RegionSearch, key: str) -> np.ndarray:
                 "are not in it; give a face that lies between layers of nodes."
             )
         value, unit = str(region.box), "m"
-    elif region.sphere is not None:
+    elif region.sphere:
         nodes = nodes_in_sphere(positions, region.sphere.centre, region.sphere.radius)
         value, unit = f"{list(region.sphere.centre)}, radius {region.sphere.radius}", "m"
     else:

@@ -77,7 +77,7 @@ def static_terms(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
     yield from layout.superelements.values()
     if scene.beams:
         yield from _beam_terms(layout)
-    if any(scene.gravity) or scene.moving_base is not None:
+    if any(scene.gravity) or scene.moving_base:
         yield Gravity(_borne_masses(layout), np.array(scene.gravity), _reduced_weights(layout))
     if scene.mass_springs and scene.integration == "quasi_static":
         check_masses_held(layout)
@@ -89,7 +89,7 @@ def static_terms(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
         yield _touch_loads(layout, notes)
     if scene.grips:
         yield _grips(layout, notes)
-    if scene.observer is not None:
+    if scene.observer:
         places = tuple(_observed_places(layout, notes))
         yield ObservedLoads(places, layout.nodes.free_node_count)
     if scene.sealed_cavities:
@@ -125,14 +125,13 @@ def _grips(layout: Layout, notes: list[str]) -> Grips:
     rigid = {part.name: part.first_node for part in layout.rigid}
     for key, grip in scene.keyed("grips"):
         body = layout.unreduced(grip.body, key, "grips on such bodies are not built")
-        if grip.stiffness is None and not isinstance(body, Body):
+        if not (grip.stiffness or isinstance(body, Body)):
             raise scene.error(f"{key}.stiffness", "(nothing)",
                               f"{body.name} is no deformable body: a stiffness is needed", "N/m")
         mappings.append(layout.carried(grip.body, grip.points, f"{key}.points", notes))
         counts.append(len(grip.points))
         frames.append(rigid.get(grip.holds, -1))
-        whole = _holding_stiffness(body) if grip.stiffness is None else grip.stiffness
-        stiffness.append(whole / len(grip.points))
+        stiffness.append((grip.stiffness or _holding_stiffness(body)) / len(grip.points))
     points = reduce(BarycentricMapping.followed_by, mappings)
     grips = np.repeat(np.arange(len(counts)), counts)
     return Grips(points, grips, np.array(frames), np.array(stiffness)[grips], layout.nodes.free_index)
@@ -246,7 +245,7 @@ def _liquid_filling(layout: Layout) -> LiquidFilling:
     # Warnings of these walls are those of the actuators.
     surfaces = [
         (cavity_surface(layout, cavity.name, cavity.walls, key, []), cavity.liquid_density)
-        for key, cavity in scene.keyed("cavities") if cavity.liquid_density is not None
+        for key, cavity in scene.keyed("cavities") if cavity.liquid_density
     ]  # fmt: skip
     return LiquidFilling(
         tuple(surface for surface, _ in surfaces), nodes.free_index, layout.drawn_positions,
@@ -257,7 +256,7 @@ def _liquid_filling(layout: Layout) -> LiquidFilling:
 def _elastic_terms(layout: Layout, body: Body) -> Iterator[ForceTerm]:
     """What bears the strain of a body, watched."""
     for part, term in body.strained_terms(layout):
-        if part.strain_range is not None and not isinstance(term, PatchVolumes):
+        if part.strain_range and not isinstance(term, PatchVolumes):
             term.strain_watch = StrainWatch(term, part.key, body.name, part.strain_range)
         if not isinstance(term, PatchVolumes) and term.has_varied_strain:
             term.compression_watch = CompressionWatch(term, body.name, part.lame_parameters)
@@ -435,7 +434,7 @@ def _joint_terms(layout: Layout) -> Iterator[ForceTerm]:
     for part in joined:
         for joint in part.entry.joined:
             points = np.array([joint.through], float)
-            if joint.axis is not None:
+            if joint.axis:
                 axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
                 points = points + np.outer((-part.radius, part.radius), axis)
             share, own = joint.stiffness / len(points), part.carried(points)
@@ -473,7 +472,7 @@ def _fibre_parts(layout: Layout, fibre: Fibre, key: str, notes: list[str]) -> li
         first, second = map(single_nodes, ends.T + body.first_node)
         lengths = np.linalg.norm(first.positions(rest) - second.positions(rest), axis=1)
         return [_along((first, second, lengths), fibre.stiffness, fibre.tension_only)]
-    if fibre.helix is not None:
+    if fibre.helix:
         paths, place = list(_helices(fibre.helix)), f"{key}.helix"
     else:
         place = f"{key}.points"

@@ -38,9 +38,9 @@ def pulley_of_cable(scene: Scene) -> dict[str, Pulley]:
     Args:
         scene: The scene.
     """
-    pulleys = {cable.name: cable.pulley for cable in scene.cables if cable.pulley is not None}
+    pulleys = {cable.name: cable.pulley for cable in scene.cables if cable.pulley}
     for motor in scene.motors:
-        if motor.pulley is not None:
+        if motor.pulley:
             pulleys.update(dict.fromkeys(motor.cables, motor.pulley))
     return pulleys
 

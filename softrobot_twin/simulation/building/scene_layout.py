@@ -168,7 +168,7 @@ def _build_part(entry, index: int, first_node: int, bodies, scene, notes) -> Rig
     attached, points = np.empty(0, np.int64), np.empty((0, 3))
     if entry.motion == "free":
         volume, centre, unit_inertia = shape.mass_properties()
-        mass = entry.mass if entry.mass is not None else entry.density * volume
+        mass = entry.mass or entry.density * volume
         inertia = unit_inertia * (mass / volume)
         attached, points, masses = _attached_to(entry.name, bodies)
         points = (points - np.asarray(entry.position, float)) @ rotation
@@ -612,9 +612,9 @@ def _with_vertebrae(bodies: list[Body], scene: Scene, notes: list[str]) -> list[
 def _note_unused_contact_surfaces(bodies: list[Body], scene: Scene, notes: list[str]) -> None:
     named = {name for touching in scene.touching for name in touching.pair}
     # A predefined point may omit its body if there is only one.
-    points = scene.contact is not None and bool(scene.contact.points)
+    points = scene.contact and scene.contact.points
     for body in bodies:
-        if body.entry.contact_surface is not None and body.name not in named and not points:
+        if body.entry.contact_surface and body.name not in named and not points:
             notes.append(
                 f"{body.key}.contact_surface is not used: contact.between names no pair with "
                 f"{body.name}"
@@ -627,7 +627,7 @@ def _nothing_moves(scene: Scene) -> SceneError:
     if scene.beams:
         key, what = "beams", "all nodes are fixed or joined to guided bodies"
     elif scene.deformables:
-        key = "body.fixed" if scene.body is not None else "bodies"
+        key = "body.fixed" if scene.body else "bodies"
         what = "all nodes are fixed or attached"
     return scene.error(key, what, "nothing in the scene can move by itself")
 

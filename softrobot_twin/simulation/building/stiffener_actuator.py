@@ -52,7 +52,7 @@ class StiffenerActuator(ActuatorKind):
 
     def details(self, entry: Stiffener, group: ActuatorGroup, index: int) -> str:
         """See `ActuatorKind.details`."""
-        whole = "the whole body" if entry.box is None else entry.box.describe()
+        whole = entry.box.describe() if entry.box else "the whole body"
         place = whole if entry.region is None else f"region {entry.region}"
         return f"{place}, E {1e-3 * group.rest_setpoints[index]:.6g} kPa at rest"
 

@@ -259,9 +259,9 @@ def reduction_path(body: Body, scene: Scene) -> Path:
         scene: Its scene.
     """
     entry = body.entry
-    if entry.vertebrae.superelements is not None:
+    if entry.vertebrae.superelements:
         return scene.file_path(entry.vertebrae.superelements)
-    name = entry.name if entry.mesh.file is None else entry.mesh.file.stem
+    name = entry.mesh.file.stem if entry.mesh.file else entry.name
     return scene.mesh_folder(entry) / f"{name}_vertebrae.npz"
 
 

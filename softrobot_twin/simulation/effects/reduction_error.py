@@ -234,7 +234,7 @@ def largest_on_each_body(model: Model, values: np.ndarray) -> dict[str, float]:
     """
     only, entries, found = len(model.bodies) == 1, model.scene.effectors, {}
     for body in reduced_bodies(model):
-        own = [entry.body == body.name or (entry.body is None and only) for entry in entries]
+        own = [entry.body == body.name or (only and not entry.body) for entry in entries]
         chosen = values[own] if any(own) else values
         found[body.name] = float(chosen.max()) if len(chosen) else float("nan")
     return found

@@ -175,7 +175,7 @@ class StepResults:
             active = (*active, ITERATIONS)
         if goal.held is None and newton.tangent.is_projected:
             active = (*active, UNSTABLE)
-        if goal.follows and not met and model.contacts is not None and model.contacts.rubs:
+        if goal.follows and not met and model.rubs:
             active = (*active, *what_touches(model.contacts, actuation.contact.multipliers))
         figures, entries, readings = {}, {}, {}
         for part, own in zip(self._parts, told):
