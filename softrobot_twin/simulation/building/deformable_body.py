@@ -121,6 +121,14 @@ class MaterialPart:
     softening: SofteningConstants | None = None
     strain_range: tuple[float, float] | None = None
 
+    def cells_in(self, mesh: CellMesh) -> np.ndarray:
+        """Its cells, shape (cell_count,).
+
+        Args:
+            mesh: The body.
+        """
+        return np.arange(mesh.cell_count) if self.cells is None else self.cells
+
     @property
     def turns(self) -> bool:
         """Whether its law follows rotations."""

@@ -134,7 +134,7 @@ class Model:
     @property
     def rubs(self) -> bool:
         """True when contacts have friction."""
-        return self.contacts is not None and self.contacts.rubs
+        return self.rows.varies and self.contacts.rubs
 
     @property
     def slides(self):

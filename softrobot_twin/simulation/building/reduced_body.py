@@ -250,8 +250,7 @@ def fingerprints_of(body: Body) -> dict[str, str]:
         body: The body.
     """
     materials = [
-        (part.law, repr((*_constants(part), part.density)),
-         np.arange(body.mesh.cell_count) if part.cells is None else part.cells)
+        (part.law, repr((*_constants(part), part.density)), part.cells_in(body.mesh))
         for part in body.materials
     ]  # fmt: skip
     places = rounded_places(body, in_mesh(body.entry, body.mesh.node_positions))

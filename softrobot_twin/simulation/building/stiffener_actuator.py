@@ -68,9 +68,7 @@ def _part(layout: Layout, key: str, entry: Stiffener, notes: list[str]) -> Mater
     cells = np.arange(body.mesh.cell_count)
     if entry.given(("region", "box")):
         cells = claimed_cells(entry, key, body.entry, body.mesh, body.parts, scene, notes)
-    own = [part for part in body.materials
-           if np.array_equal(cells, cells if part.cells is None else part.cells)
-           and (part.cells is not None or len(cells) == body.mesh.cell_count)]  # fmt: skip
+    own = [part for part in body.materials if np.array_equal(cells, part.cells_in(body.mesh))]
     if not own:
         raise scene.error(key, entry.name, "is not the whole of one material: give these cells an "
                           f"entry of {body.key}.materials")

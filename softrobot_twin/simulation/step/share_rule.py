@@ -166,7 +166,7 @@ class ShareRule:
         self.is_judging, self._actuation, self._slope = is_judged, actuation, abs(slope)
         self.folds_whole = False
         contacts = self._model.contacts
-        if is_judged and contacts is not None:
+        if is_judged and self._model.rows.varies:
             normals = actuation.contact.multipliers[contacts.row_starts[:-1]]
             pairs, values = contacts.pair[: contacts.count], self._model.rows.values
             self._bears = np.bincount(pairs, normals, len(contacts.pairs))
@@ -180,7 +180,7 @@ class ShareRule:
         Contacts of other edges and facets are what the linearization does not know.
         """
         contacts = self._model.contacts
-        if contacts is None:
+        if not self._model.rows.varies:
             return
         self._overlaps = self._deepest(contacts.pair[: contacts.count], contacts.overlaps)
         if not self.is_judging:

@@ -184,7 +184,7 @@ class StepResults:
             entries |= own.entries
             readings |= own.readings
         touching = None
-        if model.contacts is not None:
+        if model.rows.varies:
             loads = model.actuators.load(actuation.efforts) + actuation.contact.load
             touching = contact_forces(
                 model.contacts, actuation.contact.multipliers, outcome.positions,

@@ -207,7 +207,7 @@ class GeneralizedAlpha(Dynamics):
         self._damping = [term for term in moving if not term.is_inertia]
         self._rigid_inertia = [term for term in self._inertia if hasattr(term, "carry_rates")]
         self._zeta = 0.0
-        self._has_contacts = model.contacts is not None
+        self._has_contacts = model.rows.varies
 
     def knows(self, past: PastMotion | None) -> bool:
         """See `Statics.knows`."""
