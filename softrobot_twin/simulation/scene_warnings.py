@@ -183,7 +183,7 @@ def _coarse_ropes(scene: Scene) -> Iterator[str]:
     radii = {}
     for one in (*scene.obstacles, *scene.rigid_bodies):
         shape = getattr(one, "cylinder", None) or getattr(one, "capsule", None)
-        if shape is not None:
+        if shape:
             radii[one.name] = shape.radius
     for index, touching in enumerate(scene.touching):
         for name, other in (touching.pair, touching.pair[::-1]):

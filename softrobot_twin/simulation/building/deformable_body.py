@@ -764,7 +764,7 @@ def _with_element_of_cells(
             to vertebrae.
     """
     has_hexahedra = isinstance(reading.mesh, HexahedralMesh)
-    has_mid_edge_nodes = reading.mid_edge_nodes is not None
+    has_mid_edge_nodes = len(reading.mid_edge_nodes.ends) > 0
     if "element" not in entry.model_fields_set and (has_mid_edge_nodes or has_hexahedra):
         element = "quadratic" if has_mid_edge_nodes else HEXAHEDRAL
         entry = entry.model_copy(update={"element": element})
@@ -786,7 +786,7 @@ def _nodes_of_file(mesh, reading: MeshReading) -> np.ndarray:
     """Node of the mesh for each node of the file, −1 where it has none, shape (file_nodes,)."""
     numbers = reading.mesh_node_indices
     ends = mesh.mid_edge_ends
-    if reading.mid_edge_nodes is None or len(ends) == 0:
+    if len(ends) == 0:
         return numbers
     corners = reading.mesh.node_count
     keys = ends[:, 0] * corners + ends[:, 1]  # ascending, as the edges are numbered

@@ -268,9 +268,8 @@ def _borne_masses(layout: Layout) -> np.ndarray:
     bodies = [body.borne_masses(layout) for body in layout.bodies]
     points = [np.broadcast_to(entry.masses, len(entry.points)) for entry in layout.scene.mass_springs]
     masses = np.concatenate([np.empty(0), *bodies, *points])[layout.nodes.free_nodes]
-    rigid = [(part.mass, 0.0) for part in layout.framed if part.is_free]
-    hinges = np.zeros(0 if layout.hinged is None else layout.hinged.hinge_count)
-    return np.concatenate([masses, np.array(rigid, float).reshape(-1), hinges])
+    own = np.append(masses, [(part.mass, 0.0) for part in layout.framed if part.is_free])
+    return np.pad(own, (0, layout.nodes.free_node_count - len(own)))
 
 
 def _reduced_weights(layout: Layout) -> np.ndarray | None:

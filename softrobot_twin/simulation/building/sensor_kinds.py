@@ -164,7 +164,7 @@ def _contacts(layout: Layout, entries: Keyed, notes: list[str], contacts: Contac
     known = () if contacts is None else contacts.pair_names
     pairs = [next((pair for pair in known if set(pair) == set(one.contact)), None) for _, one in entries]
     for (key, one), pair in zip(entries, pairs, strict=True):
-        if contacts is None or pair is None:
+        if pair is None:
             raise layout.scene.error(f"{key}.contact", list(one.contact), "is no pair of contact.between, which has "
                                      f"{', '.join(map(' with '.join, known)) or 'none'}")  # fmt: skip
     spans = np.array([one.full_scale for _, one in entries])
