@@ -384,7 +384,8 @@ class Body:
         materials: Its materials; a single one has all cells.
         parts: Named regions, surfaces and sets of edges of the mesh file, with the indices of
             `mesh`; the nodes of surfaces and edges are corners.
-        vertebrae: Rigid parts that carry it in place of its nodes; empty where these are unknowns.
+        vertebrae: Rigid parts that carry it; empty where its nodes or coordinates are unknowns.
+        is_reduced: Whether it has fewer unknowns than free nodes.
     """
 
     entry: BodyEntry
@@ -431,15 +432,15 @@ class Body:
 
     @property
     def places(self) -> np.ndarray:
-        """Its nodes among those of the scene, without coordinates, shape (count,)."""
+        """Numbers of its nodes in the scene, coordinates left out, shape (count,)."""
         return self.first_node + np.arange(self.scene_node_count)
 
     def rest_nodes(self) -> np.ndarray:
-        """Its nodes among those of the scene at rest [m], shape (scene_node_count, 3)."""
+        """Its nodes in the scene at rest [m], shape (scene_node_count, 3)."""
         return self.mesh.node_positions
 
     def held_nodes(self) -> np.ndarray:
-        """Axes along which each of them is no unknown, shape (scene_node_count, 3) of bool."""
+        """Axes along which its nodes in the scene are no unknowns, shape (scene_node_count, 3) of bool."""
         return self.held
 
     def placed(self, rigid: Iterable, first_frame_node: int) -> Body:
@@ -460,7 +461,7 @@ class Body:
         return node_positions[self.first_node : self.first_node + self.scene_node_count]
 
     def nodes_as(self, other: Body, node_positions: np.ndarray) -> np.ndarray:
-        """Its nodes among those of a scene where another model of it is [m], (scene_node_count, 3).
+        """Its nodes in its scene, where another model of the body is [m], shape (scene_node_count, 3).
 
         Args:
             other: The body in the other model.

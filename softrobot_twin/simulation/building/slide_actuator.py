@@ -186,7 +186,7 @@ class Slides:
         """
         columns = np.zeros((rows.row_count, self.count))
         columns[rows.groups.effectors] = -effector_columns
-        if contacts is not None:
+        if rows.varies:
             columns[rows.groups.contacts] = -self.contact_columns(contacts)
         return columns
 

@@ -83,12 +83,12 @@ class TableFileError(SoftRobotTwinError):
         self.value = value
         self.unit = unit
         self.reason = reason
-        location = f"{path}" if row is None else f"{path}, row {row}"
+        place = "" if row is None else f"row {row}"
         stated = "" if value is None else f" = {value!r} {unit}".rstrip()
         named = f": {column}{stated}" if column else ""
         told = f"{named}: {reason}"
-        self.what = told.removeprefix(": ") if row is None else f"row {row}{told}"
-        super().__init__(f"{location}{told}")
+        self.what = f"{place}{told}".removeprefix(": ")
+        super().__init__(f"{path}{place and ', '}{place}{told}")
 
 
 def read_cells(path: Path, example: str) -> tuple[list[str], list[int], list[list[str]]]:
