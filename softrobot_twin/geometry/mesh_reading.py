@@ -192,6 +192,9 @@ class MidEdgeNodes(NamedTuple):
     ends: np.ndarray
 
 
+NO_MID_EDGE_NODES = MidEdgeNodes(np.empty(0, np.int64), np.empty((0, 2), np.int64))
+
+
 class MeshReading(NamedTuple):
     """A mesh that was read, and how it differs from the file.
 
@@ -202,7 +205,7 @@ class MeshReading(NamedTuple):
         file_node_indices: Index in the file of each node of the mesh, int64, shape (node_count,).
         mesh_node_indices: Node of the mesh for each node of the file, −1 if it was dropped or is a
             mid-edge node, int64, shape (file_node_count,).
-        mid_edge_nodes: Mid-edge nodes of the file; None if it contains only tetrahedra of four
+        mid_edge_nodes: Mid-edge nodes of the file; none if it contains only tetrahedra of four
             nodes.
         parts: Named regions, surfaces and sets of edges.
     """
@@ -211,7 +214,7 @@ class MeshReading(NamedTuple):
     notes: tuple[str, ...]
     file_node_indices: np.ndarray
     mesh_node_indices: np.ndarray
-    mid_edge_nodes: MidEdgeNodes | None = None
+    mid_edge_nodes: MidEdgeNodes = NO_MID_EDGE_NODES
     parts: MeshParts = NO_PARTS
 
 
@@ -272,11 +275,10 @@ def read_solid_mesh(
     hexahedra = _upright_hexahedra(path, positions, representatives[file.hexahedra], notes)
     nodes = drop_unused_nodes(positions, oriented, hexahedra)
     mesh_node_indices = nodes.new_indices[representatives]
-    mids = None
+    used, mids = mesh_node_indices >= 0, NO_MID_EDGE_NODES
     if file.mid_nodes is not None:
         mids = _mid_edge_nodes(positions, file, representatives, mesh_node_indices, file_tets, notes)
-    used = mesh_node_indices >= 0
-    used[file.mid_nodes[file.mid_nodes >= 0] if mids else []] = True
+        used[file.mid_nodes[file.mid_nodes >= 0]] = True
     cell = "cell" if len(hexahedra) else "tetrahedron"
     _note(notes, np.flatnonzero(~used), "node", f"Dropped {{}} that no {cell} uses.")
 

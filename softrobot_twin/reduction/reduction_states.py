@@ -46,8 +46,9 @@ from softrobot_twin.scene.body_entries import PATCHES_NOT_REDUCED
 from softrobot_twin.scene.scene_changes import full_scene, without_reductions
 from softrobot_twin.scene.schema import Touch
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation
-from softrobot_twin.simulation.building.deformable_body import Body
+from softrobot_twin.simulation.building.deformable_body import Body, of_kind
 from softrobot_twin.simulation.building.reduced_body import (
+    ReducedBody,
     ModelFile,
     ModelFileError,
     rides_on_a_slide,
@@ -609,11 +610,10 @@ def _unit_weights(simulation: Simulation, weights: np.ndarray) -> np.ndarray:
     gravity, nodes = np.array(simulation.scene.gravity, float), simulation.model.nodes
     masses = weights @ gravity / (gravity @ gravity)
     units = masses[None, :, None] * np.eye(3)[:, None, :]
-    for body in simulation.model.bodies:
-        if body.reduction is not None:
-            own = nodes.free_index[body.reduction.coordinate_nodes]
-            for unit, axis in zip(units, np.eye(3), strict=True):
-                unit[own] = body.reduction.weights_of(body, axis)
+    for body in of_kind(simulation.model.bodies, ReducedBody):
+        own = nodes.free_index[body.coordinate_nodes]
+        for unit, axis in zip(units, np.eye(3), strict=True):
+            unit[own] = body.weights(axis)
     return units
 
 
@@ -774,7 +774,7 @@ def refuse_unreducible(scene: Scene, body: Body) -> None:
     def refuse(key: str, value: object, reason: str):
         raise SceneError(scene.path, f"{body.key}.{key}", value, "", reason)
 
-    if body.vertebrae is not None or body.entry.vertebrae is not None:
+    if body.entry.vertebrae:
         refuse("vertebrae", body.name, "is reduced to vertebrae: it has no basis of modes")
     if body.entry.has_patches:
         refuse("volume", "patches", PATCHES_NOT_REDUCED)

@@ -30,7 +30,7 @@ from softrobot_twin.mechanics.superelements import (
 )
 from softrobot_twin.simulation.build import bound_factorization
 from softrobot_twin.simulation.building.cavity_walls import joined_walls
-from softrobot_twin.simulation.building.force_building import strained_terms
+from softrobot_twin.simulation.building.deformable_body import strained_terms
 from softrobot_twin.simulation.building.vertebrae import Division, SoftPart
 from softrobot_twin.solvers.multifrontal import Multifrontal
 
@@ -134,9 +134,7 @@ class SoftPartModel:
         division, part, body = self._division, self._part, self._division.body
         mesh, terms = body.mesh.renumbered(division.positions, 0), []
         for material in body.materials:
-            cells = part.cells
-            if material.cells is not None:
-                cells = np.intersect1d(cells, material.cells)
+            cells = np.intersect1d(part.cells, material.cells_in(mesh))
             if len(cells):
                 terms += strained_terms(mesh, material, cells, index, body.entry.has_patches)
         if not part.cavities:

@@ -163,7 +163,7 @@ def divisions(scene: Scene) -> list[Division]:
     ]
     found = whole_layout(scene, whole)
     return [divide(body, walls_on(body, found, []), scene)
-            for body in whole if body.entry.vertebrae is not None]
+            for body in whole if body.entry.vertebrae]
 
 
 def reduce_body(
@@ -233,8 +233,8 @@ def _free_vertebrae(full: Simulation, reduced: Simulation) -> list[tuple]:
     """Name of each free vertebra, and mappings of its nodes in the full and the reduced model."""
     found = []
     for own, other in zip(full.model.bodies, reduced.model.bodies, strict=True):
-        if other.vertebrae is not None:
-            division = other.vertebrae.division
+        if other.vertebrae:
+            division = other.division
             found += [(name, own.node_mapping(at), other.node_mapping(at)) for name, at, is_fixed
                       in zip(division.names, division.nodes, division.is_fixed) if not is_fixed]
     return found

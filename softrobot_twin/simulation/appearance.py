@@ -94,17 +94,16 @@ class CavityDisplay:
         """
         actuators = model.actuators
         self._driven = actuators.of_section(CavityActuator.section)
-        self._gas = next((term for term in model.forces if term.name == SealedGas.name), None)
+        self._gas = [term for term in model.forces if term.name == SealedGas.name]
         groups = [group for group in actuators.groups
                   if group.kind.section == CavityActuator.section]  # fmt: skip
         skins = [Skin(surface.name, surface.triangles, surface.vertices, tuple(limits))
                  for group in groups
                  for surface, limits in zip(group.term.surfaces, group.effort_bounds, strict=True)]  # fmt: skip
         self._walls = [group.term.walls for group in groups]
-        if self._gas is not None:
-            self._walls.append(self._gas.walls)
-            skins += [Skin(surface.name, surface.triangles, surface.vertices)
-                      for surface in self._gas.walls.surfaces]  # fmt: skip
+        for gas in self._gas:
+            self._walls.append(gas.walls)
+            skins += [Skin(surface.name, surface.triangles, surface.vertices) for surface in gas.walls.surfaces]
         self.skins = tuple(skins)
 
     def pressures(self, state: State) -> np.ndarray:
@@ -113,7 +112,7 @@ class CavityDisplay:
         Args:
             state: The state.
         """
-        sealed = [] if self._gas is None else [self._gas.pressures(state.positions)]
+        sealed = (gas.pressures(state.positions) for gas in self._gas)
         return np.concatenate([state.efforts[self._driven], *sealed])
 
     def volumes(self, state: State) -> np.ndarray:
@@ -197,9 +196,7 @@ def fixed_places(body: Body, node_positions: np.ndarray) -> np.ndarray:
     Returns:
         Positions [m], shape (fixed_count, 3).
     """
-    fixed = body.fixed.copy()
-    if body.vertebrae is not None:
-        fixed = body.vertebrae.division.body.fixed.copy()
+    fixed = body.whole.fixed.copy()
     for nodes in body.riding.values():
         fixed[nodes] = False
     nodes = np.intersect1d(np.flatnonzero(fixed), body.mesh.surface_triangles)

@@ -15,11 +15,13 @@ from softrobot_twin.mechanics.kinematics import on_unknowns
 from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.building.actuators import Actuators, build_actuators
+from softrobot_twin.simulation.building.deformable_body import of_kind
 from softrobot_twin.simulation.building.effector_building import effector_term, marker_mapping
 from softrobot_twin.simulation.building.contact_building import contact_term
 from softrobot_twin.simulation.building.force_building import force_terms
 from softrobot_twin.simulation.building.guided_bodies import Guides
 from softrobot_twin.simulation.building.model import Model
+from softrobot_twin.simulation.building.reduced_body import ReducedBody
 from softrobot_twin.simulation.building.scene_layout import Layout, lay_out
 from softrobot_twin.simulation.building.sensor_kinds import sensor_term
 from softrobot_twin.simulation.scene_warnings import scene_warnings, single_layers, unit_slips
@@ -139,7 +141,7 @@ def build_terms(scene: Scene, mounted: np.ndarray | None = None) -> Terms:
     """
     notes: list[str] = []
     terms = _terms(lay_out(scene, notes, mounted=mounted), notes)
-    if terms.layout.asked is not None:
+    if terms.layout.asked:
         # Terms have asked for points of reduced bodies, of which only these are kept.
         notes = []
         terms = _terms(lay_out(scene, notes, terms.layout.asked, mounted), notes)
@@ -201,7 +203,7 @@ def _terms(layout: Layout, notes: list[str]) -> Terms:
     scene, carried = layout.scene, layout.nodes.carried
     forces = tuple(on_unknowns(term, carried) for term in force_terms(layout, notes))
     actuators = build_actuators(layout, notes)
-    contacts = contact_term(layout, notes) if scene.contact is not None else None
+    contacts = contact_term(layout, notes) if scene.contact else None
     sensors = sensor_term(layout, notes, contacts) if scene.sensors else None
     wanted = sensor_term(layout, [], contacts, True) if scene.sensors else None
     return Terms(
@@ -218,7 +220,7 @@ def _held_axes(layout: Layout) -> tuple[HeldAxes, ...]:
 
 def _is_dense(layout: Layout) -> bool:
     """Whether A has no zeros: where all bodies are reduced, and the scene names no factorization."""
-    is_reduced = layout.bodies and all(body.reduction is not None for body in layout.bodies)
+    is_reduced = layout.bodies and len(of_kind(layout.bodies, ReducedBody)) == len(layout.bodies)
     if not is_reduced or "factorization" in layout.scene.solver.model_fields_set:
         return False
     return 3 * layout.nodes.free_node_count <= MOST_DENSE

@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from itertools import starmap
 from operator import attrgetter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -160,11 +160,11 @@ FIGURES = Channel(
 """What optional effects report of a step; their names tell the units."""
 
 
-def _remembered(key: str, first: int = 0) -> Callable[[StepResult], np.ndarray | None]:
-    """Reads three numbers of each object that a part remembers, such as `ObservedForces`."""
+def _remembered(key: str, own: Any = np.s_[:, :3]) -> Callable[[StepResult], np.ndarray | None]:
+    """Reads numbers of each object that a part remembers, such as `ObservedForces`, by their index."""
     def read(result: StepResult) -> np.ndarray | None:
         found = result.state.memory.get(key)
-        return None if found is None else found[:, first : first + 3]
+        return None if found is None else found[own]
 
     return read
 
@@ -172,14 +172,14 @@ def _remembered(key: str, first: int = 0) -> Callable[[StepResult], np.ndarray |
 BUILT_IN = (
     *WANTED,
     Channel("touch_forces", "N", "touch_names", AXES, force_columns,
-            lambda result: None if result.touches is None else result.touches.forces),
+            lambda result: result.touches and result.touches.forces),
     Channel("touch_displacements", "m", "touch_names", AXES, displacement_columns,
-            lambda result: None if result.touches is None else result.touches.displacements),
+            lambda result: result.touches and result.touches.displacements),
     Channel("external_forces", "N", "observed_names", AXES, force_columns, _remembered("observer.wrenches")),
     Channel("external_force_deviations", "N", "observed_names", AXES, force_deviation_columns,
             _remembered("observer.deviations")),
     Channel("external_torques", "N m", "observed_names", AXES, torque_columns,
-            _remembered("observer.wrenches", 3), "observed_with_torque"),
+            _remembered("observer.wrenches", np.s_[:, 3:]), "observed_with_torque"),
     Channel("external_force_places", "m", "observed_names", AXES, place_columns,
             _remembered("observer.places")),
     FIGURES,
@@ -203,12 +203,11 @@ REGISTERED_CHANNELS: list[Channel] = [
     Channel("reaction_forces", "N", "reaction_names", AXES, reaction_columns,
             _remembered("reactions.wrenches")),
     Channel("reaction_torques", "N m", "reaction_names", AXES, reaction_torque_columns,
-            _remembered("reactions.wrenches", 3)),
+            _remembered("reactions.wrenches", np.s_[:, 3:])),
     Channel("base_loads", "m/s2", "base_names", AXES, base_load_columns, _remembered("base.load")),
     Channel("grip_forces", "N", "grip_names", AXES, force_columns, _remembered("grips.forces")),
     Channel("grip_holds", "1", "grip_names", ("holds",), lambda name: (holds_column(name),),
-            lambda result: None if (held := result.state.memory.get("grips.holds")) is None
-            else held[:, None]),
+            _remembered("grips.holds", np.s_[:, None])),
     *starmap(_of_sensors, ((LENGTH, 1e3), (ANGLE, 1e3), (VOLUME, 1e3), (PRESSURE, 1e9), (FORCE, 1e6))),
 ]  # fmt: skip
 

@@ -32,7 +32,7 @@ from softrobot_twin.simulation.building.table_columns import column
 from softrobot_twin.simulation.command import DEFAULT_TIME_STEP
 from softrobot_twin.simulation.sensitivities import Sensitivities
 from softrobot_twin.simulation.simulation import Simulation
-from softrobot_twin.simulation.step.time_integration import DEFAULT_RADIUS, Weights
+from softrobot_twin.simulation.step.time_integration import Weights
 from softrobot_twin.solvers.factorization import laid_out_like
 from softrobot_twin.solvers.superlu import SuperLU
 
@@ -234,8 +234,7 @@ class ModalTangent(Sensitivities):
         B = forces + squares[:, None] * N
         scene, weights = self._model.scene, None
         if scene.time_scheme == "generalized_alpha":
-            radius = scene.spectral_radius
-            weights = Weights.of_radius(DEFAULT_RADIUS if radius is None else radius)
+            weights = Weights.of_radius(scene.spectral_radius)
         outputs = [f"{name}_{axis}_m" for name in self._simulation.effector_names for axis in "xyz"]
         return LinearModel(
             names, tuple(outputs), is_by_effort, values,

@@ -92,7 +92,7 @@ def refuse(scene: Scene) -> None:
     if not scene.effectors:
         raise MeshErrorUnknown("the scene names no effector whose motion could be judged")
     for body in scene.deformables:
-        if body.vertebrae is not None:
+        if body.vertebrae:
             raise MeshErrorUnknown(
                 f"{body.name} is reduced to vertebrae; ask for the full model, without vertebrae"
             )
@@ -606,7 +606,7 @@ def check_judges_states(scene: Scene) -> None:
     Raises:
         MeshErrorUnknown: The scene has contact.
     """
-    if scene.contact is not None:
+    if scene.contact:
         raise MeshErrorUnknown("where things touch, only the mesh at rest is judged")
 
 

@@ -114,21 +114,21 @@ class Readouts:
         self.motors = {motor.name: motor.cables for motor in self.scene.motors}
         effectors = self.scene.effectors
         self.effector_names = tuple(effector.name for effector in effectors)
-        self.oriented_effectors = tuple(one.orientation is not None for one in effectors)
-        self.stiff_effectors = tuple(one.stiffness is not None for one in effectors)
+        self.oriented_effectors = tuple(bool(one.orientation) for one in effectors)
+        self.stiff_effectors = tuple(bool(one.stiffness) for one in effectors)
         self.scene_stiffness = stiffness_of_scene(self.scene)
         self.marker_ids, self.effector_markers = model.marker_ids, model.effector_markers
         self.touch_names = tuple(touch.name for touch in self.scene.touches)
         sensed = [(SENSOR_KINDS[kind_of(one)].quantity, one) for _, one in in_order(self.scene)]
         self.sensor_names = tuple(one.name for _, one in sensed)
-        self.wanted_sensors = {one.name: one.weight is not None for _, one in sensed}
+        self.wanted_sensors = {one.name: bool(one.weight) for _, one in sensed}
         self.sensor_columns = {column(one.name, quantity): one.name for quantity, one in sensed}
         (self.length_sensors, self.angle_sensors, self.volume_sensors, self.pressure_sensors,
          self.force_sensors) = (
             tuple(one.name for quantity, one in sensed if quantity == own)
             for own in (LENGTH, ANGLE, VOLUME, PRESSURE, FORCE)
         )
-        self.base_names = ("base",) if self.scene.moving_base is not None else ()
+        self.base_names = ("base",) if self.scene.moving_base else ()
         self.grip_names = tuple(grip.name for grip in self.scene.grips)
         self.reaction_names = tuple(reaction.name for reaction in self.scene.reactions)
         places = () if (observed := model.force_term(ObservedLoads)) is None else observed.places

@@ -21,7 +21,9 @@ from softrobot_twin.scene import Scene
 from softrobot_twin.scene.entry import values_below
 from softrobot_twin.simulation.building.actuators import Actuators
 from softrobot_twin.simulation.building.beam_bodies import build_section
+from softrobot_twin.simulation.building.deformable_body import of_kind
 from softrobot_twin.simulation.building.model import Model
+from softrobot_twin.simulation.building.reduced_body import ReducedBody
 from softrobot_twin.simulation.step.share_rule import OVERSHOOT
 
 # A slide's travel of more than this number of sizes of the largest body is reported.
@@ -117,7 +119,7 @@ def _long_lengths(scene: Scene, size: float) -> Iterator[str]:
     found = [(f"{key}.hold_radius", one.hold_radius, size) for key, one in scene.keyed("cables")]
     found += [(f"{key}.travel", max(map(abs, slide.travel)), MOST_SIZES * size)
               for key, slide in scene.keyed("slides")]  # fmt: skip
-    if scene.contact is not None:
+    if scene.contact:
         found += [("contact.alarm_distance", scene.contact.alarm_distance, size),
                   ("contact.contact_distance", scene.contact.contact_distance, size)]  # fmt: skip
     for key, length, most in found:
@@ -181,7 +183,7 @@ def _coarse_ropes(scene: Scene) -> Iterator[str]:
     radii = {}
     for one in (*scene.obstacles, *scene.rigid_bodies):
         shape = getattr(one, "cylinder", None) or getattr(one, "capsule", None)
-        if shape is not None:
+        if shape:
             radii[one.name] = shape.radius
     for index, touching in enumerate(scene.touching):
         for name, other in (touching.pair, touching.pair[::-1]):
@@ -437,11 +439,10 @@ def _advance_judged(
 
 def _sunk_reduced(model: Model, positions: np.ndarray) -> list[np.ndarray]:
     """Displacements of all nodes of each reduced body [m]."""
-    bodies = [body for body in model.bodies if body.reduction is not None]
     return [
         body.shown_nodes(np.arange(body.mesh.node_count)).positions(positions)
         - body.mesh.node_positions
-        for body in bodies
+        for body in of_kind(model.bodies, ReducedBody)
     ]  # fmt: skip
 
 

@@ -538,7 +538,7 @@ class Simulation(Readouts):
         left, changes = measured, False
         self._recall_parts()
         for part in self._parts_with["begin"]:
-            own = [one for one in left if part.takes is not None and isinstance(one, part.takes)]
+            own = [one for one in left if isinstance(one, part.takes)]
             changes |= part.begin(self.state, own[0] if own else None)
             left = [one for one in left if not own or one is not own[0]]
         for part in self._parts_with["command"]:

@@ -30,6 +30,8 @@ from softrobot_twin.simulation import (
     Status,
     StepReport,
 )
+from softrobot_twin.simulation.building.deformable_body import of_kind
+from softrobot_twin.simulation.building.reduced_body import ReducedBody
 from softrobot_twin.simulation.command import Command
 from softrobot_twin.simulation.runs.input_tables import read_commands
 from softrobot_twin.solvers.dense_stiffness import without_rows
@@ -317,7 +319,7 @@ def measure(case: BenchCase, steps: int) -> SizeMeasurement:
     with without_garbage_collection():
         made = [_timed(simulation, next(commands)) for _ in range(steps)]
     factorization = without_rows(model.factorization)
-    reductions = [body.reduction.reduction for body in model.bodies if body.reduction is not None]
+    reductions = [body.reduction for body in of_kind(model.bodies, ReducedBody)]
     reports = [step.report for step in made]
     return SizeMeasurement(
         case, factorization.name, getattr(factorization, "thread_count", 1),

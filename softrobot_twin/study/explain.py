@@ -376,26 +376,23 @@ def _body_effects(body, integration: str, names: list[str]) -> Iterator[Effect]:
                      _term(own, "patch volumes"))
     if entry.fixed:
         riding = np.concatenate([np.empty(0, np.int64), *body.riding.values()])
-        held = int(np.count_nonzero(body.fixed)) - len(np.unique(riding))
-        if vertebrae is not None:
-            held = int(np.count_nonzero(vertebrae.division.body.fixed))
+        held = int(np.count_nonzero(body.whole.fixed)) - len(np.unique(riding))
         told = f"{held} nodes without unknowns"
         if in_part := int(np.count_nonzero(body.held.any(axis=1) & ~body.fixed)):
             told += f", {in_part} held along some axes"
         yield Effect(f"{key}.fixed", count(entry.fixed, "region"), told)
-    if vertebrae is not None:
-        parts = vertebrae.parts
+    if vertebrae:
         yield Effect(
             f"{key}.vertebrae",
-            words(*(f"{part.name}{'' if part.is_free else ' (fixed)'}" for part in parts)),
-            f"{6 * sum(part.is_free for part in parts)} unknowns, "
-            f"{len(vertebrae.division.parts)} superelements")
-    if body.reduction is not None:
-        nodes, kept = body.reduction, body.reduction.reduction
+            words(*(f"{part.name}{'' if part.is_free else ' (fixed)'}" for part in vertebrae)),
+            f"{6 * sum(part.is_free for part in vertebrae)} unknowns, "
+            f"{len(body.division.parts)} superelements")
+    if entry.reduced:
+        kept = body.reduction
         yield Effect(
-            f"{key}.reduced", f"{nodes.mode_count} modes of {entry.reduced.file}, "
+            f"{key}.reduced", f"{body.mode_count} modes of {entry.reduced.file}, "
             f"{len(kept.sampled.cells)} quadrature points stand for all",
-            f"{nodes.mode_count} unknowns, {_measured_error(kept.measured)}")
+            f"{body.mode_count} unknowns, {_measured_error(kept.measured)}")
     for name, nodes in body.riding.items():
         yield Effect(f"{key}.attached", f"to {name}", f"{len(nodes)} nodes that move with it")
     if integration != "quasi_static":
@@ -650,7 +647,7 @@ def _weights(simulation: Simulation) -> list[tuple[str, str]]:
     if len(simulation.model.bodies) + len(simulation.model.beams) + len(free) > 1:
         whole = sum(part.mass for part in (*simulation.model.bodies, *simulation.model.beams))
         lines.insert(0, ("mass of all", f"{number(whole + sum(free.values()))} kg"))
-    reduced = any(body.vertebrae is not None for body in simulation.model.bodies)
+    reduced = any(body.vertebrae for body in simulation.model.bodies)
     if not lines or not any(simulation.scene.gravity) or reduced:
         return lines
     sag = expected_sag(simulation.model)

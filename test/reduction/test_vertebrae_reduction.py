@@ -76,7 +76,7 @@ weightless = changed({"gravity": [0.0, 0.0, 0.0]})
 @pytest.mark.exhaustive
 def test_the_fetch_is_divided_into_plates_and_accordions(reduced):
     simulation = reduced()
-    division = simulation.model.bodies[0].vertebrae.division
+    division = simulation.model.bodies[0].division
     assert simulation.dof_count == 12
     assert [part.ends for part in division.parts].count((0, 1)) == 3
     assert sorted(part.cavities for part in division.parts) == [(c,) for c in range(6)]
@@ -165,7 +165,7 @@ def test_a_superelement_has_the_forces_and_volumes_of_its_part(soft_part, reduce
     print("seed", SEED + 99)
     rng = np.random.default_rng(SEED + 99)
     simulation = reduced(weightless)
-    fit = simulation.model.bodies[0].vertebrae.reduction.fits[0]
+    fit = simulation.model.bodies[0].reduction.fits[0]
     within, term = SampledRange(fit.middle, fit.scaling), simulation.model.superelements["fetch"]
     misses, sizes = [], []
     for variables in within.variables(rng.uniform(-0.7, 0.7, (12, 7))):
@@ -230,7 +230,7 @@ def test_turning_the_robot_turns_its_answer(reduced):
         assert result.status is Status.OK
         states.append((simulation, result))
     (first, one), (second, other) = states
-    rotation = second.model.bodies[0].vertebrae.parts[0].rotation
+    rotation = second.model.bodies[0].vertebrae[0].rotation
     assert second.surface_positions() == pytest.approx(
         first.surface_positions() @ rotation.T, abs=1e-9
     )

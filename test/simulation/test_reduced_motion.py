@@ -94,7 +94,7 @@ def few(beam, tmp_path, /, scheme, damping=None, gravity=(0.0, -9.81, 0.0), chan
 def let_go(simulation, coordinates, velocities=None):
     """Begins at coordinates of a reduced body [m]."""
     positions = simulation.model.nodes.rest_positions.copy()
-    nodes = simulation.model.bodies[0].reduction.coordinate_nodes
+    nodes = simulation.model.bodies[0].coordinate_nodes
     positions[nodes] = coordinates.reshape(-1, 3)
     for kind in simulation.model.nodes.kinds:
         kind.place(positions)

@@ -67,15 +67,14 @@ class Actuators:
         Raises:
             ValueError: Two kinds prescribe moves.
         """
-        self.groups = (*(group for group in groups if group.term is not None),
-                       *(group for group in groups if group.term is None))  # fmt: skip
-        prescribing = [group.moves for group in self.groups if group.moves is not None]
+        self.groups = tuple(sorted(groups, key=lambda group: not group.term))
+        prescribing = [group.moves for group in self.groups if group.moves]
         if len(prescribing) > 1:
             raise ValueError("only one kind of actuator may prescribe moves without multipliers")
         self.moves = prescribing[0] if prescribing else None
         self.kinds: tuple[ActuatorKind, ...] = tuple(k for g in self.groups for k in g.kinds)
         self.names = tuple(name for group in self.groups for name in group.names)
-        self.row_count = sum(len(g.names) for g in self.groups if g.term is not None)
+        self.row_count = sum(len(g.names) for g in self.groups if g.term)
         self.is_moved = np.arange(len(self.names)) >= self.row_count
         self.rest_setpoints = self._joined("rest_setpoints")
         self.rest_setpoints.setflags(write=False)
@@ -155,7 +154,7 @@ class Actuators:
     @property
     def terms(self) -> tuple:
         """Constraint terms of those with rows, in the order of the rows."""
-        return tuple(group.term for group in self.groups if group.term is not None)
+        return tuple(group.term for group in self.groups if group.term)
 
     @property
     def held_forces(self) -> tuple:
@@ -321,7 +320,7 @@ def build_groups(layout: Layout, notes: list[str]) -> list[ActuatorGroup]:
     kinds = [kind for kind in actuator_kinds() if entries[kind.section]]
     groups = [kind.build(layout, entries[kind.section], notes) for kind in kinds]
     for kind, group in zip(kinds, groups, strict=True):
-        if kind.acts_at_rest and group.term is not None:
+        if kind.acts_at_rest and group.term:
             for index in rows_that_move_nothing(group.term, layout.nodes):
                 owner = (group.entries or entries[kind.section])[index]
                 key = next(key for key, entry in layout.scene.keyed(kind.section) if entry is owner)

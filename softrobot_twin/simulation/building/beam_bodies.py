@@ -216,7 +216,7 @@ class BeamBody:
     def is_round(self) -> bool:
         """Whether it touches as a round body, of the radius of its section."""
         section = self.entry.section
-        return section.rectangle is None and section.end_scale == 1.0
+        return not section.rectangle and section.end_scale == 1.0
 
     def axis_in_frames(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The axis at both ends of each element, in the frames that these move with.
@@ -384,14 +384,14 @@ def build_section(entry: CrossSection, poisson_ratio: float) -> BeamSection:
         entry: The entry.
         poisson_ratio: ν of the material [-].
     """
-    if entry.rectangle is not None:
+    if entry.rectangle:
         given, own = entry.rectangle, rectangle(
             entry.rectangle.thickness, entry.rectangle.width, poisson_ratio)
         shear = own.shear_area_y if given.shear_factor is None else given.shear_factor * own.area
         return own._replace(torsion=given.torsion or own.torsion, shear_area_y=shear, shear_area_z=shear)
-    if entry.circle is not None:
+    if entry.circle:
         return tube(entry.circle.radius, 0.0, poisson_ratio)
-    if entry.tube is not None:
+    if entry.tube:
         return tube(entry.tube.radius, entry.tube.radius - entry.tube.wall, poisson_ratio)
     given = entry.constants
     drawn = tube(given.radius or float(np.sqrt(given.area / np.pi)), 0.0, poisson_ratio)
@@ -513,7 +513,7 @@ def _arc_lengths(curve, parameters: np.ndarray) -> np.ndarray:
 
 def _section_axes(places, tangents, entry: Beam, index: int, scene: Scene) -> np.ndarray:
     """Tangent, y and z at each place, as columns, shape (count, 3, 3)."""
-    if entry.thickness_direction is None:
+    if not entry.thickness_direction:
         across = _transported(tangents)
     else:
         wanted = np.array(entry.thickness_direction) / np.linalg.norm(entry.thickness_direction)
@@ -793,7 +793,7 @@ class BeamNet:
             rotations[h] = rotation.T @ beam.axes[node]
             arm = float(np.linalg.norm(beam.places[node] - pivot.place))
             radii[h] = arm + beam.node_lengths[node] + beam.radius
-            if pivot.joint.axis is not None:
+            if pivot.joint.axis:
                 axis = np.array(pivot.joint.axis) / np.linalg.norm(pivot.joint.axis)
                 axes[h] = beam.axes[node].T @ axis
         return Hinges(parents, free_parents, points, rotations, axes, radii)

@@ -182,14 +182,14 @@ def _limit_by_pulleys(
     for index, cable in enumerate(entries):
         own = ["shortening_min", "shortening_max"]
         pulley = pulleys.get(cable.name)
-        if pulley is not None:
+        if pulley:
             least, most = shortenings_of_angles(pulley)
             ends = ("angle_min", "angle_max")[:: 1 if pulley.wound > 0.0 else -1]
             if least > ranges[index, 0]:
                 ranges[index, 0], own[0] = least, ends[0]
             if most < ranges[index, 1]:
                 ranges[index, 1], own[1] = most, ends[1]
-            if pulley.rate is not None:
+            if pulley.rate:
                 rates[index] = min(rates[index], pulley.rate * pulley.radius)
         names.append(tuple(own))
     return tuple(names)

@@ -19,14 +19,12 @@ from softrobot_twin.simulation.building.actuator_kinds import (
     group_of,
     numbers_of,
 )
-from softrobot_twin.simulation.building.cavity_walls import (
-    cavity_surface,
-    check_walls_of_reduced,
-    joined_walls,
-)
+from softrobot_twin.simulation.building.cavity_walls import cavity_surface, joined_walls
+from softrobot_twin.simulation.building.deformable_body import of_kind
 from softrobot_twin.simulation.building.limits import efforts_at_scale, unlikely
-from softrobot_twin.simulation.building.reduced_body import Placed
+from softrobot_twin.simulation.building.reduced_body import Placed, ReducedBody
 from softrobot_twin.simulation.building.scene_layout import Layout, walls_on, whole_layout
+from softrobot_twin.simulation.building.vertebrae import VertebraBody
 
 # Limits outside these shares of a cavity's natural scales are reported: a wrong unit is a factor of
 # a thousand or more.
@@ -64,10 +62,12 @@ class CavityActuator(ActuatorKind):
 
         Without a limit it may grow up to a stretch of `LARGEST_STRETCH`.
         """
-        term = _reduced_term(layout, entries) if layout.superelements else None
-        if term is None:
+        carriers = [layout.body_named(wall.body) for cavity in entries for wall in cavity.walls]
+        if of_kind(carriers, VertebraBody):
+            term = _superelement_term(layout, entries)
+        elif of_kind(carriers, ReducedBody):
             term = reduced_cavity_term(layout, entries, notes)
-        if term is None:
+        else:
             surfaces = tuple(cavity_surface(layout, cavity.name, cavity.walls, key, notes)
                              for key, cavity in layout.scene.keyed(self.section))
             nodes = layout.nodes
@@ -107,10 +107,10 @@ class CavityActuator(ActuatorKind):
         """See `ActuatorKind.details`."""
         walls = group.term.walls
         words = [wall_details(entry, walls.rest_volumes[index], walls.rest_areas[index])]
-        if entry.liquid_density is not None:
+        if entry.liquid_density:
             words.append(f"liquid of {entry.liquid_density:.6g} kg/m³")
         words.append(f"driven by {entry.control}")
-        if entry.flow is not None:
+        if entry.flow:
             words.append(f"flow {1e6 * entry.flow:.6g} cm³/s")
         if entry.pressure_offset:
             words.append(f"zero error {1e-3 * entry.pressure_offset:.6g} kPa")
@@ -127,28 +127,24 @@ def wall_details(entry: Cavity | SealedCavity, volume: float, area: float) -> st
         volume: Volume at rest [m³].
         area: Area of its walls at rest [m²].
     """
-    walls = [f"part {wall.part}" if wall.file is None else str(wall.file) for wall in entry.walls]
+    walls = [str(wall.file) if wall.file else f"part {wall.part}" for wall in entry.walls]
     behind = "" if len(walls) == 1 else " as one cavity"
     return (f"{' and '.join(walls)}{behind}, {1e6 * volume:.6g} cm³ at rest, walls of "
             f"{1e4 * area:.6g} cm²")  # fmt: skip
 
 
-def _reduced_term(layout: Layout, entries: tuple[Cavity, ...]) -> SuperelementCavities | None:
-    """The term of cavities on bodies with vertebrae; None where all are on other bodies."""
+def _superelement_term(layout: Layout, entries: tuple[Cavity, ...]) -> SuperelementCavities:
+    """The term of cavities on bodies with vertebrae."""
     volumes, areas, names = np.zeros(len(entries)), np.zeros(len(entries)), []
     order = [cavity.name for cavity in entries]
-    for body in layout.bodies:
-        if body.vertebrae is None:
-            continue
-        places = [order.index(name) for name in body.vertebrae.division.cavities]
-        volumes[places] += body.vertebrae.reduction.rest_volumes
-        areas[places] += body.vertebrae.reduction.rest_areas
-        names += [wall.name for wall in body.vertebrae.division.walls]
-    if not names:
-        return None
+    for body in of_kind(layout.bodies, VertebraBody):
+        places = [order.index(name) for name in body.division.cavities]
+        volumes[places] += body.reduction.rest_volumes
+        areas[places] += body.reduction.rest_areas
+        names += [wall.name for wall in body.division.walls]
     scene = layout.scene
     for key, cavity in scene.keyed("cavities"):
-        if cavity.liquid_density is not None:
+        if cavity.liquid_density:
             raise scene.error(f"{key}.liquid_density", cavity.liquid_density,
                               "a liquid filling of a body with vertebrae is not built", "kg/m³")
         if names.count(cavity.name) != len(cavity.walls):
@@ -162,9 +158,9 @@ def _reduced_term(layout: Layout, entries: tuple[Cavity, ...]) -> SuperelementCa
 def _drawn_surface(layout: Layout, name: str) -> CavitySurface:
     """The walls of a cavity on bodies with vertebrae, carried by these."""
     own = [
-        wall._replace(vertices=body.vertebrae.carried_by(wall.vertices))
-        for body in layout.bodies if body.vertebrae is not None
-        for wall in body.vertebrae.division.walls if wall.name == name
+        wall._replace(vertices=body.carried_by(wall.vertices))
+        for body in of_kind(layout.bodies, VertebraBody)
+        for wall in body.division.walls if wall.name == name
     ]  # fmt: skip
     return joined_walls(own, name)
 
@@ -181,9 +177,7 @@ class _JoinedPoints:
         return np.concatenate([part.positions(node_positions) for part in self._parts])
 
 
-def reduced_cavity_term(
-    layout: Layout, entries: tuple[Cavity, ...], notes: list[str]
-) -> ReducedCavities | None:
+def reduced_cavity_term(layout: Layout, entries: tuple[Cavity, ...], notes: list[str]) -> ReducedCavities:
     """The term of cavities on bodies that are reduced to a basis.
 
     Their walls are carried by the modes: they ask for no points.
@@ -193,29 +187,16 @@ def reduced_cavity_term(
         entries: The cavities.
         notes: List to which repairs and warnings are appended.
 
-    Returns:
-        The term; None where all cavities are on other bodies.
-
     Raises:
-        SceneError: See `check_walls_of_reduced` and `cavity_surface`; or the walls of a cavity are
-            all fixed.
+        SceneError: See `cavity_surface`; or the walls of a cavity are all fixed.
     """
-    check_walls_of_reduced(layout.scene)
-    bodies = {body.name: body for body in layout.bodies if body.reduction is not None}
-    carriers = {layout.body_named(wall.body).name for cavity in entries for wall in cavity.walls}
-    if not carriers & set(bodies):
-        return None
     # Points on the nodes of the meshes.
-    on_mesh = [replace(body, first_node=0, reduction=None) for body in layout.bodies]
-    whole = whole_layout(layout.scene, on_mesh)
-    walls = {name: walls_on(bodies[name], whole, notes) for name in bodies if name in carriers}
-    parts = [
-        ReducedWalls(own, nodes.rest, nodes.basis, nodes.coordinate_nodes)
-        for own, nodes in ((own, bodies[name].reduction) for name, own in walls.items())
-    ]  # fmt: skip
+    whole = whole_layout(layout.scene, [replace(body.whole, first_node=0) for body in layout.bodies])
+    walls = [(body, walls_on(body, whole, notes)) for body in of_kind(layout.bodies, ReducedBody)]
+    parts = [ReducedWalls(own, body.mesh.node_positions, body.basis, body.coordinate_nodes)
+             for body, own in walls if own]  # fmt: skip
     names = tuple(cavity.name for cavity in entries)
-    shown = [wall._replace(vertices=bodies[name].shown(wall.vertices))
-             for name, own in walls.items() for wall in own]  # fmt: skip
+    shown = [wall._replace(vertices=body.shown(wall.vertices)) for body, own in walls for wall in own]
     surfaces = tuple(
         joined_walls([wall for wall in shown if wall.name == name], name, _JoinedPoints)
         for name in names

@@ -115,12 +115,12 @@ def check_walls_of_reduced(scene: Scene) -> None:
         SceneError: Gas is sealed in such a body, liquid fills it, a wall lies on it and on another
             body, or cavities lie on it and on bodies that are not reduced.
     """
-    reduced = {body.name for body in scene.deformables if body.reduced is not None}
+    reduced = {body.name for body in scene.deformables if body.reduced}
     if not reduced:
         return
     cavities, sealed = list(scene.keyed("cavities")), list(scene.keyed("sealed_cavities"))
     usual = scene.deformables[0].name
-    carriers = {key: [usual if wall.body is None else wall.body for wall in cavity.walls]
+    carriers = {key: [wall.body or usual for wall in cavity.walls]
                 for key, cavity in (*cavities, *sealed)}  # fmt: skip
     for key, cavity in (*cavities, *sealed):
         for place, (wall, own) in enumerate(zip(cavity.walls, carriers[key], strict=True)):
@@ -131,7 +131,7 @@ def check_walls_of_reduced(scene: Scene) -> None:
                                   "with another body is not built")
     are_reduced = any(reduced & set(carriers[key]) for key, _ in cavities)
     for key, cavity in cavities:
-        if reduced & set(carriers[key]) and cavity.liquid_density is not None:
+        if reduced & set(carriers[key]) and cavity.liquid_density:
             raise scene.error(f"{key}.liquid_density", cavity.liquid_density,
                               "a liquid filling of a reduced body is not built", unit="kg/m³")
         others = [name for name in carriers[key] if name not in reduced]

@@ -177,7 +177,7 @@ def _surface_of(body: Body, scene: Scene, notes: list[str]):
         return CarriedSurface(body.carried_by(on_mesh), triangles)
     nodes, triangles = np.unique(body.mesh.surface_triangles, return_inverse=True)
     carried, triangles = body.node_mapping(nodes), triangles.reshape(-1, 3)
-    if body.vertebrae is not None:
+    if body.vertebrae:
         return CarriedSurface(carried, triangles)
     return DeformableSurface(carried.nodes[:, 0][triangles])
 

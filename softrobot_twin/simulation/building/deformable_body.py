@@ -5,11 +5,11 @@ A body is of one material, or some of its cells are of others.
 
 from __future__ import annotations
 
-from collections.abc import Set
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Set
+from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache, reduce
 from pathlib import Path
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -31,7 +31,18 @@ from softrobot_twin.geometry.point_location import (
 from softrobot_twin.geometry.regions import nodes_in_box, nodes_in_sphere
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.element_kinds import HEXAHEDRAL, element_named
-from softrobot_twin.mechanics.inertia import lumped_masses, scalar_mass_matrix, uniform_masses
+from softrobot_twin.mechanics.elements import Elements
+from softrobot_twin.mechanics.force_term import ForceTerm
+from softrobot_twin.mechanics.inertia import (
+    ConsistentInertia,
+    LumpedInertia,
+    MassDamping,
+    borne_masses,
+    coupled_to,
+    lumped_masses,
+    scalar_mass_matrix,
+    uniform_masses,
+)
 from softrobot_twin.mechanics.laws import law_named
 from softrobot_twin.mechanics.material import (
     INCOMPRESSIBLE,
@@ -43,8 +54,11 @@ from softrobot_twin.mechanics.material import (
     poisson_ratio_of_bulk,
     shear_modulus,
 )
+from softrobot_twin.mechanics.patch_volumes import (PatchVolumes, divided, element_bulk, patched_cells)
 from softrobot_twin.mechanics.point_law import can_divide
+from softrobot_twin.mechanics.remembering_elements import RememberingElements
 from softrobot_twin.mechanics.softening import SofteningConstants
+from softrobot_twin.mechanics.strain_rate_damping import StrainRateDamping
 from softrobot_twin.mechanics.viscosity import ViscousTerm
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.body_entries import Body as BodyEntry
@@ -106,6 +120,14 @@ class MaterialPart:
     viscosity: tuple[ViscousTerm, ...] = ()
     softening: SofteningConstants | None = None
     strain_range: tuple[float, float] | None = None
+
+    def cells_in(self, mesh: CellMesh) -> np.ndarray:
+        """Its cells, shape (cell_count,).
+
+        Args:
+            mesh: The body.
+        """
+        return np.arange(mesh.cell_count) if self.cells is None else self.cells
 
     @property
     def turns(self) -> bool:
@@ -230,7 +252,7 @@ def _check_volume(part: MaterialPart, entry: BodyEntry, key: str, scene: Scene, 
         raise scene.error(f"{key}.volume", entry.volume,
                           "patches need a law with a bulk modulus, such as neo_hookean; the law "
                           f"{part.law} of {part.key} has none")
-    if entry.vertebrae is not None:
+    if entry.vertebrae:
         raise scene.error(f"{key}.volume", entry.volume,
                           "superelements of vertebrae are not built with patches: omit volume or "
                           "vertebrae")
@@ -345,7 +367,9 @@ def _refuse_claimed_twice(
 
 @dataclass(frozen=True)
 class Body:
-    """A deformable body, placed, with its fixed nodes.
+    """A deformable body, placed, with its fixed nodes, which answers what a scene builds of it.
+
+    Its nodes are unknowns. Two kinds of bodies answer otherwise: `ReducedBody` and `VertebraBody`.
 
     Attributes:
         entry: Its entry in the scene.
@@ -360,8 +384,8 @@ class Body:
         materials: Its materials; a single one has all cells.
         parts: Named regions, surfaces and sets of edges of the mesh file, with the indices of
             `mesh`; the nodes of surfaces and edges are corners.
-        vertebrae: A `ReducedBody` in place of its nodes; None where these are unknowns.
-        reduction: `ReducedNodes` in place of its nodes; None where these are unknowns.
+        vertebrae: Rigid parts that carry it; empty where its nodes or coordinates are unknowns.
+        is_reduced: Whether it has fewer unknowns than free nodes.
     """
 
     entry: BodyEntry
@@ -374,8 +398,8 @@ class Body:
     is_held: bool
     materials: tuple[MaterialPart, ...]
     parts: MeshParts = NO_PARTS
-    vertebrae: object | None = None
-    reduction: object | None = None
+    vertebrae: tuple = ()
+    is_reduced: ClassVar[bool] = False
 
     @property
     def name(self) -> str:
@@ -383,18 +407,129 @@ class Body:
         return self.entry.name
 
     @property
+    def whole(self) -> Body:
+        """The body that is not reduced; the body itself where it is not."""
+        return self
+
+    def become(self, kind: type[OfKind], **own) -> OfKind:
+        """The body as one of another kind.
+
+        Args:
+            kind: Class of the kind.
+            **own: Attributes that others do not have, or that change.
+        """
+        return kind(**{field.name: getattr(self, field.name) for field in fields(Body)} | own)
+
+    @property
     def scene_node_count(self) -> int:
         """Number of nodes that it has among those of the scene."""
-        if self.reduction is not None:
-            return self.reduction.node_count
-        return 0 if self.vertebrae is not None else self.mesh.node_count
+        return self.mesh.node_count
 
     @property
     def free_node_count(self) -> int:
         """Number of its nodes, or blocks of three coordinates, that are unknowns."""
-        if self.reduction is not None:
-            return len(self.reduction.coordinate_nodes)
         return int(np.count_nonzero(~self.fixed))
+
+    @property
+    def places(self) -> np.ndarray:
+        """Numbers of its nodes in the scene, coordinates left out, shape (count,)."""
+        return self.first_node + np.arange(self.scene_node_count)
+
+    def rest_nodes(self) -> np.ndarray:
+        """Its nodes in the scene at rest [m], shape (scene_node_count, 3)."""
+        return self.mesh.node_positions
+
+    def held_nodes(self) -> np.ndarray:
+        """Axes along which its nodes in the scene are no unknowns, shape (scene_node_count, 3) of bool."""
+        return self.held
+
+    def placed(self, rigid: Iterable, first_frame_node: int) -> Body:
+        """The body that knows the frames it moves with.
+
+        Args:
+            rigid: The rigid bodies of the scene, with `name`, `first_node` and `origin`.
+            first_frame_node: Where the frames of its vertebrae begin among all nodes.
+        """
+        return self
+
+    def mesh_nodes(self, node_positions: np.ndarray) -> np.ndarray:
+        """Nodes of its mesh at a state [m], shape (node_count, 3); those of vertebrae are left out.
+
+        Args:
+            node_positions: Node positions of the scene [m], shape (node_count, 3).
+        """
+        return node_positions[self.first_node : self.first_node + self.scene_node_count]
+
+    def nodes_as(self, other: Body, node_positions: np.ndarray) -> np.ndarray:
+        """Its nodes in its scene, where another model of the body is [m], shape (scene_node_count, 3).
+
+        Args:
+            other: The body in the other model.
+            node_positions: Node positions of that model [m], shape (node_count, 3).
+        """
+        return other.mesh_nodes(node_positions)
+
+    def strained_terms(self, layout) -> Iterable[tuple[MaterialPart, ForceTerm]]:
+        """What bears its strain: a term for each material and each kind of its cells, and for patches.
+
+        Args:
+            layout: The bodies, a `Layout`.
+        """
+        mesh, index = layout.mesh_among_nodes(self), layout.nodes.free_index
+        return ((part, term) for part in self.materials
+                for term in strained_terms(mesh, part, part.cells, index, self.entry.has_patches))  # fmt: skip
+
+    def borne_masses(self, layout) -> np.ndarray:
+        """Mass whose weight acts at each of its nodes [kg], shape (scene_node_count,).
+
+        Args:
+            layout: The bodies, a `Layout`.
+        """
+        # A body falls undeformed only if its weight is distributed like its inertia.
+        if self.entry.mass_model == "consistent":
+            return borne_masses(self.mesh, self.density, self._lumped_elements(layout))
+        return self.node_masses()
+
+    def motion_terms(self, layout, free_index: np.ndarray) -> Iterator[ForceTerm]:
+        """Its inertia in dynamic scenes, and damping.
+
+        Args:
+            layout: The bodies, a `Layout`.
+            free_index: Unknown of each node that bears mass, else -1, shape (node_count,).
+        """
+        dynamic, damping = layout.scene.integration == "dynamic", self.entry.damping
+        own = np.flatnonzero(~self.fixed)
+        nodes, masses = own + self.first_node, self.node_masses()[own]
+        if dynamic and self.entry.mass_model == "consistent":
+            mesh, lumped = layout.mesh_among_nodes(self), self._lumped_elements(layout)
+            yield ConsistentInertia(mesh, free_index, self.density, nodes, lumped, layout.nodes.free_axes)
+        elif dynamic:
+            yield LumpedInertia(nodes, free_index[nodes], masses)
+        if damping.mass > 0.0:
+            yield MassDamping(nodes, free_index[nodes], masses, damping.mass)
+        if damping.stiffness > 0.0:
+            yield from self._strain_rate_dampings(layout)
+
+    def _lumped_elements(self, layout) -> np.ndarray | None:
+        """Elements with nodes attached to free rigid bodies; None without such nodes."""
+        free = {part.name for part in layout.rigid if part.is_free}
+        attached = [self.riding[name] for name in sorted(free & set(self.riding))]
+        return coupled_to(self.mesh, np.concatenate(attached)) if attached else None
+
+    def _strain_rate_dampings(self, layout) -> Iterator[StrainRateDamping]:
+        """A term for each material and each kind of its cells.
+
+        With patches it is the elements' share of the stiffness that is damped.
+        """
+        beta = self.entry.damping.stiffness
+        for part in self.materials:
+            for block in layout.mesh_among_nodes(self).strained_blocks(part.cells):
+                lame = part.lame_parameters
+                if self.entry.has_patches:
+                    mu = part.shear_modulus
+                    kept = divided(part.law_parameters, mu, element_bulk(block.mesh)).law.bulk_modulus
+                    lame = lame._replace(lame_lambda=kept - 2.0 * mu / 3.0)
+                yield StrainRateDamping(block.mesh, layout.nodes.free_index, lame, beta)
 
     def distances(self, points) -> np.ndarray:
         """Distances of points at rest from it, zero inside [m]; points (count, 3).
@@ -413,9 +548,7 @@ class Body:
     @property
     def mass(self) -> float:
         """Its mass [kg]."""
-        if self.entry.material.total_mass is not None:
-            return self.entry.material.total_mass
-        return sum(part.density * part.volume for part in self.materials)
+        return self.entry.material.total_mass or sum(part.density * part.volume for part in self.materials)
 
     @property
     def density(self) -> float | np.ndarray:
@@ -457,9 +590,6 @@ class Body:
         Args:
             on_mesh: The points on the nodes of its mesh.
         """
-        for carrier in (self.vertebrae, self.reduction):
-            if carrier is not None:
-                return carrier.carried_by(on_mesh)
         return BarycentricMapping(on_mesh.nodes + self.first_node, on_mesh.barycentric_weights)
 
     def node_mapping(self, nodes: np.ndarray) -> BarycentricMapping:
@@ -483,7 +613,46 @@ class Body:
 
     def shown(self, on_mesh: BarycentricMapping):
         """Points on the nodes of its mesh, numbered from 0; see `shown_nodes`."""
-        return self.carried_by(on_mesh) if self.reduction is None else self.reduction.placed(on_mesh)
+        return self.carried_by(on_mesh)
+
+
+OfKind = TypeVar("OfKind", bound=Body)
+
+
+def of_kind(bodies: Iterable[Body], kind: type[OfKind]) -> tuple[OfKind, ...]:
+    """The bodies of one kind, in their order.
+
+    Args:
+        bodies: Bodies of any kinds.
+        kind: `ReducedBody` or `VertebraBody`.
+    """
+    return tuple(body for body in bodies if isinstance(body, kind))
+
+
+def strained_terms(
+    mesh: CellMesh, part: MaterialPart, cells: np.ndarray | None, free_index: np.ndarray,
+    has_patches: bool,
+) -> Iterator[Elements | PatchVolumes]:  # fmt: skip
+    """Terms of what bears the strain of cells of one material, and of its patches.
+
+    Args:
+        mesh: The body, among all nodes.
+        part: The material.
+        cells: Its cells in rising order; None for all.
+        free_index: Unknown of each node, -1 where it is fixed, shape (node_count,).
+        has_patches: Whether patches resist changes of volume.
+    """
+    for block in mesh.strained_blocks(cells):
+        law, memory, bulk_modulus = part.law_parameters, (part.viscosity, part.softening), 0.0
+        if has_patches:
+            law, bulk_modulus = divided(law, part.shear_modulus, element_bulk(block.mesh))
+        if any(memory):
+            yield RememberingElements(block.mesh, free_index, law, *memory)
+        else:
+            yield Elements(block.mesh, free_index, law)
+        if bulk_modulus > 0.0:
+            tets, patches = patched_cells(block.mesh)
+            yield PatchVolumes(tets, free_index, bulk_modulus, patches)
 
 
 def single_nodes(nodes: np.ndarray) -> BarycentricMapping:
@@ -560,7 +729,7 @@ def build_body(
 def _read_mesh(entry: BodyEntry, scene: Scene) -> MeshReading:
     """The mesh of a body from its file, or of a box."""
     mesh = entry.mesh
-    if mesh.box is not None:
+    if mesh.box:
         of_hexahedra = element_named(entry.element).of_hexahedra
         return read_box(mesh.box.size, mesh.box.cell_counts, of_hexahedra,
                         translation=mesh.translation, rotation=mesh.rotation)
@@ -596,7 +765,7 @@ def _with_element_of_cells(
             to vertebrae.
     """
     has_hexahedra = isinstance(reading.mesh, HexahedralMesh)
-    has_mid_edge_nodes = reading.mid_edge_nodes is not None
+    has_mid_edge_nodes = len(reading.mid_edge_nodes.ends) > 0
     if "element" not in entry.model_fields_set and (has_mid_edge_nodes or has_hexahedra):
         element = "quadratic" if has_mid_edge_nodes else HEXAHEDRAL
         entry = entry.model_copy(update={"element": element})
@@ -607,7 +776,7 @@ def _with_element_of_cells(
         held = "hexahedra" if has_hexahedra else "tetrahedra only"
         raise scene.error(f"{key}.element", entry.element,
                           f"{entry.mesh.label} has {held}: omit element, or name one made of them")
-    if has_hexahedra and entry.vertebrae is not None:
+    if has_hexahedra and entry.vertebrae:
         raise scene.error(f"{key}.vertebrae", f"{len(entry.vertebrae.rigid)} vertebrae",
                           f"{entry.mesh.label} has hexahedra: only bodies of tetrahedra are "
                           "reduced")
@@ -618,7 +787,7 @@ def _nodes_of_file(mesh, reading: MeshReading) -> np.ndarray:
     """Node of the mesh for each node of the file, −1 where it has none, shape (file_nodes,)."""
     numbers = reading.mesh_node_indices
     ends = mesh.mid_edge_ends
-    if reading.mid_edge_nodes is None or len(ends) == 0:
+    if len(ends) == 0:
         return numbers
     corners = reading.mesh.node_count
     keys = ends[:, 0] * corners + ends[:, 1]  # ascending, as the edges are numbered
@@ -690,7 +859,7 @@ def _nodes_in(region: Region, search: _RegionSearch, key: str) -> np.ndarray:
     positions = mesh.node_positions
     if region.frame == "mesh":
         positions = in_mesh(entry, positions)
-    if region.box is not None:
+    if region.box:
         low, high = np.array(region.box.minimum), np.array(region.box.maximum)
         nodes = nodes_in_box(positions, low, high)
         beside = BESIDE * _size(positions)
@@ -701,7 +870,7 @@ def _nodes_in(region: Region, search: _RegionSearch, key: str) -> np.ndarray:
                 "are not in it; give a face that lies between layers of nodes."
             )
         value, unit = str(region.box), "m"
-    elif region.sphere is not None:
+    elif region.sphere:
         nodes = nodes_in_sphere(positions, region.sphere.centre, region.sphere.radius)
         value, unit = f"{list(region.sphere.centre)}, radius {region.sphere.radius}", "m"
     else:

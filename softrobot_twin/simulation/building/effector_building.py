@@ -38,7 +38,7 @@ def effector_term(layout: Layout, notes: list[str]):
                          "no actuator moves it.")  # fmt: skip
         directions = tuple(AXES[direction] for direction in effector.directions)
         effectors.append(EffectorPoints(effector.name, points, directions, effector.weight))
-        if effector.orientation is not None:
+        if effector.orientation:
             orientations.append(_orientation(layout, index, points, notes))
     free_index = layout.nodes.free_index
     if orientations:
@@ -67,7 +67,7 @@ def _orientation(
                 "points that do not lie on one line are needed", unit="m")
         nodes, arms = patch_arms(points, rest)
     axis = None
-    if entry.pointing is not None:
+    if entry.pointing:
         axis = np.array(entry.pointing, float) / np.linalg.norm(entry.pointing)
     length = entry.length_per_radian or layout.nodes.size
     return PatchOrientation(index, nodes, arms, frame is not None, axis, entry.weight, length)

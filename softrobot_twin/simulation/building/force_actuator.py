@@ -79,7 +79,7 @@ class ForceActuator(ActuatorKind):
                                     float(moving[first]), FORCE_RANGE,
                                     f"some {moving[first]:.2g} N would move it by the size of the "
                                     "body; is the limit in newtons?")  # fmt: skip
-            first += 1 if force.direction is not None else 3
+            first += 1 if force.direction else 3
 
     def paths(self, group: ActuatorGroup, positions: np.ndarray) -> tuple[np.ndarray, ...]:
         """A line along each force to where it acts; see `ActuatorKind.paths`."""
@@ -88,13 +88,13 @@ class ForceActuator(ActuatorKind):
     def details(self, entry: Force, group: ActuatorGroup, index: int) -> str:
         """See `ActuatorKind.details`."""
         at = count(entry.points, "point") if entry.points else f"the surface in a {_word(entry)}"
-        along = AXES[index % 3] if entry.direction is None else vector(entry.direction)
+        along = vector(entry.direction) if entry.direction else AXES[index % 3]
         turns = "turns with the body" if entry.turns_with_body else None
         return words(f"at {at}, along {along}", turns, f"driven by {entry.control}")
 
 
 def _word(entry: Force) -> str:
-    return "box" if entry.box is not None else "sphere"
+    return "box" if entry.box else "sphere"
 
 
 def _forces(layout: Layout, key: str, entry: Force, notes: list[str]) -> list[PointForce]:
@@ -104,7 +104,7 @@ def _forces(layout: Layout, key: str, entry: Force, notes: list[str]) -> list[Po
         None if entry.shares is None else np.array(entry.shares))  # fmt: skip
     patch = _patch(layout, key, points) if entry.turns_with_body else None
     directions = np.eye(3)
-    if entry.direction is not None:
+    if entry.direction:
         directions = np.array([entry.direction], float)
         directions /= np.linalg.norm(directions)
     point = points.mean(shares)
@@ -115,7 +115,7 @@ def _surface(layout: Layout, key: str, entry: Force) -> tuple[BarycentricMapping
     """Nodes of the surface of a body in the region of a force, and their shares of its area."""
     body = layout.body_named(entry.body)
     places, triangles = body.mesh.node_positions, body.mesh.surface_triangles
-    if entry.box is not None:
+    if entry.box:
         inside = nodes_in_box(places, entry.box.minimum, entry.box.maximum)
     else:
         inside = nodes_in_sphere(places, entry.sphere.centre, entry.sphere.radius)

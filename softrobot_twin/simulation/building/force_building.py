@@ -10,47 +10,32 @@ from typing import NamedTuple
 import numpy as np
 from scipy.constants import g as STANDARD_GRAVITY
 
-from softrobot_twin.geometry.cell_mesh import CellMesh
 from softrobot_twin.geometry.connected_pieces import connected_pieces
 from softrobot_twin.geometry.helix import helix_points
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.beam_masses import BeamDamping, BeamInertia, BeamMasses, BeamWeight
 from softrobot_twin.mechanics.beams import BeamElements, Beams
 from softrobot_twin.mechanics.compression_watch import CompressionWatch
-from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.gravity import Gravity
 from softrobot_twin.mechanics.grips import Grips
 from softrobot_twin.mechanics.hinged_frames import HingeBlocks, HingedTwists
-from softrobot_twin.mechanics.inertia import (
-    ConsistentInertia,
-    LumpedInertia,
-    MassDamping,
-    borne_masses,
-    coupled_to,
-)
+from softrobot_twin.mechanics.inertia import LumpedInertia
 from softrobot_twin.mechanics.kinematics import on_unknowns, size_of_points
 from softrobot_twin.mechanics.liquid_filling import LiquidFilling
-from softrobot_twin.mechanics.patch_volumes import (PatchVolumes, divided, element_bulk, patched_cells)
-from softrobot_twin.mechanics.reduced_elements import (PointGradients, ReducedElements, point_gradients)
-from softrobot_twin.mechanics.reduced_motion import (
-    ReducedInertia,
-    ReducedMassDamping,
-    ReducedStrainRateDamping,
-)
-from softrobot_twin.mechanics.remembering_elements import RememberingElements
+from softrobot_twin.mechanics.patch_volumes import PatchVolumes
 from softrobot_twin.mechanics.rigid_bodies import RigidDamping, RigidInertia
 from softrobot_twin.mechanics.sealed_gas import SealedGas
 from softrobot_twin.mechanics.springs import Joints, Springs, segments
-from softrobot_twin.mechanics.strain_rate_damping import StrainRateDamping
 from softrobot_twin.mechanics.strain_watch import StrainWatch
 from softrobot_twin.mechanics.observed_loads import ObservedLoads, ObservedPlace
 from softrobot_twin.mechanics.touch_loads import TouchLoads
 from softrobot_twin.scene.body_entries import Fibre, Helix
 from softrobot_twin.simulation.building.beam_bodies import all_elements
 from softrobot_twin.simulation.building.cavity_walls import cavity_surface
-from softrobot_twin.simulation.building.deformable_body import (Body, MaterialPart, part_named, single_nodes)
+from softrobot_twin.simulation.building.deformable_body import Body, of_kind, part_named, single_nodes
 from softrobot_twin.simulation.building.mapped_surfaces import path_on_elements
+from softrobot_twin.simulation.building.reduced_body import ReducedBody
 from softrobot_twin.simulation.building.scene_layout import Layout
 
 # The end of a spring on a mass-spring body must be this near to one of its points, as a share of
@@ -88,12 +73,11 @@ def static_terms(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
     """The force terms without inertia and damping of masses; see `force_terms`."""
     scene = layout.scene
     for body in layout.bodies:
-        if body.vertebrae is None:
-            yield from _elastic_terms(layout, body)
+        yield from _elastic_terms(layout, body)
     yield from layout.superelements.values()
     if scene.beams:
         yield from _beam_terms(layout)
-    if any(scene.gravity) or scene.moving_base is not None:
+    if any(scene.gravity) or scene.moving_base:
         yield Gravity(_borne_masses(layout), np.array(scene.gravity), _reduced_weights(layout))
     if scene.mass_springs and scene.integration == "quasi_static":
         check_masses_held(layout)
@@ -105,7 +89,7 @@ def static_terms(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
         yield _touch_loads(layout, notes)
     if scene.grips:
         yield _grips(layout, notes)
-    if scene.observer is not None:
+    if scene.observer:
         places = tuple(_observed_places(layout, notes))
         yield ObservedLoads(places, layout.nodes.free_node_count)
     if scene.sealed_cavities:
@@ -119,7 +103,7 @@ def _touch_loads(layout: Layout, notes: list[str]) -> TouchLoads:
     scene, mappings, stiffness = layout.scene, [], []
     for key, touch in scene.keyed("touches"):
         body = layout.body_named(touch.body)
-        if body.vertebrae is not None:
+        if body.vertebrae:
             raise scene.error(f"{key}.body", body.name,
                               "is reduced to vertebrae: touches on such bodies are not built")
         mappings.append(_mean(layout.carried(touch.body, touch.points, f"{key}.points", notes)))
@@ -141,14 +125,13 @@ def _grips(layout: Layout, notes: list[str]) -> Grips:
     rigid = {part.name: part.first_node for part in layout.rigid}
     for key, grip in scene.keyed("grips"):
         body = layout.unreduced(grip.body, key, "grips on such bodies are not built")
-        if grip.stiffness is None and not isinstance(body, Body):
+        if not (grip.stiffness or isinstance(body, Body)):
             raise scene.error(f"{key}.stiffness", "(nothing)",
                               f"{body.name} is no deformable body: a stiffness is needed", "N/m")
         mappings.append(layout.carried(grip.body, grip.points, f"{key}.points", notes))
         counts.append(len(grip.points))
         frames.append(rigid.get(grip.holds, -1))
-        whole = _holding_stiffness(body) if grip.stiffness is None else grip.stiffness
-        stiffness.append(whole / len(grip.points))
+        stiffness.append((grip.stiffness or _holding_stiffness(body)) / len(grip.points))
     points = reduce(BarycentricMapping.followed_by, mappings)
     grips = np.repeat(np.arange(len(counts)), counts)
     return Grips(points, grips, np.array(frames), np.array(stiffness)[grips], layout.nodes.free_index)
@@ -158,7 +141,7 @@ def _observed_places(layout: Layout, notes: list[str]) -> Iterator[ObservedPlace
     """Where an observer looks for forces."""
     for index, force in enumerate(layout.scene.observed_forces):
         key, body = f"observer.forces[{index}]", layout.body_named(force.body)
-        if isinstance(body, Body) and body.vertebrae is not None and force.points:
+        if force.points and isinstance(body, Body) and body.vertebrae:
             raise layout.scene.error(f"{key}.body", body.name, "is reduced to vertebrae: forces on "
                                      "such bodies are not observed")
         if force.points:
@@ -262,7 +245,7 @@ def _liquid_filling(layout: Layout) -> LiquidFilling:
     # Warnings of these walls are those of the actuators.
     surfaces = [
         (cavity_surface(layout, cavity.name, cavity.walls, key, []), cavity.liquid_density)
-        for key, cavity in scene.keyed("cavities") if cavity.liquid_density is not None
+        for key, cavity in scene.keyed("cavities") if cavity.liquid_density
     ]  # fmt: skip
     return LiquidFilling(
         tuple(surface for surface, _ in surfaces), nodes.free_index, layout.drawn_positions,
@@ -270,126 +253,34 @@ def _liquid_filling(layout: Layout) -> LiquidFilling:
     )  # fmt: skip
 
 
-def with_nodes(layout: Layout) -> list[Body]:
-    """The deformable bodies whose nodes are unknowns; others are reduced to vertebrae.
-
-    Args:
-        layout: The scene with its bodies placed.
-    """
-    return [body for body in layout.bodies if body.vertebrae is None]
-
-
 def _elastic_terms(layout: Layout, body: Body) -> Iterator[ForceTerm]:
-    """A term for each material of a body and each kind of its cells, and one for its patches."""
-    free_index, nodes = layout.nodes.free_index, body.reduction
-    mesh = layout.mesh_among_nodes(body) if nodes is None else body.mesh
-    for part in body.materials:
-        if nodes is None:
-            terms = strained_terms(mesh, part, part.cells, free_index, body.entry.has_patches)
-        else:
-            terms = (ReducedElements(own, part.law_parameters, nodes.coordinate_nodes, free_index)
-                     for own in _sampled(body, part))  # fmt: skip
-        for term in terms:
-            if part.strain_range is not None and not isinstance(term, PatchVolumes):
-                term.strain_watch = StrainWatch(term, part.key, body.name, part.strain_range)
-            if not isinstance(term, PatchVolumes) and term.has_varied_strain:
-                term.compression_watch = CompressionWatch(term, body.name, part.lame_parameters)
-            yield term
-
-
-def _sampled(body: Body, part: MaterialPart) -> Iterator[PointGradients]:
-    """The sampled points of one material of a reduced body, of each kind of its cells."""
-    nodes = body.reduction
-    for block in body.mesh.strained_blocks(part.cells):
-        yield point_gradients(block, nodes.reduction.sampled, nodes.basis)
-
-
-def strained_terms(
-    mesh: CellMesh, part: MaterialPart, cells: np.ndarray | None, free_index: np.ndarray,
-    has_patches: bool,
-) -> Iterator[Elements | PatchVolumes]:  # fmt: skip
-    """Terms of what bears the strain of cells of one material, and of its patches.
-
-    Args:
-        mesh: The body, among all nodes.
-        part: The material.
-        cells: Its cells in rising order; None for all.
-        free_index: Unknown of each node, -1 where it is fixed, shape (node_count,).
-        has_patches: Whether patches resist changes of volume.
-    """
-    for block in mesh.strained_blocks(cells):
-        law, memory, bulk_modulus = part.law_parameters, (part.viscosity, part.softening), 0.0
-        if has_patches:
-            law, bulk_modulus = divided(law, part.shear_modulus, element_bulk(block.mesh))
-        if any(memory):
-            yield RememberingElements(block.mesh, free_index, law, *memory)
-        else:
-            yield Elements(block.mesh, free_index, law)
-        if bulk_modulus > 0.0:
-            tets, patches = patched_cells(block.mesh)
-            yield PatchVolumes(tets, free_index, bulk_modulus, patches)
-
-
-def _strain_rate_dampings(layout: Layout, body: Body) -> Iterator[StrainRateDamping]:
-    """A term for each material of a body and each kind of its cells.
-
-    With patches it is the elements' share of the stiffness that is damped.
-    """
-    beta = body.entry.damping.stiffness
-    for part in body.materials:
-        for block in layout.mesh_among_nodes(body).strained_blocks(part.cells):
-            lame = part.lame_parameters
-            if body.entry.has_patches:
-                mu = part.shear_modulus
-                kept = divided(part.law_parameters, mu, element_bulk(block.mesh)).law.bulk_modulus
-                lame = lame._replace(lame_lambda=kept - 2.0 * mu / 3.0)
-            yield StrainRateDamping(block.mesh, layout.nodes.free_index, lame, beta)
-
-
-def _reduced_motion_terms(layout: Layout, body: Body) -> Iterator[ForceTerm]:
-    """Inertia in dynamic scenes, and damping, of a body in the coordinates of a basis."""
-    reduced, free_index, damping = body.reduction, layout.nodes.free_index, body.entry.damping
-    nodes, is_consistent = reduced.coordinate_nodes, body.entry.mass_model == "consistent"
-    if layout.scene.integration == "dynamic":
-        yield ReducedInertia(nodes, free_index[nodes], reduced.mass_matrix(body, is_consistent))
-    if damping.mass > 0.0:
-        # Drag is that of the diagonal masses, as on the nodes.
-        mass = reduced.mass_matrix(body, False)
-        yield ReducedMassDamping(nodes, free_index[nodes], mass, damping.mass)
-    if damping.stiffness > 0.0:
-        for part in body.materials:
-            for points in _sampled(body, part):
-                yield ReducedStrainRateDamping(
-                    points, part.lame_parameters, damping.stiffness, nodes, free_index)  # fmt: skip
+    """What bears the strain of a body, watched."""
+    for part, term in body.strained_terms(layout):
+        if part.strain_range and not isinstance(term, PatchVolumes):
+            term.strain_watch = StrainWatch(term, part.key, body.name, part.strain_range)
+        if not isinstance(term, PatchVolumes) and term.has_varied_strain:
+            term.compression_watch = CompressionWatch(term, body.name, part.lame_parameters)
+        yield term
 
 
 def _borne_masses(layout: Layout) -> np.ndarray:
     """Mass whose weight acts at each unknown [kg], shape (free_node_count,)."""
-    bodies = []
-    for body in with_nodes(layout):
-        # A body falls undeformed only if its weight is distributed like its inertia.
-        if body.reduction is not None:
-            bodies.append(np.zeros(body.reduction.node_count))
-        elif body.entry.mass_model == "consistent":
-            bodies.append(borne_masses(body.mesh, body.density, _lumped_elements(layout, body)))
-        else:
-            bodies.append(body.node_masses())
+    bodies = [body.borne_masses(layout) for body in layout.bodies]
     points = [np.broadcast_to(entry.masses, len(entry.points)) for entry in layout.scene.mass_springs]
     masses = np.concatenate([np.empty(0), *bodies, *points])[layout.nodes.free_nodes]
-    rigid = [(part.mass, 0.0) for part in layout.framed if part.is_free]
-    hinges = np.zeros(0 if layout.hinged is None else layout.hinged.hinge_count)
-    return np.concatenate([masses, np.array(rigid, float).reshape(-1), hinges])
+    own = np.append(masses, [(part.mass, 0.0) for part in layout.framed if part.is_free])
+    return np.pad(own, (0, layout.nodes.free_node_count - len(own)))
 
 
 def _reduced_weights(layout: Layout) -> np.ndarray | None:
     """Weight of reduced bodies on their coordinates [N]; None without any."""
-    reduced = [body for body in layout.bodies if body.reduction is not None]
+    reduced = of_kind(layout.bodies, ReducedBody)
     if not reduced:
         return None
     weights = np.zeros((layout.nodes.free_node_count, 3))
     for body in reduced:
-        own = layout.nodes.free_index[body.reduction.coordinate_nodes]
-        weights[own] = body.reduction.weights_of(body, np.array(layout.scene.gravity))
+        own = layout.nodes.free_index[body.coordinate_nodes]
+        weights[own] = body.weights(np.array(layout.scene.gravity))
     return weights
 
 
@@ -408,13 +299,6 @@ def _check_resisted(layout: Layout) -> None:
         raise scene.error("integration", "first_order",
                           "free rigid bodies, vertebrae, beams and point masses have no drag; use "
                           "dynamic")
-
-
-def _lumped_elements(layout: Layout, body: Body) -> np.ndarray | None:
-    """Elements with nodes attached to free rigid bodies; None without such nodes."""
-    free = {part.name for part in layout.rigid if part.is_free}
-    attached = [body.riding[name] for name in sorted(free & set(body.riding))]
-    return coupled_to(body.mesh, np.concatenate(attached)) if attached else None
 
 
 def _motion_terms(layout: Layout) -> Iterator[ForceTerm]:
@@ -441,29 +325,11 @@ def body_motion_terms(layout: Layout) -> Iterator[ForceTerm]:
     Args:
         layout: The bodies.
     """
-    dynamic = layout.scene.integration == "dynamic"
-    unknowns = layout.nodes.free_node_count
     # The mass of attached nodes is added to their free rigid body.
-    free_index = np.where(layout.nodes.free_index < unknowns, layout.nodes.free_index, -1)
-    for body in with_nodes(layout):
-        if body.reduction is not None:
-            yield from _reduced_motion_terms(layout, body)
-            continue
-        density, alpha = body.density, body.entry.damping.mass
-        is_diagonal = body.entry.mass_model != "consistent"
-        own = np.flatnonzero(~body.fixed)
-        nodes = own + body.first_node
-        if dynamic and not is_diagonal:
-            mesh = layout.mesh_among_nodes(body)
-            lumped = _lumped_elements(layout, body)
-            yield ConsistentInertia(mesh, free_index, density, nodes, lumped, layout.nodes.free_axes)
-        masses = body.node_masses()[own]
-        if dynamic and is_diagonal:
-            yield LumpedInertia(nodes, free_index[nodes], masses)
-        if alpha > 0.0:
-            yield MassDamping(nodes, free_index[nodes], masses, alpha)
-        if body.entry.damping.stiffness > 0.0:
-            yield from _strain_rate_dampings(layout, body)
+    index = layout.nodes.free_index
+    free_index = np.where(index < layout.nodes.free_node_count, index, -1)
+    for body in layout.bodies:
+        yield from body.motion_terms(layout, free_index)
     for entry in layout.scene.mass_springs:
         nodes = layout.mass_nodes[entry.name]
         moving = free_index[nodes] >= 0
@@ -567,7 +433,7 @@ def _joint_terms(layout: Layout) -> Iterator[ForceTerm]:
     for part in joined:
         for joint in part.entry.joined:
             points = np.array([joint.through], float)
-            if joint.axis is not None:
+            if joint.axis:
                 axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
                 points = points + np.outer((-part.radius, part.radius), axis)
             share, own = joint.stiffness / len(points), part.carried(points)
@@ -605,7 +471,7 @@ def _fibre_parts(layout: Layout, fibre: Fibre, key: str, notes: list[str]) -> li
         first, second = map(single_nodes, ends.T + body.first_node)
         lengths = np.linalg.norm(first.positions(rest) - second.positions(rest), axis=1)
         return [_along((first, second, lengths), fibre.stiffness, fibre.tension_only)]
-    if fibre.helix is not None:
+    if fibre.helix:
         paths, place = list(_helices(fibre.helix)), f"{key}.helix"
     else:
         place = f"{key}.points"

@@ -38,9 +38,9 @@ def pulley_of_cable(scene: Scene) -> dict[str, Pulley]:
     Args:
         scene: The scene.
     """
-    pulleys = {cable.name: cable.pulley for cable in scene.cables if cable.pulley is not None}
+    pulleys = {cable.name: cable.pulley for cable in scene.cables if cable.pulley}
     for motor in scene.motors:
-        if motor.pulley is not None:
+        if motor.pulley:
             pulleys.update(dict.fromkeys(motor.cables, motor.pulley))
     return pulleys
 
@@ -80,7 +80,7 @@ class Pulleys:
         cables, motors = ((), ()) if scene is None else (scene.cables, scene.motors)
         own = [(cable.name, cable.pulley, (cable.name,)) for cable in cables]
         own += [(motor.name, motor.pulley, motor.cables) for motor in motors]
-        own = [one for one in own if one[1] is not None]
+        own = [one for one in own if one[1]]
         self.names = tuple(name for name, _, _ in own)
         self.driven = tuple(np.array([places[cable] for cable in cables]) for _, _, cables in own)
         self.is_wound = np.zeros(len(places), bool)

@@ -132,6 +132,11 @@ class Model:
         return min(REACH_TOLERANCE, REACH_SHARE * self.nodes.size) if given is None else given
 
     @property
+    def rubs(self) -> bool:
+        """True when contacts have friction."""
+        return self.rows.varies and self.contacts.rubs
+
+    @property
     def slides(self):
         """Object that prescribes displacements without multipliers, or None without any."""
         return self.actuators.moves

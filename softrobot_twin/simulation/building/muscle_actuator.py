@@ -39,7 +39,7 @@ class MuscleActuator(ActuatorKind):
     def build(self, layout: Layout, entries: tuple[Muscle, ...], notes: list[str]) -> ActuatorGroup:
         """See `ActuatorKind.build`."""
         fibres = tuple(
-            (_region if entry.points is None else _thread)(layout, key, entry, notes)
+            (_thread if entry.points else _region)(layout, key, entry, notes)
             for key, entry in layout.scene.keyed(self.section)
         )
         term = Muscles(fibres, layout.nodes.free_index, layout.nodes.carried)
@@ -51,7 +51,7 @@ class MuscleActuator(ActuatorKind):
         """Forces and stresses that are out of scale; see `ActuatorKind.doubts`."""
         full = efforts_at_scale(model, group.term)
         for index, (key, entry) in enumerate(model.scene.keyed(self.section) if full is not None else ()):
-            word = "force" if entry.points is not None else "stress"
+            word = "force" if entry.points else "stress"
             value, unit = getattr(entry, word), "N" if word == "force" else "Pa"
             yield from unlikely(
                 f"{key}.{word}", value, unit, value * float(full[index]),
@@ -62,7 +62,7 @@ class MuscleActuator(ActuatorKind):
 
     def details(self, entry: Muscle, group: ActuatorGroup, index: int) -> str:
         """See `ActuatorKind.details`."""
-        if entry.points is not None:
+        if entry.points:
             place = f"a thread of {count(entry.points, 'point')}, {entry.force:.6g} N"
         else:
             place = entry.box.describe() if entry.region is None else f"region {entry.region}"
@@ -74,9 +74,9 @@ class MuscleActuator(ActuatorKind):
 
 def _law(entry: Muscle) -> tuple[float, float, float]:
     """Slope 1/c, optimum and width of its force by its length."""
-    if entry.force_length is not None:
+    if entry.force_length:
         return 0.0, entry.force_length.optimum, entry.force_length.width
-    return (0.0 if entry.free_contraction is None else 1.0 / entry.free_contraction), 0.0, 0.0
+    return (1.0 / entry.free_contraction if entry.free_contraction else 0.0), 0.0, 0.0
 
 
 def _thread(layout: Layout, key: str, entry: Muscle, notes: list[str]) -> list[Fibres]:

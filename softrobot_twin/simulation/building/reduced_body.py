@@ -28,7 +28,7 @@ import zipfile
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -36,9 +36,20 @@ from scipy.spatial.transform import Rotation
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.geometry.cell_mesh import points_of
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
+from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.inertia import borne_masses
 from softrobot_twin.mechanics.laws import law_named
-from softrobot_twin.mechanics.reduced_elements import SampledPoints, point_gradients
+from softrobot_twin.mechanics.reduced_elements import (
+    PointGradients,
+    ReducedElements,
+    SampledPoints,
+    point_gradients,
+)
+from softrobot_twin.mechanics.reduced_motion import (
+    ReducedInertia,
+    ReducedMassDamping,
+    ReducedStrainRateDamping,
+)
 from softrobot_twin.mechanics.reduced_points import Platform, ReducedPoints
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.building.deformable_body import Body, MaterialPart, in_mesh
@@ -239,8 +250,7 @@ def fingerprints_of(body: Body) -> dict[str, str]:
         body: The body.
     """
     materials = [
-        (part.law, repr((*_constants(part), part.density)),
-         np.arange(body.mesh.cell_count) if part.cells is None else part.cells)
+        (part.law, repr((*_constants(part), part.density)), part.cells_in(body.mesh))
         for part in body.materials
     ]  # fmt: skip
     places = rounded_places(body, in_mesh(body.entry, body.mesh.node_positions))
@@ -441,15 +451,13 @@ class Placed:
         return points
 
 
-@dataclass(frozen=True)
-class ReducedNodes:
-    """What replaces the nodes of a reduced body.
+@dataclass(frozen=True, kw_only=True)
+class ReducedBody(Body):
+    """A body in the coordinates of a basis: coordinate nodes and points replace its nodes.
 
     Attributes:
         reduction: Its basis and sampled points.
         basis: Φ of the modes in use in world axes, shape (mesh_node_count, 3, mode_count).
-        rest: Nodes of its mesh at rest [m], shape (mesh_node_count, 3).
-        first_node: Its first coordinate node among all nodes of the scene.
         points: The points that terms ask for, on the nodes of its mesh; None while all nodes of the
             mesh are points.
         asked: What terms asked for while all nodes were points.
@@ -458,11 +466,15 @@ class ReducedNodes:
 
     reduction: BodyReduction
     basis: np.ndarray
-    rest: np.ndarray
-    first_node: int = 0
     points: dict[tuple[bytes, bytes], int] | None = None
     asked: list[BarycentricMapping] = field(default_factory=list)
     platform: Platform | None = None
+    is_reduced: ClassVar[bool] = True
+
+    @property
+    def whole(self) -> Body:
+        """See `Body.whole`."""
+        return self.become(Body)
 
     @property
     def mode_count(self) -> int:
@@ -470,10 +482,15 @@ class ReducedNodes:
         return self.basis.shape[2]
 
     @property
-    def node_count(self) -> int:
+    def scene_node_count(self) -> int:
         """Number of its coordinate nodes and points."""
-        points = len(self.rest) if self.points is None else len(self.points)
+        points = self.mesh.node_count if self.points is None else len(self.points)
         return self.mode_count // 3 + points
+
+    @property
+    def free_node_count(self) -> int:
+        """See `Body.free_node_count`."""
+        return self.mode_count // 3
 
     @property
     def coordinate_nodes(self) -> np.ndarray:
@@ -485,64 +502,73 @@ class ReducedNodes:
         """Its first point among all nodes of the scene."""
         return self.first_node + self.mode_count // 3
 
-    def carried_by(self, mapping: BarycentricMapping) -> BarycentricMapping:
-        """Points on nodes of its mesh, on its points among all nodes of the scene.
+    @property
+    def places(self) -> np.ndarray:
+        """See `Body.places`."""
+        return super().places[self.mode_count // 3 :]
 
-        Args:
-            mapping: Points on nodes of its mesh, numbered from 0.
-        """
+    def carried_by(self, on_mesh: BarycentricMapping) -> BarycentricMapping:
+        """See `Body.carried_by`: on its points, for which terms ask so."""
         if self.points is None:
-            self.asked.append(mapping)
-            return BarycentricMapping(mapping.nodes + self.first_point, mapping.barycentric_weights)
-        places = [self.points[key] for key in _keys_of(mapping)]
+            self.asked.append(on_mesh)
+            return BarycentricMapping(on_mesh.nodes + self.first_point, on_mesh.barycentric_weights)
+        places = [self.points[key] for key in _keys_of(on_mesh)]
         nodes = self.first_point + np.array(places, np.int64).reshape(-1, 1)
         return BarycentricMapping(nodes, np.ones((len(nodes), 1)))
 
     def point_modes(self) -> tuple[np.ndarray, np.ndarray]:
         """Positions at rest [m] and Φ of its points, shape (count, 3) and (count, 3, mode_count)."""
+        nodes_at_rest = self.mesh.node_positions
         if self.points is None:
-            return self.rest, self.basis
+            return nodes_at_rest, self.basis
         keys = [(np.frombuffer(nodes, np.int64), np.frombuffer(weights))
                 for nodes, weights in self.points]  # fmt: skip
-        rest = np.array([weights @ self.rest[nodes] for nodes, weights in keys]).reshape(-1, 3)
+        rest = np.array([weights @ nodes_at_rest[nodes] for nodes, weights in keys]).reshape(-1, 3)
         modes = [np.tensordot(weights, self.basis[nodes], 1) for nodes, weights in keys]
         return rest, np.array(modes).reshape(len(keys), 3, self.mode_count)
 
-    def with_asked_points(self) -> ReducedNodes:
-        """The same with the points that were asked for, each once, in place of all nodes."""
-        keys = [key for mapping in self.asked for key in _keys_of(mapping)]
-        points = {key: index for index, key in enumerate(dict.fromkeys(keys))}
-        return replace(self, points=points, asked=[])
-
-    def rest_nodes(self) -> np.ndarray:
-        """Its nodes at rest: coordinates, which are zero, then points [m], (node_count, 3)."""
-        return np.vstack([np.zeros((self.mode_count // 3, 3)), self.point_modes()[0]])
-
-    def mesh_positions(self, node_positions: np.ndarray) -> np.ndarray:
-        """All nodes of its mesh where the coordinates place them [m], shape (mesh_node_count, 3).
+    def with_asked_points(self, first_node: int) -> ReducedBody:
+        """The same with the points that were asked for, each once, in place of all nodes.
 
         Args:
-            node_positions: Node positions of the scene [m], shape (node_count, 3).
+            first_node: Its first node among those of the scene.
         """
-        placed = self.rest + self.basis @ node_positions[self.coordinate_nodes].ravel()
+        keys = [key for mapping in self.asked for key in _keys_of(mapping)]
+        points = {key: index for index, key in enumerate(dict.fromkeys(keys))}
+        return replace(self, first_node=first_node, points=points, asked=[])
+
+    def rest_nodes(self) -> np.ndarray:
+        """See `Body.rest_nodes`: coordinates, which are zero, then points."""
+        return np.vstack([np.zeros((self.mode_count // 3, 3)), self.point_modes()[0]])
+
+    def held_nodes(self) -> np.ndarray:
+        """See `Body.held_nodes`: points are no unknowns."""
+        are_points = np.arange(self.scene_node_count) >= self.mode_count // 3
+        return np.repeat(are_points[:, None], 3, axis=1)
+
+    def placed(self, rigid: Iterable, first_frame_node: int) -> ReducedBody:
+        """See `Body.placed`: the body rides on a platform, or stands still."""
+        own = (Platform(part.first_node, part.origin) for part in rigid if part.name in self.riding)
+        return replace(self, platform=next(own, None))
+
+    def mesh_nodes(self, node_positions: np.ndarray) -> np.ndarray:
+        """See `Body.mesh_nodes`: where the coordinates place them."""
+        placed = self.mesh.node_positions + self.basis @ node_positions[self.coordinate_nodes].ravel()
         if self.platform is not None:
             placed += self.platform.displacement(node_positions)
         return placed
 
-    def are_points(self) -> np.ndarray:
-        """Which of its nodes are points, and no unknowns themselves, shape (node_count,)."""
-        return np.arange(self.node_count) >= self.mode_count // 3
+    def nodes_as(self, other: ReducedBody, node_positions: np.ndarray) -> np.ndarray:
+        """See `Body.nodes_as`: its coordinates are those of the other, or zero. Points are left out."""
+        coordinates = node_positions[other.coordinate_nodes]
+        return np.vstack([coordinates, np.zeros((self.scene_node_count - len(coordinates), 3))])
 
-    def placed(self, mapping: BarycentricMapping) -> Placed:
-        """Points on nodes of its mesh that no term needs.
-
-        Args:
-            mapping: Points on nodes of its mesh, numbered from 0.
-        """
-        modes = np.zeros((mapping.point_count, 3, self.mode_count))
-        for nodes, weights in zip(mapping.nodes.T, mapping.barycentric_weights.T, strict=True):
+    def shown(self, on_mesh: BarycentricMapping) -> Placed:
+        """See `Body.shown`."""
+        modes = np.zeros((on_mesh.point_count, 3, self.mode_count))
+        for nodes, weights in zip(on_mesh.nodes.T, on_mesh.barycentric_weights.T, strict=True):
             modes += weights[:, None, None] * self.basis[nodes]
-        rest = mapping.positions(self.rest)
+        rest = on_mesh.positions(self.mesh.node_positions)
         return Placed(self.coordinate_nodes, rest, modes, self.platform)
 
     def kind(self, free_index: np.ndarray) -> ReducedPoints:
@@ -554,25 +580,54 @@ class ReducedNodes:
         nodes = self.coordinate_nodes
         return ReducedPoints(nodes, free_index[nodes], self.first_point, *self.point_modes(), self.platform)
 
-    def mass_matrix(self, body: Body, is_consistent: bool) -> np.ndarray:
+    def sampled(self) -> Iterator[tuple[MaterialPart, PointGradients]]:
+        """Its sampled points, of each material and each kind of its cells."""
+        for part in self.materials:
+            for block in self.mesh.strained_blocks(part.cells):
+                yield part, point_gradients(block, self.reduction.sampled, self.basis)
+
+    def strained_terms(self, layout) -> Iterator[tuple[MaterialPart, ForceTerm]]:
+        """See `Body.strained_terms`: forces at its sampled points."""
+        nodes, index = self.coordinate_nodes, layout.nodes.free_index
+        for part, points in self.sampled():
+            yield part, ReducedElements(points, part.law_parameters, nodes, index)
+
+    def borne_masses(self, layout) -> np.ndarray:
+        """See `Body.borne_masses`: zero, its coordinates have `weights`."""
+        return np.zeros(self.scene_node_count)
+
+    def motion_terms(self, layout, free_index: np.ndarray) -> Iterator[ForceTerm]:
+        """See `Body.motion_terms`: those of its coordinates."""
+        nodes, damping = self.coordinate_nodes, self.entry.damping
+        if layout.scene.integration == "dynamic":
+            mass = self.coordinate_masses(self.entry.mass_model == "consistent")
+            yield ReducedInertia(nodes, free_index[nodes], mass)
+        if damping.mass > 0.0:
+            # Drag is that of the diagonal masses, as on the nodes.
+            mass = self.coordinate_masses(False)
+            yield ReducedMassDamping(nodes, free_index[nodes], mass, damping.mass)
+        if damping.stiffness > 0.0:
+            for part, points in self.sampled():
+                yield ReducedStrainRateDamping(
+                    points, part.lame_parameters, damping.stiffness, nodes, free_index)  # fmt: skip
+
+    def coordinate_masses(self, is_consistent: bool) -> np.ndarray:
         """Φᵀ M Φ, the mass of the coordinates [kg], shape (mode_count, mode_count).
 
         Args:
-            body: The body.
             is_consistent: Whether M is consistent, and not diagonal.
         """
-        M = body.mass_matrix(is_consistent)
+        M = self.mass_matrix(is_consistent)
         return sum(modes.T @ (M @ modes) for modes in self.basis.transpose(1, 0, 2))
 
-    def weights_of(self, body: Body, gravity: np.ndarray) -> np.ndarray:
+    def weights(self, gravity: np.ndarray) -> np.ndarray:
         """Weight as forces on the coordinates [N], shape (mode_count / 3, 3).
 
         Args:
-            body: The body.
             gravity: Acceleration [m/s²], shape (3,).
         """
-        is_consistent = body.entry.mass_model == "consistent"
-        masses = borne_masses(body.mesh, body.density) if is_consistent else body.node_masses()
+        is_consistent = self.entry.mass_model == "consistent"
+        masses = borne_masses(self.mesh, self.density) if is_consistent else self.node_masses()
         return np.einsum("n,i,nim->m", masses, gravity, self.basis, optimize=True).reshape(-1, 3)
 
 
@@ -583,8 +638,8 @@ def _keys_of(mapping: BarycentricMapping) -> Iterator[tuple[bytes, bytes]]:
         yield nodes[used].astype(np.int64).tobytes(), weights[used].astype(float).tobytes()
 
 
-def reduced_nodes(body: Body, scene: Scene) -> ReducedNodes:
-    """Read what a body is reduced to.
+def reduced_body(body: Body, scene: Scene) -> ReducedBody:
+    """The body in the coordinates of the basis that its file has.
 
     Args:
         body: The body, with an entry `reduced`.
@@ -606,7 +661,7 @@ def reduced_nodes(body: Body, scene: Scene) -> ReducedNodes:
         reduction = reduction.with_spare_modes()
     turn = Rotation.from_euler("xyz", body.entry.mesh.rotation).as_matrix()
     used = reduction.basis[:, :, : reduction.mode_count]
-    return ReducedNodes(reduction, np.einsum("ij,njm->nim", turn, used), body.mesh.node_positions)
+    return body.become(ReducedBody, reduction=reduction, basis=np.einsum("ij,njm->nim", turn, used))
 
 
 def _refuse(body: Body, scene: Scene) -> None:
@@ -625,16 +680,3 @@ def rides_on_a_slide(body: Body, scene: Scene) -> bool:
         scene: The scene.
     """
     return len(body.riding) == 1 and set(body.riding) <= {slide.body for slide in scene.slides}
-
-
-def on_platform(body: Body, parts: Iterable) -> Body:
-    """A reduced body that knows what it rides on; the body itself where it stands still.
-
-    Args:
-        body: The body.
-        parts: The rigid bodies of the scene, with `name`, `first_node` and `origin`.
-    """
-    if body.reduction is None or not body.riding:
-        return body
-    part = next(part for part in parts if part.name in body.riding)
-    return replace(body, reduction=replace(body.reduction, platform=Platform(part.first_node, part.origin)))

@@ -64,7 +64,7 @@ class ReleasedSupports:
             SceneError: A part is held by nothing, or is reduced.
         """
         scene = model.scene
-        drawn = lay_out(scene, [], None, model.nodes.rest_positions if scene.mounting else None)
+        drawn = lay_out(scene, [], mounted=model.nodes.rest_positions if scene.mounting else None)
         self.supports = [_support(drawn, entry, key) for key, entry in scene.keyed("reactions")]
         layout = _released(drawn)
         nodes = self._nodes = layout.nodes
@@ -178,7 +178,7 @@ def _support(layout: Layout, entry: Reaction, key: str) -> Support:
         SceneError: Nothing holds the part there, or it is reduced.
     """
     scene, index = layout.scene, layout.nodes.free_index
-    reduced = [body.name for body in layout.bodies if body.reduction or body.vertebrae]
+    reduced = [body.name for body in layout.bodies if body.is_reduced]
     if reduced or layout.hinged is not None:
         what = f"the reduced body {reduced[0]}" if reduced else "beams with hinges"
         raise scene.error(key, entry.name, f"reactions are not built beside {what}")
@@ -191,7 +191,7 @@ def _support(layout: Layout, entry: Reaction, key: str) -> Support:
         nodes = nodes[index[nodes] < 0]
     elif isinstance(body := layout.body_named(entry.of), Body):
         riding = body.riding
-        if entry.attached_to is None:
+        if not entry.attached_to:
             ridden = np.concatenate([none, *riding.values()])
             nodes = np.setdiff1d(np.flatnonzero(body.held.any(axis=1)), ridden) + body.first_node
         elif entry.attached_to in riding:
@@ -206,7 +206,7 @@ def _support(layout: Layout, entry: Reaction, key: str) -> Support:
     if not len(nodes) and not len(frames):
         to = f" to {entry.attached_to}" if entry.attached_to else ""
         raise scene.error(f"{key}.of", entry.of, f"is not held{to} at any node: nothing reacts")
-    about = np.array(entry.about) if entry.about is not None else None
+    about = np.array(entry.about) if entry.about else None
     return Support(nodes, frames, about)
 
 

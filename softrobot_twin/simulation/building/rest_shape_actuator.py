@@ -73,7 +73,7 @@ def _driven(layout: Layout, key: str, entry: RestShapeEntry) -> tuple[tuple[Forc
     beam, component = layout.body_named(entry.beam), COMPONENTS[entry.change]
     low, high = getattr(entry, entry.change)
     shares = beam.lengths / beam.lengths.sum()
-    if component > 3 and beam.entry.thickness_direction is None:
+    if component > 3 and not beam.entry.thickness_direction:
         raise layout.scene.error(f"{key}.{entry.change}", [low, high],
                                  f"{beam.name} has no thickness_direction, which says which way")
     if component == 0 and low < (SHORTEST - 1.0) * beam.lengths.sum():

@@ -27,14 +27,11 @@ from softrobot_twin.simulation.building.deformable_body import (
     build_body,
     carry,
     holds_still,
+    of_kind,
     placed_in_world,
 )
-from softrobot_twin.simulation.building.reduced_body import (
-    ReducedNodes,
-    on_platform,
-    reduced_nodes,
-)
-from softrobot_twin.simulation.building.vertebrae import reduced_body
+from softrobot_twin.simulation.building.reduced_body import ReducedBody, reduced_body
+from softrobot_twin.simulation.building.vertebrae import VertebraBody, vertebra_body
 
 # Length of the facets of a triangulated round shape, as a share of its radius.
 FACETS = 0.4
@@ -171,7 +168,7 @@ def _build_part(entry, index: int, first_node: int, bodies, scene, notes) -> Rig
     attached, points = np.empty(0, np.int64), np.empty((0, 3))
     if entry.motion == "free":
         volume, centre, unit_inertia = shape.mass_properties()
-        mass = entry.mass if entry.mass is not None else entry.density * volume
+        mass = entry.mass or entry.density * volume
         inertia = unit_inertia * (mass / volume)
         attached, points, masses = _attached_to(entry.name, bodies)
         points = (points - np.asarray(entry.position, float)) @ rotation
@@ -305,10 +302,9 @@ class Layout(NamedTuple):
         return self.nodes.rest_positions if self.drawn is None else self.drawn
 
     @property
-    def asked(self) -> dict[str, ReducedNodes] | None:
-        """The reduced bodies by name, for `lay_out`; None where no term asks for points still."""
-        found = {body.name: body.reduction for body in self.bodies if body.reduction is not None}
-        return found if any(nodes.points is None for nodes in found.values()) else None
+    def asked(self) -> dict[str, ReducedBody]:
+        """The reduced bodies by name, for `lay_out`; empty where no term asks for points still."""
+        return {body.name: body for body in of_kind(self.bodies, ReducedBody) if body.points is None}
 
     @property
     def framed(self) -> tuple:
@@ -385,7 +381,7 @@ class Layout(NamedTuple):
             SceneError: The body is reduced.
         """
         body = self.body_named(name)
-        if isinstance(body, Body) and (body.reduction is not None or body.vertebrae is not None):
+        if isinstance(body, Body) and body.is_reduced:
             raise self.scene.error(f"{key}.body", body.name, f"is reduced: {remedy}")
         return body
 
@@ -467,7 +463,7 @@ class Layout(NamedTuple):
 
 
 def lay_out(
-    scene: Scene, notes: list[str], asked: dict[str, ReducedNodes] | None = None,
+    scene: Scene, notes: list[str], asked: dict[str, ReducedBody] = {},
     mounted: np.ndarray | None = None,
 ) -> Layout:  # fmt: skip
     """Read all bodies of a scene and number their nodes.
@@ -475,7 +471,7 @@ def lay_out(
     Args:
         scene: The scene.
         notes: List to which repairs are appended.
-        asked: The reduced bodies, by name, after their terms have asked for points; None before,
+        asked: The reduced bodies, by name, after their terms have asked for points; empty before,
             when all nodes of their meshes are points.
         mounted: Positions of all nodes of the mounted robot [m], shape (node_count, 3); None where
             the scene mounts nothing.
@@ -495,18 +491,18 @@ def lay_out(
     bodies: list[Body] = []
     first_node = 0
     for key, entry in scene.keyed("deformables"):
-        bodies.append(build_body(entry, key, first_node, scene, notes, held))
-        if entry.reduced is not None:
-            bodies[-1] = _with_coordinates(bodies[-1], scene, asked)
-        if entry.vertebrae is None:
-            first_node += bodies[-1].scene_node_count
-    if any(body.entry.vertebrae is not None for body in bodies):
-        bodies = _reduced(bodies, scene, notes)
-    with_nodes = [body for body in bodies if body.vertebrae is None]
-    positions = [body.mesh.node_positions if body.reduction is None else body.reduction.rest_nodes()
-                 for body in with_nodes]  # fmt: skip
-    fixed = [body.fixed if body.reduction is None else body.reduction.are_points()
-             for body in with_nodes]  # fmt: skip
+        body = build_body(entry, key, first_node, scene, notes, held)
+        if entry.name in asked:
+            body = asked[entry.name].with_asked_points(first_node)
+        elif entry.reduced:
+            body = reduced_body(body, scene)
+        bodies.append(body)
+        if not entry.vertebrae:
+            first_node += body.scene_node_count
+    bodies = _with_vertebrae(bodies, scene, notes)
+    positions = [body.rest_nodes() for body in bodies]
+    held_nodes = [body.held_nodes() for body in bodies]
+    fixed = [held.all(axis=1) for held in held_nodes]
     sizes = [size_of_body(body.mesh.node_positions, body.mesh.corner_mesh.as_tets)
              for body in bodies]  # fmt: skip
     mass_nodes = {}
@@ -517,16 +513,12 @@ def lay_out(
         fixed.append(np.isin(np.arange(len(entry.points)), entry.fixed))
         first_node += len(entry.points)
     rigid = build_rigid_parts(scene, bodies, net, first_node, notes)
-    bodies = [on_platform(body, rigid) for body in bodies]
-    reduced = [body.reduction for body in bodies if body.reduction is not None]
     _note_unused_contact_surfaces(bodies, scene, notes)
     first_node += 4 * len(rigid)
     for index, body in enumerate(bodies):
-        if body.vertebrae is not None:
-            placed = replace(body.vertebrae, first_frame_node=first_node)
-            bodies[index] = replace(body, vertebrae=placed)
-            first_node += 4 * len(placed.parts)
-    vertebrae = tuple(part for body in bodies if body.vertebrae for part in body.vertebrae.parts)
+        bodies[index] = body.placed(rigid, first_node)
+        first_node += 4 * len(body.vertebrae)
+    vertebrae = tuple(part for body in bodies for part in body.vertebrae)
     riders = {name for body in bodies for name in body.riding}
     is_held = all(body.is_held for body in bodies) and (
         {beam.name for beam in net.beams} <= held_bodies(scene, net, guided | riders))
@@ -534,15 +526,14 @@ def lay_out(
     sizes += [size_of_points(beam.places) for beam in beams]
     framed, before = (*rigid, *vertebrae, *beam_frames), len(rigid) + len(vertebrae)
     hinges = net.hinges(framed, before, first_node - 4 * before) if net.pivots else None
-    nodes = _with_held_axes(_number(positions, fixed, sizes, framed, hinges, reduced), bodies)
+    reduced = of_kind(bodies, ReducedBody)
+    nodes = _with_held_axes(_number(positions, fixed, sizes, framed, hinges, reduced), held_nodes)
     if nodes.free_node_count == 0 and (scene.deformables or scene.mass_springs or beams):
         raise _nothing_moves(scene)
     drawn = nodes.rest_positions if scene.mounting else None
     if scene.mounting:
         nodes = _mounted(nodes, mounted, scene)
-    superelements = {
-        body.name: _superelements(body, nodes, scene) for body in bodies if body.vertebrae
-    }
+    superelements = {body.name: body.superelements(nodes, scene) for body in of_kind(bodies, VertebraBody)}
     return Layout(
         scene, tuple(bodies), rigid, mass_nodes, nodes, vertebrae, superelements, beams,
         beam_frames, is_held, drawn,
@@ -608,39 +599,22 @@ def walls_on(body: Body, whole: Layout, notes: list[str]) -> tuple[CavitySurface
     )  # fmt: skip
 
 
-def _reduced(bodies: list[Body], scene: Scene, notes: list[str]) -> list[Body]:
-    """The bodies, those with vertebrae reduced to them."""
+def _with_vertebrae(bodies: list[Body], scene: Scene, notes: list[str]) -> list[Body]:
+    """The bodies, those with an entry of vertebrae carried by these."""
     own = [replace(body, first_node=0) for body in bodies]
     whole = whole_layout(scene, own)
     return [
-        body if body.entry.vertebrae is None
-        else reduced_body(alone, walls_on(alone, whole, notes), scene)
+        vertebra_body(alone, walls_on(alone, whole, notes), scene) if body.entry.vertebrae else body
         for body, alone in zip(bodies, own, strict=True)
     ]  # fmt: skip
-
-
-def _superelements(body: Body, nodes: Nodes, scene: Scene) -> Superelements:
-    """The superelements of a reduced body, with cavities numbered as in the scene."""
-    reduced, names = body.vertebrae, [cavity.name for cavity in scene.cavities]
-    place = np.array([names.index(name) for name in reduced.division.cavities], np.int64)
-    fits = [
-        fit._replace(end_points=ends, cavities=place[fit.cavities], shares=shares)
-        for fit, ends, shares in zip(
-            reduced.reduction.fits, reduced.local_ends, reduced.shared_masses(), strict=True
-        )
-    ]  # fmt: skip
-    return Superelements(
-        tuple(fits), reduced.reduction.degree, reduced.frame_nodes, len(names),
-        nodes.kinds[0].unknowns_of(reduced.frame_nodes), scene.gravity,
-    )  # fmt: skip
 
 
 def _note_unused_contact_surfaces(bodies: list[Body], scene: Scene, notes: list[str]) -> None:
     named = {name for touching in scene.touching for name in touching.pair}
     # A predefined point may omit its body if there is only one.
-    points = scene.contact is not None and bool(scene.contact.points)
+    points = scene.contact and scene.contact.points
     for body in bodies:
-        if body.entry.contact_surface is not None and body.name not in named and not points:
+        if body.entry.contact_surface and body.name not in named and not points:
             notes.append(
                 f"{body.key}.contact_surface is not used: contact.between names no pair with "
                 f"{body.name}"
@@ -653,14 +627,14 @@ def _nothing_moves(scene: Scene) -> SceneError:
     if scene.beams:
         key, what = "beams", "all nodes are fixed or joined to guided bodies"
     elif scene.deformables:
-        key = "body.fixed" if scene.body is not None else "bodies"
+        key = "body.fixed" if scene.body else "bodies"
         what = "all nodes are fixed or attached"
     return scene.error(key, what, "nothing in the scene can move by itself")
 
 
 def _number(
     positions: list[np.ndarray], fixed: list[np.ndarray], sizes: list[float], rigid: tuple,
-    hinges: Hinges | None, reduced: list[ReducedNodes],
+    hinges: Hinges | None, reduced: tuple[ReducedBody, ...],
 ) -> Nodes:  # fmt: skip
     """Number the unknowns: the free nodes, in order."""
     held = np.concatenate([np.empty(0, bool), *fixed])
@@ -678,17 +652,16 @@ def _number(
     return _with_reduced_points(nodes, reduced) if reduced else nodes
 
 
-def _with_held_axes(nodes: Nodes, bodies: list[Body]) -> Nodes:
-    """The nodes, some of which are held along some axes."""
+def _with_held_axes(nodes: Nodes, held_nodes: list[np.ndarray]) -> Nodes:
+    """The nodes, some of which are held along some axes: free nodes of bodies are the first unknowns."""
     free_axes = np.ones((nodes.free_node_count, 3))
-    for body in bodies:
-        if body.vertebrae is None and body.reduction is None:
-            own = np.flatnonzero(~body.fixed)
-            free_axes[nodes.free_index[body.first_node + own]] = ~body.held[own]
+    held = np.concatenate([np.empty((0, 3), bool), *held_nodes])
+    own = ~held[~held.all(axis=1)]
+    free_axes[: len(own)] = own
     return nodes if free_axes.all() else replace(nodes, free_axes=free_axes)
 
 
-def _with_reduced_points(nodes: Nodes, reduced: list[ReducedNodes]) -> Nodes:
+def _with_reduced_points(nodes: Nodes, reduced: tuple[ReducedBody, ...]) -> Nodes:
     """The nodes, the points of reduced bodies numbered after all other carried points."""
     index = nodes.free_index.copy()
     first = nodes.free_node_count + sum(len(kind.carried_unknowns) for kind in nodes.kinds)
@@ -698,12 +671,3 @@ def _with_reduced_points(nodes: Nodes, reduced: list[ReducedNodes]) -> Nodes:
         index[body.first_point : body.first_point + count] = first + np.arange(count)
         first += count
     return replace(nodes, free_index=index, kinds=(*nodes.kinds, *kinds))
-
-
-def _with_coordinates(body: Body, scene: Scene, asked: dict[str, ReducedNodes] | None) -> Body:
-    """A body in the coordinates of its basis, with all points or those that were asked for."""
-    if asked is None:
-        nodes = replace(reduced_nodes(body, scene), first_node=body.first_node)
-    else:
-        nodes = replace(asked[body.name].with_asked_points(), first_node=body.first_node)
-    return replace(body, reduction=nodes)

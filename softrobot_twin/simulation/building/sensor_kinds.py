@@ -58,7 +58,7 @@ def _strings(layout: Layout, entries: Keyed, notes: list[str], contacts: Contact
     """Lengths of strings through bodies."""
     return _of_paths(layout, [
         CablePath(one.name, layout.carried(one.on, one.string, f"{key}.string", notes),
-                  None if one.pull_point is None else np.array(one.pull_point))
+                  np.array(one.pull_point) if one.pull_point else None)
         for key, one in entries])  # fmt: skip
 
 
@@ -164,7 +164,7 @@ def _contacts(layout: Layout, entries: Keyed, notes: list[str], contacts: Contac
     known = () if contacts is None else contacts.pair_names
     pairs = [next((pair for pair in known if set(pair) == set(one.contact)), None) for _, one in entries]
     for (key, one), pair in zip(entries, pairs, strict=True):
-        if contacts is None or pair is None:
+        if pair is None:
             raise layout.scene.error(f"{key}.contact", list(one.contact), "is no pair of contact.between, which has "
                                      f"{', '.join(map(' with '.join, known)) or 'none'}")  # fmt: skip
     spans = np.array([one.full_scale for _, one in entries])
@@ -217,11 +217,11 @@ def sensor_term(layout: Layout, notes: list[str], contacts: Contacts | None, wan
         SceneError: An entry does not fit the bodies.
     """
     scene = layout.scene
-    chosen = [keyed for keyed in in_order(scene) if not wanted or keyed[1].weight is not None]
+    chosen = [keyed for keyed in in_order(scene) if keyed[1].weight or not wanted]
     if wanted and chosen:
-        reason = "slides" if scene.slides else "control" if scene.control is not None else ""
-        key, entry = next((one for one in chosen if one[1].contact is not None), chosen[0])
-        if entry.contact is not None and contacts is not None and contacts.rubs:
+        reason = "slides" if scene.slides else "control" if scene.control else ""
+        key, entry = next((one for one in chosen if one[1].contact), chosen[0])
+        if entry.contact and contacts is not None and contacts.rubs:
             reason = "friction of contacts, which decides with the force"
         if reason:
             raise scene.error(f"{key}.weight", entry.weight, f"is not built beside {reason}")
@@ -230,7 +230,7 @@ def sensor_term(layout: Layout, notes: list[str], contacts: Contacts | None, wan
         own = [keyed for keyed in chosen if kind_of(keyed[1]) == key]
         if own:
             parts.append(kind.build(layout, own, notes, contacts))
-    weights = [one.weight if one.weight is not None else 1.0 for _, one in chosen]
+    weights = [one.weight or 1.0 for _, one in chosen]
     term = Sensors(parts, np.array(weights)) if parts else None
     for index in rows_that_move_nothing(term, layout.nodes) if term is not None and wanted else ():
         key, entry = chosen[index]

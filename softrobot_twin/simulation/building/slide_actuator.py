@@ -126,7 +126,7 @@ class Slides:
             for body in layout.bodies:
                 if slide.body in body.riding:
                     _check_rides_whole(layout, body, slide)
-                    self._slide_of_node[_riders(body)] = index
+                    self._slide_of_node[body.places] = index
                     self._weights[index] += body.mass * self.axes[index] @ np.array(scene.gravity)
 
     def positions(self, positions: np.ndarray) -> np.ndarray:
@@ -186,7 +186,7 @@ class Slides:
         """
         columns = np.zeros((rows.row_count, self.count))
         columns[rows.groups.effectors] = -effector_columns
-        if contacts is not None:
+        if rows.varies:
             columns[rows.groups.contacts] = -self.contact_columns(contacts)
         return columns
 
@@ -224,12 +224,6 @@ class SlideActuator(ActuatorKind):
     def details(self, entry: Slide, group: ActuatorGroup, index: int) -> str:
         """See `ActuatorKind.details`."""
         return f"moves {entry.body} along {list(entry.axis)}"
-
-
-def _riders(body) -> np.ndarray:
-    """Nodes of the scene that are places of a body, shape (count,): not coordinates."""
-    nodes = body.first_node + np.arange(body.scene_node_count)
-    return nodes if body.reduction is None else nodes[body.reduction.are_points()]
 
 
 def _check_rides_whole(layout: Layout, body, slide) -> None:

@@ -15,8 +15,7 @@ from softrobot_twin.simulation.building.actuator_kinds import (
     group_of,
     numbers_of,
 )
-from softrobot_twin.simulation.building.deformable_body import MaterialPart, claimed_cells
-from softrobot_twin.simulation.building.force_building import strained_terms
+from softrobot_twin.simulation.building.deformable_body import MaterialPart, claimed_cells, strained_terms
 from softrobot_twin.simulation.building.scene_layout import Layout
 
 
@@ -53,7 +52,7 @@ class StiffenerActuator(ActuatorKind):
 
     def details(self, entry: Stiffener, group: ActuatorGroup, index: int) -> str:
         """See `ActuatorKind.details`."""
-        whole = "the whole body" if entry.box is None else entry.box.describe()
+        whole = entry.box.describe() if entry.box else "the whole body"
         place = whole if entry.region is None else f"region {entry.region}"
         return f"{place}, E {1e-3 * group.rest_setpoints[index]:.6g} kPa at rest"
 
@@ -69,9 +68,7 @@ def _part(layout: Layout, key: str, entry: Stiffener, notes: list[str]) -> Mater
     cells = np.arange(body.mesh.cell_count)
     if entry.given(("region", "box")):
         cells = claimed_cells(entry, key, body.entry, body.mesh, body.parts, scene, notes)
-    own = [part for part in body.materials
-           if np.array_equal(cells, cells if part.cells is None else part.cells)
-           and (part.cells is not None or len(cells) == body.mesh.cell_count)]  # fmt: skip
+    own = [part for part in body.materials if np.array_equal(cells, part.cells_in(body.mesh))]
     if not own:
         raise scene.error(key, entry.name, "is not the whole of one material: give these cells an "
                           f"entry of {body.key}.materials")

@@ -22,9 +22,10 @@ of work that nobody expects.
 from __future__ import annotations
 
 import shlex
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -33,8 +34,14 @@ from softrobot_twin.geometry.connected_pieces import connected_pieces
 from softrobot_twin.geometry.regions import nodes_in_box
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.cavity_surfaces import CavitySurface
+from softrobot_twin.mechanics.kinematics import Nodes
 from softrobot_twin.mechanics.polynomials import Monomials
-from softrobot_twin.mechanics.superelements import CENTRE_DEGREE, DEFORMATIONS, SuperelementFit
+from softrobot_twin.mechanics.superelements import (
+    CENTRE_DEGREE,
+    DEFORMATIONS,
+    SuperelementFit,
+    Superelements,
+)
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.building.beam_bodies import FramePart
 from softrobot_twin.simulation.building.deformable_body import Body, in_mesh, part_named
@@ -252,9 +259,9 @@ def reduction_path(body: Body, scene: Scene) -> Path:
         scene: Its scene.
     """
     entry = body.entry
-    if entry.vertebrae.superelements is not None:
+    if entry.vertebrae.superelements:
         return scene.file_path(entry.vertebrae.superelements)
-    name = entry.name if entry.mesh.file is None else entry.mesh.file.stem
+    name = entry.mesh.file.stem if entry.mesh.file else entry.name
     return scene.mesh_folder(entry) / f"{name}_vertebrae.npz"
 
 
@@ -372,14 +379,13 @@ def _rest_stiffness(fit: SuperelementFit, degree: int) -> np.ndarray:
 # --- the reduced body ------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class ReducedBody:
-    """What replaces the nodes of a body with vertebrae.
+@dataclass(frozen=True, kw_only=True)
+class VertebraBody(Body):
+    """A body that moves with rigid vertebrae: none of its nodes is among those of a scene.
 
     Attributes:
         division: The body's vertebrae and soft parts.
         reduction: Their superelements.
-        parts: The vertebrae as rigid bodies.
         local_ends: Middles of the faces of each soft part in the frames of its vertebrae [m],
             shape (part_count, 2, 3).
         first_frame_node: First frame node of the first vertebra; four for each.
@@ -387,17 +393,67 @@ class ReducedBody:
 
     division: Division
     reduction: Reduction
-    parts: tuple[FramePart, ...]
     local_ends: np.ndarray
     first_frame_node: int = -1
+    is_reduced: ClassVar[bool] = True
 
-    def carried_by(self, mapping: BarycentricMapping) -> BarycentricMapping:
-        """Points on nodes of the body, on the frame nodes of its vertebrae.
+    @property
+    def whole(self) -> Body:
+        """See `Body.whole`."""
+        return self.division.body
+
+    @property
+    def scene_node_count(self) -> int:
+        """See `Body.scene_node_count`."""
+        return 0
+
+    def rest_nodes(self) -> np.ndarray:
+        """See `Body.rest_nodes`."""
+        return np.empty((0, 3))
+
+    def held_nodes(self) -> np.ndarray:
+        """See `Body.held_nodes`."""
+        return np.empty((0, 3), bool)
+
+    def placed(self, rigid: Iterable, first_frame_node: int) -> VertebraBody:
+        """See `Body.placed`."""
+        return replace(self, first_frame_node=first_frame_node)
+
+    def strained_terms(self, layout) -> tuple:
+        """See `Body.strained_terms`: none, superelements bear its strain."""
+        return ()
+
+    def borne_masses(self, layout) -> np.ndarray:
+        """See `Body.borne_masses`: vertebrae bear its mass."""
+        return np.empty(0)
+
+    def motion_terms(self, layout, free_index: np.ndarray) -> tuple:
+        """See `Body.motion_terms`: none, vertebrae have inertia and damping."""
+        return ()
+
+    def carried_by(self, on_mesh: BarycentricMapping) -> BarycentricMapping:
+        """See `Body.carried_by`: on the frame nodes of its vertebrae."""
+        return on_mesh.through(self.node_carriers())
+
+    def superelements(self, nodes: Nodes, scene: Scene) -> Superelements:
+        """Its superelements, with cavities numbered as in the scene.
 
         Args:
-            mapping: Points on nodes of the body's mesh, numbered from 0.
+            nodes: All nodes of the scene.
+            scene: The scene.
         """
-        return mapping.through(self.node_carriers())
+        names = [cavity.name for cavity in scene.cavities]
+        place = np.array([names.index(name) for name in self.division.cavities], np.int64)
+        fits = [
+            fit._replace(end_points=ends, cavities=place[fit.cavities], shares=shares)
+            for fit, ends, shares in zip(
+                self.reduction.fits, self.local_ends, self.shared_masses(), strict=True
+            )
+        ]  # fmt: skip
+        return Superelements(
+            tuple(fits), self.reduction.degree, self.frame_nodes, len(names),
+            nodes.kinds[0].unknowns_of(self.frame_nodes), scene.gravity,
+        )  # fmt: skip
 
     def shared_masses(self) -> np.ndarray:
         """Mass of the inner nodes of each soft part on the frame nodes of its ends [kg].
@@ -405,7 +461,7 @@ class ReducedBody:
         Returns:
             Shape (part_count, 8).
         """
-        carriers, masses = self.node_carriers(), self.division.body.node_masses()
+        carriers, masses = self.node_carriers(), self.node_masses()
         found = np.zeros((len(self.reduction.fits), 8))
         for own, part in zip(found, self.division.parts, strict=True):
             own[:] = masses[part.inner] @ carriers.barycentric_weights[part.inner]
@@ -414,21 +470,22 @@ class ReducedBody:
     @property
     def frame_nodes(self) -> np.ndarray:
         """First frame node of each vertebra, shape (vertebra_count,)."""
-        return self.first_frame_node + 4 * np.arange(len(self.parts))
+        return self.first_frame_node + 4 * np.arange(len(self.vertebrae))
 
     def node_carriers(self) -> BarycentricMapping:
         """Every node of the body on the frame nodes of its vertebrae."""
         ends, shares = self.division.shares()
-        positions = self.division.body.mesh.node_positions
-        origins = np.array([part.origin for part in self.parts])
-        local = np.einsum("nki,ij->nkj", positions[:, None] - origins[ends], self.parts[0].rotation)
+        positions = self.mesh.node_positions
+        origins = np.array([part.origin for part in self.vertebrae])
+        turn = self.vertebrae[0].rotation
+        local = np.einsum("nki,ij->nkj", positions[:, None] - origins[ends], turn)
         weights = np.concatenate([1.0 - local.sum(axis=2, keepdims=True), local], axis=2)
         nodes = self.frame_nodes[ends][:, :, None] + np.arange(4)
         count = len(positions)
         return BarycentricMapping(nodes.reshape(count, 8), (weights * shares[:, :, None]).reshape(count, 8))
 
 
-def reduced_body(body: Body, walls: tuple[CavitySurface, ...], scene: Scene) -> Body:
+def vertebra_body(body: Body, walls: tuple[CavitySurface, ...], scene: Scene) -> VertebraBody:
     """The body that moves with its vertebrae, by the superelements of its file.
 
     Args:
@@ -451,9 +508,9 @@ def reduced_body(body: Body, walls: tuple[CavitySurface, ...], scene: Scene) -> 
         [fit.end_points[k] - in_mesh(body.entry, parts[fit.ends[k]].origin) for k in range(2)]
         for fit in reduction.fits
     ]).reshape(-1, 2, 3)  # fmt: skip
-    return replace(
-        body, fixed=np.ones_like(body.fixed), riding={},
-        vertebrae=ReducedBody(division, reduction, parts, ends),
+    return body.become(
+        VertebraBody, fixed=np.ones_like(body.fixed), riding={}, vertebrae=parts, division=division,
+        reduction=reduction, local_ends=ends,
     )  # fmt: skip
 
 

@@ -35,20 +35,20 @@ def _where(is_asked: Callable[[Model], object], part: Callable[[Model], StepPart
 
 EFFECTS: list[PartsOf] = [
     _where(lambda model: model.scene.solver.exploration, lambda model: Explorer()),
-    _where(lambda model: model.guides is not None, Guiding),
+    _where(lambda model: model.guides, Guiding),
     _where(lambda model: model.superelements or reduced_bodies(model), SampledRanges),
     _where(lambda model: model.strain_watches, StrainRanges),
     _where(lambda model: model.compression_watches, HexahedraRange),
     memories_of_terms,
     _where(lambda model: model.scene.touches, Touches),
-    _where(lambda model: model.scene.observer is not None, Observed),
+    _where(lambda model: model.scene.observer, Observed),
     _where(lambda model: model.weighs_stiffness, StiffnessTargets),
     near_burst_of,
     grip_margins_of,
     _where(lambda model: model.scene.reactions, Reactions),
-    _where(lambda model: model.sensors is not None, Sensing),
+    _where(lambda model: model.sensors, Sensing),
     _where(lambda model: model.scene.grips, Gripping),
-    _where(lambda model: model.scene.moving_base is not None, MovingBase),
+    _where(lambda model: model.scene.moving_base, MovingBase),
 ]
 """Each gives the parts that a scene calls for."""
 

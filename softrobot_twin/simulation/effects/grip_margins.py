@@ -67,6 +67,6 @@ def grip_margins_of(model: Model) -> Iterator[StepPart]:
         model: The model of a simulation.
     """
     least = {entry.pair: entry.least_grip_margin for entry in model.scene.touching
-             if entry.least_grip_margin is not None}  # fmt: skip
+             if entry.least_grip_margin}  # fmt: skip
     if least:
         yield GripMargins(model.contacts, least)

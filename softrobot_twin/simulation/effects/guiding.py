@@ -46,7 +46,7 @@ class Guiding(StepPart, Leader):
         guides, newton, contacts = self._guides, simulation.newton, simulation.model.contacts
         if not guides.moved:
             return True
-        if contacts is not None:
+        if simulation.model.rows.varies:
             before = simulation.state.positions
             share = contacts.share_before_touch(before, positions, guides.place)
             if share > 0.0:
@@ -69,7 +69,7 @@ class Guiding(StepPart, Leader):
             else:
                 newton.balance.forget_folds()
                 return False
-            if contacts is not None:
+            if simulation.model.rows.varies:
                 contacts.begin_prescribed_move(positions)
             positions[:], gone = tried, gone + part
             if gone >= 1.0:

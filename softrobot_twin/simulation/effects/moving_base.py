@@ -20,7 +20,9 @@ from softrobot_twin.errors import CommandError
 from softrobot_twin.geometry.shortened_vectors import shortened
 from softrobot_twin.mechanics.gravity import Gravity
 from softrobot_twin.mechanics.rotation import rotation_from_quaternion, vector_from_rotation
+from softrobot_twin.simulation.building.deformable_body import of_kind
 from softrobot_twin.simulation.building.model import Model
+from softrobot_twin.simulation.building.reduced_body import ReducedBody
 from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.step.step_part import StepPart
 
@@ -136,7 +138,7 @@ class MovingBase(StepPart):
         model = self._model
         cases = (
             (model.beams, "beams"), (model.superelements, "vertebrae"),
-            (any(body.reduction is not None for body in model.bodies), "reduced bodies"),
+            (of_kind(model.bodies, ReducedBody), "reduced bodies"),
             (any(cavity.liquid_density for cavity in model.scene.cavities), "liquid in cavities"),
         )  # fmt: skip
         return next((word for is_there, word in cases if is_there), "")

@@ -38,8 +38,9 @@ from softrobot_twin.mechanics.reduced_points import ReducedPoints
 from softrobot_twin.mechanics.touch_loads import TouchState
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.scene_changes import without_reductions
-from softrobot_twin.simulation.building.deformable_body import Body
+from softrobot_twin.simulation.building.deformable_body import of_kind
 from softrobot_twin.simulation.building.model import Model
+from softrobot_twin.simulation.building.vertebrae import VertebraBody
 from softrobot_twin.simulation.command import LONG, CommandSetpoints
 from softrobot_twin.simulation.effects.touches import Touched
 from softrobot_twin.simulation.effects.trusted_ranges import coordinate_ranges, reduced_bodies
@@ -101,7 +102,7 @@ class BetterModel:
         """
         parts, first = [], 0
         for body, same in zip(self.model.bodies, self.better.model.bodies, strict=True):
-            parts.append(_refined_nodes(state.positions, body, same))
+            parts.append(same.nodes_as(body, state.positions))
             first += body.scene_node_count
         positions = np.concatenate([*parts, state.positions[first:]])
         for kind in self.better.model.nodes.kinds:
@@ -162,27 +163,6 @@ class ReductionErrors(BetterModel):
         super().__init__(simulation, scene, 1)
 
 
-def _refined_nodes(positions: np.ndarray, own: Body, more: Body) -> np.ndarray:
-    """Nodes of a body in a better model [m], points left out of account.
-
-    Coordinates stay and spare ones are zero; all nodes are where the coordinates place them.
-
-    Args:
-        positions: Node positions of the model with reduced bodies [m], shape (node_count, 3).
-        own: The body in this model.
-        more: The body in the better model.
-    """
-    nodes = own.reduction
-    if nodes is None:
-        return positions[own.first_node : own.first_node + own.scene_node_count]
-    if more.reduction is None:
-        return nodes.mesh_positions(positions)
-    coordinates = positions[nodes.coordinate_nodes]
-    better = np.zeros((more.reduction.node_count, 3))
-    better[: len(coordinates)] = coordinates
-    return better
-
-
 def step_held(simulation: Steppable, state: State) -> StepResult:
     """One step of another model of a scene, with what holds its actuators and touches it kept.
 
@@ -205,7 +185,7 @@ def has_spare_modes(model: Model) -> bool:
         model: The model of a simulation. In motion there is no balance to judge.
     """
     bodies = () if model.is_dynamic else reduced_bodies(model)
-    return any(body.reduction.reduction.spare_count for body in bodies)
+    return any(body.reduction.spare_count for body in bodies)
 
 
 def shares_of_displacement(model: Model, moves: np.ndarray, state: State) -> np.ndarray:
@@ -235,7 +215,7 @@ def reduced_states(model: Model, state: State, errors: ReductionErrors | None) -
     return {
         body.name: ReductionState(
             coordinates.share(state.positions), error_of[body.name].distance,
-            *map(float, body.reduction.reduction.measured), error_of[body.name].share,
+            *map(float, body.reduction.measured), error_of[body.name].share,
             LARGE_BY_SIZE * model.nodes.size,
         )
         for body, coordinates in zip(reduced_bodies(model), coordinate_ranges(model), strict=True)
@@ -254,7 +234,7 @@ def largest_on_each_body(model: Model, values: np.ndarray) -> dict[str, float]:
     """
     only, entries, found = len(model.bodies) == 1, model.scene.effectors, {}
     for body in reduced_bodies(model):
-        own = [entry.body == body.name or (entry.body is None and only) for entry in entries]
+        own = [entry.body == body.name or (only and not entry.body) for entry in entries]
         chosen = values[own] if any(own) else values
         found[body.name] = float(chosen.max()) if len(chosen) else float("nan")
     return found
@@ -307,7 +287,7 @@ def reduction_state(model: Model, name: str, positions: np.ndarray) -> Reduction
         positions: Node positions [m], shape (node_count, 3).
     """
     superelements = model.superelements[name]
-    reduction = next(body.vertebrae.reduction for body in model.bodies if body.name == name)
+    reduction = next(body.reduction for body in of_kind(model.bodies, VertebraBody) if body.name == name)
     superelements.evaluate(positions)
     return ReductionState(
         float(superelements.ranges.max(initial=0.0)), float("nan"), *map(float, reduction.measured))

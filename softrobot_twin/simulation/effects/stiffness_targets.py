@@ -51,7 +51,7 @@ class StiffnessTargets(StepPart):
         length = DEFAULT_LENGTH * model.nodes.size
         effectors = model.scene.effectors
         self.lengths, self._weights = np.array([
-            (0.0, 0.0) if entry is None else (entry.length or length, entry.weight)
+            (entry.length or length, entry.weight) if entry else (0.0, 0.0)
             for entry in (effector.stiffness for effector in effectors)
         ]).T.copy()  # fmt: skip
         first = int(np.argmax(self._weights > 0.0))
@@ -156,5 +156,5 @@ def stiffness_of_scene(scene: Scene) -> np.ndarray:
         scene: The scene.
     """
     free, entries = (None, None, None), [effector.stiffness for effector in scene.effectors]
-    wanted = [free if entry is None else entry.target for entry in entries]
+    wanted = [entry.target if entry else free for entry in entries]
     return np.array(wanted, dtype=float).reshape(-1, 3)

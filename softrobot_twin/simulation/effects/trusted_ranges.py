@@ -16,8 +16,9 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.mechanics.strain_watch import StrainOutside
-from softrobot_twin.simulation.building.deformable_body import Body
+from softrobot_twin.simulation.building.deformable_body import of_kind
 from softrobot_twin.simulation.building.model import Model
+from softrobot_twin.simulation.building.reduced_body import ReducedBody
 from softrobot_twin.simulation.result import COARSE, SAMPLED, STRAINED
 from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.step.newton import Newton
@@ -71,13 +72,13 @@ class SampledRanges(StepPart):
         return PartReport(outside, entries={"sampled_range": most})
 
 
-def reduced_bodies(model: Model) -> tuple[Body, ...]:
+def reduced_bodies(model: Model) -> tuple[ReducedBody, ...]:
     """The bodies in the coordinates of a basis, in the order of their nodes.
 
     Args:
         model: The model of a simulation.
     """
-    return tuple(body for body in model.bodies if body.reduction is not None)
+    return of_kind(model.bodies, ReducedBody)
 
 
 def coordinate_ranges(model: Model) -> tuple[CoordinateRange, ...]:
@@ -89,14 +90,13 @@ def coordinate_ranges(model: Model) -> tuple[CoordinateRange, ...]:
     return tuple(map(_range_of, reduced_bodies(model)))
 
 
-def _range_of(body: Body) -> CoordinateRange:
-    nodes = body.reduction
-    count = nodes.mode_count
-    ranges = nodes.reduction.ranges[:count]
+def _range_of(body: ReducedBody) -> CoordinateRange:
+    count = body.mode_count
+    ranges = body.reduction.ranges[:count]
     # A coordinate that the training never moved has no range to leave but that of rounding.
     least = np.finfo(np.float32).eps * max(float(ranges.max(initial=0.0)), np.finfo(float).tiny)
     scales = 1.0 / (np.sqrt(count) * np.maximum(ranges, least))
-    own = slice(nodes.first_node, nodes.first_node + count // 3)
+    own = slice(body.first_node, body.first_point)
     return CoordinateRange(body.name, own, scales.reshape(-1, 3))
 
 

@@ -83,12 +83,12 @@ class TableFileError(SoftRobotTwinError):
         self.value = value
         self.unit = unit
         self.reason = reason
-        location = f"{path}" if row is None else f"{path}, row {row}"
+        place = "" if row is None else f"row {row}"
         stated = "" if value is None else f" = {value!r} {unit}".rstrip()
         named = f": {column}{stated}" if column else ""
         told = f"{named}: {reason}"
-        self.what = told.removeprefix(": ") if row is None else f"row {row}{told}"
-        super().__init__(f"{location}{told}")
+        self.what = f"{place}{told}".removeprefix(": ")
+        super().__init__(f"{path}{place and ', '}{place}{told}")
 
 
 def read_cells(path: Path, example: str) -> tuple[list[str], list[int], list[list[str]]]:
@@ -632,10 +632,12 @@ def _targets_of(columns: Columns, simulation: Simulation, channel: Channel) -> n
 def _wanted(columns: Columns, name: str, channel: Channel) -> np.ndarray | None:
     """Takes what is wanted of an effector out, shape (row_count, width); None without."""
     values = columns.pop_given(channel.columns(name), np.nan)
-    if values is not None and channel.word == "orientation":
+    if values is None:
+        return None
+    if channel.word == "orientation":
         _refuse_lengths(columns.source, name, values, columns.lines)
         return values / np.linalg.norm(values, axis=1, keepdims=True)
-    if values is not None and channel.word == "stiffness" and (values <= 0.0).any():
+    if channel.word == "stiffness" and (values <= 0.0).any():
         row, axis = np.unravel_index(np.nanargmin(values), values.shape)
         raise columns.error(channel.columns(name)[axis], "must be positive: it is a stiffness",
                             row, float(values[row, axis]), channel.unit)  # fmt: skip
@@ -1043,7 +1045,7 @@ def _pose(columns: Columns, name: str, is_driven: bool, times: np.ndarray) -> Wa
     """Takes the columns of a body or of the base out; gives its poses, None without any."""
     own = position_columns(name) + quaternion_columns(name)
     given = next((one for one in own if one in columns), None)
-    if given is None:
+    if not given:
         return None
     if not is_driven:
         raise columns.error(given, f"{name} is a free body; only guided bodies are driven")
@@ -1061,7 +1063,7 @@ def _touches(columns: Columns, simulation: Simulation) -> dict[str, TouchColumns
     for name in simulation.touch_names:
         for own, are_forces in ((force_columns(name), True), (displacement_columns(name), False)):
             given = next((one for one in own if one in columns), None)
-            if given is not None and name in touches:
+            if given and name in touches:
                 raise columns.error(given, f"{name} is touched by forces or by displacements, not by both")
             values = columns.pop_given(own, 0.0)
             if values is not None:

@@ -109,7 +109,7 @@ class DirectActuation:
         self._efforts = self._before = np.zeros(model.actuators.count)
         self._expected: np.ndarray | None = None
         # Pairs with friction, and others without.
-        self._mixes = model.contacts is not None and len(set(model.contacts.rows_of_pair)) > 1
+        self._mixes = model.rows.varies and len(set(model.contacts.rows_of_pair)) > 1
 
     def warm_up(self) -> None:
         """Compile every contact solver that may be needed."""

@@ -384,7 +384,7 @@ class TargetGoal(Goal):
             worst = np.nanmin(wanted)
             raise CommandError("stiffness", f"{worst} N/m is not a positive stiffness")
         for effector, own in zip(self._model.scene.effectors, wanted, strict=True):
-            if effector.stiffness is None and np.isfinite(own).any():
+            if not effector.stiffness and np.isfinite(own).any():
                 raise CommandError(effector.name, "asks for no stiffness in the scene")
 
     def _with_commanded(self) -> Bounds:
@@ -499,7 +499,7 @@ class Goals:
     def __init__(self, model: Model, direct: DirectActuation, inverse: InverseActuation | None):
         """Take what goals are read and solved by; see the attributes."""
         self.model, self.direct, self.inverse = model, direct, inverse
-        self.wanted_sensors = {one.name: one.weight is not None for _, one in in_order(model.scene)}
+        self.wanted_sensors = {one.name: bool(one.weight) for _, one in in_order(model.scene)}
 
     def read(self, command: Command, state: State) -> Goal:
         """Check a command, and compute the bounds of this step.

@@ -432,8 +432,7 @@ class InverseActuation:
         self._steps, self._row_weights = TargetSteps(model), model.target_rows.weights
         self._energy_weight = max(model.scene.solver.energy_weight, LEAST_ENERGY_WEIGHT)
         self._energy_now, self._longest = self._energy_weight, LONGEST_REACH * model.nodes.size
-        limit = None if model.scene.contact is None else model.scene.contact.force_limit
-        self.force_limit = np.inf if limit is None else limit
+        self.force_limit = (model.scene.contact and model.scene.contact.force_limit) or np.inf
         actuators = model.actuators
         count, self._is_moved = actuators.count, actuators.is_moved
         self._one_sided = actuators.one_sided

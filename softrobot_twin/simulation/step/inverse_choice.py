@@ -36,6 +36,5 @@ def build_inverse(model: Model, direct: DirectActuation) -> InverseActuation | N
             f"solver.energy_weight: {weight:g} is less than the arithmetic bears: "
             f"{LEAST_ENERGY_WEIGHT:.2g} is used"
         )
-    rubs = model.contacts is not None and model.contacts.rubs
-    kind = InverseWithFriction if rubs else Follower
+    kind = InverseWithFriction if model.rubs else Follower
     return kind(model, direct)

@@ -354,8 +354,8 @@ class Grips(NamedTuple):
     is_margin: np.ndarray
 
     @classmethod
-    def of(cls, model: Model) -> Self | None:
-        """Those of a scene; None without any.
+    def of(cls, model: Model) -> Self:
+        """Those of a scene, which may name none.
 
         Args:
             model: A scene with friction.
@@ -363,8 +363,6 @@ class Grips(NamedTuple):
         keys, between = ("least_force", "least_grip_margin"), model.scene.contact.between
         found = [(one.pair, key, getattr(one, key)) for key in keys for one in between
                  if getattr(one, key)]  # fmt: skip
-        if not found:
-            return None
         names = tuple(".".join((*pair, key.replace("least_grip", "grip"))) for pair, key, _ in found)
         is_of = model.contacts.pairs_named([pair for pair, _, _ in found])
         return cls(names, is_of, np.array([least for *_, least in found]),
@@ -586,7 +584,7 @@ class InverseWithFriction(Follower):
         self._negligible = NO_MATTER * self._tolerance
         most = float(model.contacts.friction_of_pair.max())
         self._brakes = model.is_dynamic
-        self._judges_forces = self.force_limit < np.inf or self._grips is not None
+        self._judges_forces = self.force_limit < np.inf or bool(self._grips.names)
         self._friction = min(1.0, most / MUCH_FRICTION)
         self._left_out = (1.0 - SHARE) * self._friction
         self._rubs = most > LITTLE_FRICTION
@@ -597,7 +595,7 @@ class InverseWithFriction(Follower):
             0, np.zeros(1, np.int64), none, none, no, no, none, none, 0.0, False, matrix, matrix,
             matrix, none,
         )  # fmt: skip
-        if self._grips is not None:
+        if self._grips.names:
             self._grips.sums(model.contacts, none)
 
     def reset(self) -> None:
@@ -609,7 +607,7 @@ class InverseWithFriction(Follower):
         self._targets = self._moved = None
         self._has_come, self._tried_length = False, GREATEST
         # Least forces and margins that lacked in the last optimum.
-        self._lacked = np.zeros(0 if self._grips is None else len(self._grips.least), bool)
+        self._lacked = np.zeros(len(self._grips.names), bool)
 
     def solve(
         self, linear: Linearized, target_rows: np.ndarray, held: Actuation, bounds: Bounds,
@@ -667,7 +665,7 @@ class InverseWithFriction(Follower):
                 )
 
             rows, from_normals = extra, self._on_normals(at, tied)
-            if self._grips is None:
+            if not self._grips.names:
                 return asked(errors, weights)
             (a, _, c), (ties, offset) = tied.groups, tied.ties
             grip, least = self._grips.rows(linear, self._contacts, at.contact.multipliers)
@@ -732,7 +730,7 @@ class InverseWithFriction(Follower):
             best = self._with_friction(linear, half, bounds, best)
         is_stalled = aim.missed(best) > (1.0 - PROGRESS) * before
         self._search.is_stalled = is_stalled and not is_reached
-        slips = self._grips is not None and self._grips.slips_on(
+        slips = self._grips.names and self._grips.slips_on(
             self._contacts, held.contact.multipliers, best.contact.multipliers
         )
         if aim.missed(best) > before + negligible or slips:
@@ -981,7 +979,7 @@ class InverseWithFriction(Follower):
         forces = self._of_all_rows(forces)
         rows = linear.groups.contacts.start + normals
         beyond = np.maximum(forces[normals] - self.force_limit, 0.0) * linear.W[rows, rows]
-        if self._grips is None:
+        if not self._grips.names:
             return beyond
         grip, least = self._grips.rows(linear, self._contacts, forces)
         return np.append(beyond, np.maximum(least - grip @ forces, 0.0))
@@ -992,7 +990,7 @@ class InverseWithFriction(Follower):
             return ()
         forces, normals = self._of_all_rows(forces), self._contacts.row_starts[:-1]
         limits = super()._limits_met(forces[normals])
-        return limits if self._grips is None else limits + self._grips.met(self._contacts, forces)
+        return limits + self._grips.met(self._contacts, forces) if self._grips.names else limits
 
     def _of_all_rows(self, forces: np.ndarray) -> np.ndarray:
         """Forces of all rows; of a promise, whose margins are kept, those along normals alone."""

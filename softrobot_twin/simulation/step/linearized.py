@@ -116,6 +116,9 @@ class PrescribedMoves(NamedTuple):
     columns: np.ndarray
 
 
+NO_MOVES = PrescribedMoves(np.empty(0), np.empty((0, 0)))
+
+
 class Linearized:
     """The condensed system around one state.
 
@@ -138,7 +141,7 @@ class Linearized:
 
     def __init__(
         self, factorization: Factorization, stack: RowStack, forces: np.ndarray,
-        moves: PrescribedMoves | None = None, row_starts: np.ndarray | None = None,
+        moves: PrescribedMoves = NO_MOVES, row_starts: np.ndarray | None = None,
         pressing: np.ndarray | None = None, augmentation: Augmentation | None = None,
         multipliers: np.ndarray | None = None,
     ):  # fmt: skip
@@ -148,7 +151,7 @@ class Linearized:
             factorization: A⁻¹, or the augmented tangent in its place.
             stack: All rows at the state.
             forces: b [N], shape (free_node_count, 3).
-            moves: The slides; None without any.
+            moves: The slides.
             row_starts: First row of each contact and the number of all rows, shape
                 (contact_count + 1,); None if no contact may be omitted.
             pressing: Contacts that are expected to press, if the others may be omitted, shape
@@ -162,7 +165,7 @@ class Linearized:
         self._factorization, self._forces = factorization, forces
         self._H = NodeRows(stack.row_index, stack.node_index, stack.blocks, stack.row_count)
         self._values, self._all, self._moves = stack.values.copy(), stack.groups, moves
-        self.move_count = 0 if moves is None else len(moves.displacements)
+        self.move_count = len(moves.displacements)
         self._own, self._told, self._shown = stack.own_compliance(), stack.told, stack.by_contacts()
         self._row_starts = row_starts
         self._has_contacts = stack.groups.contacts.stop > stack.groups.contacts.start
@@ -274,7 +277,7 @@ class Linearized:
     def _take_in(self, compliance: Compliance, free: np.ndarray) -> None:
         self.compliance, self.violation = compliance, self._values + free
         self.groups, self.rows, self.chosen = self._all, None, None
-        if self._moves is not None:
+        if self.move_count:
             self._of_rows = compliance
             self._add_moves()
 
@@ -348,7 +351,7 @@ class Linearized:
         """
         first, stop = self.groups.actuators.stop - self.move_count, self.groups.contacts.start
         violation = np.concatenate([self.violation[:first], self.violation[stop:]])
-        if self._moves is None:
+        if not self.move_count:
             return self.compliance.without(first, stop), violation
         violation[first:] += self.W[stop:, first : first + self.move_count] @ moves
         return self._of_rows.without(first, stop - self.move_count), violation

@@ -133,17 +133,16 @@ class ShareRule:
             balance: Sums its terms.
         """
         self._model, self._move, self._balance = model, move, balance
-        rubs = model.contacts is not None and not model.contacts.conserves
         is_slender = any(term.is_slender for term in model.forces)
-        self.judges = not (model.is_dynamic or is_slender or rubs)
+        self.judges = not (model.is_dynamic or is_slender or model.rubs)
         # A single point has no size, and no round-off that could be told from a move.
         self.round_off = ROUND_OFF * model.nodes.size if math.isfinite(model.nodes.size) else 0.0
         actuators = model.actuators
         self._stays_upright = any(term.stays_upright for term in model.forces)
         self._holds = ~(actuators.is_effort_driven | actuators.is_moved)[model.rows.groups.actuators]
         # What the last move of the step displaced, where contacts may lead to and fro.
-        may_swing = model.rows.varies and not (self.judges or model.is_dynamic)
-        self._last_way = np.zeros_like(move.displacement) if may_swing else None
+        self._may_swing = model.rows.varies and not (self.judges or model.is_dynamic)
+        self._last_way = np.zeros((len(move.displacement) if self._may_swing else 0, 3))
         self.forget()
 
     def forget(self) -> None:
@@ -154,8 +153,7 @@ class ShareRule:
 
     def begin_step(self) -> None:
         """Forget the move before."""
-        if self._last_way is not None:
-            self._last_way[:] = 0.0
+        self._last_way[:] = 0.0
 
     def begin(self, actuation: Actuation, slope: float, is_judged: bool) -> None:
         """Take a move.
@@ -168,7 +166,7 @@ class ShareRule:
         self.is_judging, self._actuation, self._slope = is_judged, actuation, abs(slope)
         self.folds_whole = False
         contacts = self._model.contacts
-        if is_judged and contacts is not None:
+        if is_judged and self._model.rows.varies:
             normals = actuation.contact.multipliers[contacts.row_starts[:-1]]
             pairs, values = contacts.pair[: contacts.count], self._model.rows.values
             self._bears = np.bincount(pairs, normals, len(contacts.pairs))
@@ -182,7 +180,7 @@ class ShareRule:
         Contacts of other edges and facets are what the linearization does not know.
         """
         contacts = self._model.contacts
-        if contacts is None:
+        if not self._model.rows.varies:
             return
         self._overlaps = self._deepest(contacts.pair[: contacts.count], contacts.overlaps)
         if not self.is_judging:
@@ -272,7 +270,7 @@ class ShareRule:
         if self.folds_whole:
             settled *= self._balance.upright_share(self._move.start, positions)
             self._make(positions, settled)
-        elif (is_sought or self._last_way is None) and not (self.is_judging and (
+        elif (is_sought or not self._may_swing) and not (self.is_judging and (
                 is_too_stiff or self._doubt or not self.work() >= -OVERSHOOT * self._slope)):  # fmt: skip
             return share
         if self.went_too_far(positions, settled) or (self._balance.is_folded and not may_fold):
@@ -281,7 +279,7 @@ class ShareRule:
         may_lengthen = is_too_stiff and self.is_judging and not (was_folded or is_sought)
         if may_lengthen and self.work() > TOO_SHORT * self._slope:
             return self._lengthened(positions, settled)
-        if settled == share and self._last_way is not None and not is_sought:
+        if settled == share and self._may_swing and not is_sought:
             settled *= self._share_without_swing(share)
             if settled != share:
                 self._make(positions, settled)

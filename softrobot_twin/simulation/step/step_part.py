@@ -58,7 +58,7 @@ class StepPart:
         name: Key of its memory and of its report.
         figures: Names of what it reports of each step, which end in their units; tables, results,
             records and ``~/figures`` of a twin show them.
-        takes: Class of what it takes of a step's measurements; None if it needs none.
+        takes: Class of what it takes of a step's measurements; empty if it needs none.
         samples: Measurements that change nothing, by which all that a step may need of it is compiled.
         may_rest: Whether a state in balance may be kept while the command stays.
         depends_on_time: Whether it matters how long actuators are held.
@@ -72,7 +72,7 @@ class StepPart:
 
     name: str
     figures: tuple[str, ...] = ()
-    takes: type | None = None
+    takes: type | tuple[()] = ()
     samples: tuple = ()
     may_rest: bool = True
     depends_on_time: bool = False

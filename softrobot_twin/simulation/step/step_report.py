@@ -175,7 +175,7 @@ class StepResults:
             active = (*active, ITERATIONS)
         if goal.held is None and newton.tangent.is_projected:
             active = (*active, UNSTABLE)
-        if goal.follows and not met and model.contacts is not None and model.contacts.rubs:
+        if goal.follows and not met and model.rubs:
             active = (*active, *what_touches(model.contacts, actuation.contact.multipliers))
         figures, entries, readings = {}, {}, {}
         for part, own in zip(self._parts, told):
@@ -184,7 +184,7 @@ class StepResults:
             entries |= own.entries
             readings |= own.readings
         touching = None
-        if model.contacts is not None:
+        if model.rows.varies:
             loads = model.actuators.load(actuation.efforts) + actuation.contact.load
             touching = contact_forces(
                 model.contacts, actuation.contact.multipliers, outcome.positions,

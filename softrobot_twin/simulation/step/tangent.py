@@ -14,6 +14,7 @@ from softrobot_twin.simulation.step.actuation import Actuation
 from softrobot_twin.simulation.step.augmented_tangent import HeldActuators, augmented_tangent_of
 from softrobot_twin.simulation.step.force_balance import ForceBalance
 from softrobot_twin.simulation.step.linearized import (
+    NO_MOVES,
     Linearized,
     LinearizedState,
     PrescribedMoves,
@@ -61,10 +62,7 @@ class Tangent:
             self._effector_columns = model.slides.effector_columns(model.effectors)
         self._conserves, self._follows = model.actuators.conserves, False
         # In an inverse problem all contacts have a part, and so they have where slides move them.
-        self._leaves_out = (
-            self._rows.varies and not model.contacts.conserves and model.slides is None
-            and self._conserves
-        )
+        self._leaves_out = model.rubs and model.slides is None and self._conserves
         self.is_projected = self.is_augmented = False
         self._augmented, self._held = augmented_tangent_of(model), None
         self.projects_in_part = (
@@ -316,7 +314,7 @@ class Tangent:
         if self._leaves_out and not self._follows:
             row_starts = model.contacts.row_starts
             pressing = expected_to_press(model.contacts, rows.values[rows.groups.contacts])
-        moves = None
+        moves = NO_MOVES
         if model.slides is not None:
             columns = model.slides.columns(rows, self._effector_columns, model.contacts)
             moves = PrescribedMoves(-model.slides.positions(positions), columns)

@@ -175,12 +175,13 @@ class Weights(NamedTuple):
     zeta: float
 
     @classmethod
-    def of_radius(cls, radius: float) -> Weights:
+    def of_radius(cls, radius: float | None) -> Weights:
         """The weights of least damping at low frequencies for a spectral radius, 0 to 1.
 
         Args:
-            radius: The spectral radius at high frequencies [-].
+            radius: The spectral radius at high frequencies [-]; None for `DEFAULT_RADIUS`.
         """
+        radius = DEFAULT_RADIUS if radius is None else radius
         alpha_m, alpha_f = (2.0 * radius - 1.0) / (radius + 1.0), radius / (radius + 1.0)
         gamma = 0.5 - alpha_m + alpha_f
         beta = 0.25 * (1.0 - alpha_m + alpha_f) ** 2
@@ -197,8 +198,7 @@ class GeneralizedAlpha(Dynamics):
             model: The built scene, with integration dynamic.
         """
         super().__init__(model)
-        radius = model.scene.spectral_radius
-        self._own_weights = Weights.of_radius(DEFAULT_RADIUS if radius is None else radius)
+        self._own_weights = Weights.of_radius(model.scene.spectral_radius)
         self._towards_targets = Weights.of_radius(0.0)
         self._weights = self._own_weights
         self._model = model
@@ -207,7 +207,7 @@ class GeneralizedAlpha(Dynamics):
         self._damping = [term for term in moving if not term.is_inertia]
         self._rigid_inertia = [term for term in self._inertia if hasattr(term, "carry_rates")]
         self._zeta = 0.0
-        self._has_contacts = model.contacts is not None
+        self._has_contacts = model.rows.varies
 
     def knows(self, past: PastMotion | None) -> bool:
         """See `Statics.knows`."""
