@@ -3,13 +3,7 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.simulation import (
-    CommandEfforts,
-    CommandSetpoints,
-    FollowTargets,
-    Hold,
-    Status,
-)
+from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, FollowTargets, Hold
 from test.scene_changes import in_balance
 
 PRESSURES = (-1e9, -1e5, -1e3, 0.0, 1e3, 1e4, 1e5, 1e9)
