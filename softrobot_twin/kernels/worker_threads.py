@@ -25,7 +25,6 @@ import threading
 import weakref
 from collections.abc import Callable
 from contextlib import suppress
-from itertools import count
 from queue import SimpleQueue
 
 import numpy as np
@@ -33,7 +32,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from softrobot_twin.kernels.compilation import INNER, KERNEL, njit
+from softrobot_twin.kernels.compilation import INNER, njit
 
 MOST_BY_DEFAULT = 4
 """Threads that are used where nobody says how many, at most."""
@@ -42,9 +41,6 @@ NEXT, STOPPED, NOTED, STATE_SIZE = 0, 8, 9, 16
 what a kernel notes; all begin with zero."""
 # Looks at a task that is not done before the thread lets others run, and before it sleeps.
 _LOOKS, _YIELDS, _NAP = 4000, 200, 50
-# How often a helper without a job lets others run before it sleeps: a quarter of a millisecond, in which
-# most stages of a step follow each other. A helper that sleeps needs half as long to wake up.
-_IDLE_YIELDS = 600
 _yield = types.ExternalFunction("sched_yield", types.int32())
 _sleep = types.ExternalFunction("usleep", types.int32(types.uint32))
 _WORD = ir.IntType(64)
@@ -121,20 +117,6 @@ def note(number, place, state):
     return _fetch_and_add(state.ctypes.data + 8 * (NOTED + place), number) + number
 
 
-@njit(**KERNEL)
-def await_job(number, posted):
-    """Look for some time whether more jobs were posted than a number, before the thread sleeps.
-
-    Args:
-        number: Jobs that the helper has done.
-        posted: How many were posted, shape (1,).
-    """
-    for _ in range(_IDLE_YIELDS):
-        if _read(posted.ctypes.data) != number:
-            return
-        _yield()
-
-
 NO_TASKS = np.zeros(0, np.int64)
 
 
@@ -193,9 +175,9 @@ def helper_ids() -> set[int]:
     return set(_helper_ids)
 
 
-def _help(jobs: SimpleQueue, posted: np.ndarray) -> None:
-    """Work on jobs, of which `posted` counts those that came, until there is none instead of one."""
-    priority, own, number = None, threading.get_native_id(), count(1)
+def _help(jobs: SimpleQueue) -> None:
+    """Work on jobs until there is none instead of one."""
+    priority, own = None, threading.get_native_id()
     _helper_ids.add(own)
     while (job := jobs.get()) is not None:
         if job.priority != priority:
@@ -203,7 +185,6 @@ def _help(jobs: SimpleQueue, posted: np.ndarray) -> None:
             _take_priority(priority)
         job.work()
         job = None  # Its arrays are not kept while the helper waits.
-        await_job(next(number), posted)
     _helper_ids.discard(own)
 
 
@@ -227,10 +208,9 @@ class Team:
     def _start(self) -> None:
         """Start helpers: those of a process are not in one that was forked from it."""
         self._process = os.getpid()
-        self._jobs, self._posted = [SimpleQueue() for _ in range(self.count - 1)], np.zeros(1, np.int64)
+        self._jobs = [SimpleQueue() for _ in range(self.count - 1)]
         for jobs in self._jobs:
-            threading.Thread(
-                target=_help, args=(jobs, self._posted), name="step helper", daemon=True).start()
+            threading.Thread(target=_help, args=(jobs,), name="step helper", daemon=True).start()
         weakref.finalize(self, _dismiss, self._jobs, self._process)
 
     def __reduce__(self):
@@ -259,7 +239,6 @@ class Team:
         job = _Job(state, kernel, arguments)
         for jobs in self._jobs:
             jobs.put(job)
-        self._posted += 1
         try:
             result = kernel(True, *arguments)
         except BaseException:
