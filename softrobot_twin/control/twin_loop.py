@@ -377,6 +377,9 @@ class TwinLoop:
         self.inputs = inputs_of(simulation, mode, settings, frame_id, self.cavities, velocity_effector)
         vars(self).update(self.inputs)
         self._channels = {one.name: self.inputs[one.measured_name] for one in measured()}
+        # Most robots have objects of few channels: the others tell the same in each tick.
+        self._measurable = {one.name: self._channels[one.name] for one in measured() if one.names(simulation)}
+        self._measured = {name: one.read(-math.inf) for name, one in self._channels.items()}
         # Together in the order of the scene's sensors.
         self._by_sensors = [one for name, one in self._channels.items() if name.startswith("sensor_")]
         self._no_targets = TargetReading.none(simulation.oriented_effectors)
@@ -729,7 +732,7 @@ class TwinLoop:
             activity, cause, result, released, violated, aims.reading, aims.aims, predicted,
             measured, misfit, effectors, errors, poses, self._plausibility.left_out,
             aims.is_approaching, self.simulation.orientation_angles(aims.reading.orientations),
-            {name: one.read(now) for name, one in self._channels.items()},
+            {**self._measured, **{name: one.read(now) for name, one in self._measurable.items()}},
         )  # fmt: skip
         is_resting = result.report.is_resting and activity in _MAY_REPEAT and not violated
         if is_resting and not self._waits(now):
@@ -778,7 +781,7 @@ class TwinLoop:
             or self.markers.age(now) <= settings.marker_timeout
             or (self.use_device and not self.device_is_lost(now))
             or self._is_disputed(now)
-            or any(one.age(now) <= settings.device_timeout for one in self._channels.values())
+            or any(one.age(now) <= settings.device_timeout for one in self._measurable.values())
             or self.commands.age(now) <= settings.target_timeout
             or (targets is not None and targets.age(now) <= settings.target_timeout)
             or self.correction.is_any
@@ -858,8 +861,10 @@ class TwinLoop:
 
     def _is_led(self, reading: TargetReading) -> bool:
         """Whether there are targets, of places, stiffness or sensors."""
-        has_others = any(one is not None and one.is_given for one in (self.stiffness, self.sensors))
-        return self.mode is Mode.INVERSE and (has_others or any(map(math.isfinite, reading.targets.flat)))
+        return self.mode is Mode.INVERSE and (
+            any(map(math.isfinite, reading.targets.flat))
+            or (self.stiffness is not None and self.stiffness.is_given)
+            or (self.sensors is not None and self.sensors.is_given))
 
     def _loss(self, now: float, measured: np.ndarray) -> str:
         """The lost measurement for which the robot must hold; empty when there is none."""

@@ -240,6 +240,19 @@ class StepReport:
     is_exploring: bool = False
     figures: Mapping[str, float] = field(default_factory=dict)
 
+    @classmethod
+    def of(cls, **entries: object) -> StepReport:
+        """A report of entries by their names, `figures` among them; the others are its defaults.
+
+        Each step makes one: this takes a quarter of the time of a call of a frozen class.
+
+        Args:
+            **entries: The entries.
+        """
+        report = object.__new__(cls)
+        report.__dict__.update(entries)
+        return report
+
     @property
     def is_overloaded(self) -> bool:
         """True when the budget left no time for a linearization."""
@@ -292,12 +305,12 @@ class StepResult:
     stiffness_errors: np.ndarray | None = field(default_factory=_none)
 
     @classmethod
-    def when_read(cls, state: State, make: Callable[[], StepResult]) -> StepResult:
+    def when_read(cls, state: State, make: Callable[[], dict[str, object]]) -> StepResult:
         """A result of which all but the state is made when it is read first.
 
         Args:
             state: The new state.
-            make: Makes the result.
+            make: Makes all other fields, by their names.
         """
         result = object.__new__(cls)
         result.__dict__.update(state=state, _make=make)
@@ -307,7 +320,7 @@ class StepResult:
         """Make what was not made yet, before that which it is made from changes."""
         make = self.__dict__.get("_make")
         if make is not None:
-            self.__dict__.update(make().__dict__)
+            self.__dict__.update(make())
             self.__dict__.pop("_make", None)
 
     def __getattr__(self, name: str):

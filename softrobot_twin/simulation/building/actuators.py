@@ -220,6 +220,8 @@ class Actuators:
             setpoints: Each in the unit of its kind, shape (count,).
             reached: δ of the actuators with rows, shape (row_count,).
         """
+        if self.limits.are_all_effort_driven and self.row_count == self.count:
+            return reached.copy()
         displacements = self.drives(setpoints)
         if self.limits.has_effort_driven:
             own = slice(0, self.row_count)

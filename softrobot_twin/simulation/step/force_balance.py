@@ -99,15 +99,15 @@ class ForceBalance:
         self.inverted_count, self.is_folded = 0, False
 
     def expect(self, time_step: float) -> None:
-        """Let a step begin; its stages run in Python where it is longer or shorter than before.
+        """Let a step begin; its stages run in Python where terms learn that its duration is another one.
 
         Args:
             time_step: Its duration [s].
         """
         self._is_at_start = True
-        if time_step != self.time_step:
-            self.time_step = time_step
+        if time_step != self.time_step and self._model.beginners:
             self.forget_stages()
+        self.time_step = time_step
 
     def forget_stages(self) -> None:
         """Let the stages run in Python once: something else than their arrays has changed."""

@@ -87,6 +87,9 @@ def are_near(displacements, made, scales):
     return True
 
 
+_NO_MISSES = np.empty(0)
+
+
 class Goal:
     """What a step is asked for, checked, and the bounds of the step; base of the four goals.
 
@@ -201,7 +204,7 @@ class Goal:
 
     def misses_of_sensors(self, positions: np.ndarray) -> np.ndarray:
         """How far sensors are from their targets; see `TargetGoal`."""
-        return np.empty(0)
+        return _NO_MISSES
 
     def keeps(self, before: State, after: State, is_stable: bool) -> bool:
         """Whether a step that ended in balance changed nothing but by round-off.
@@ -360,7 +363,7 @@ class TargetGoal(Goal):
             positions: Node positions [m], shape (node_count, 3).
         """
         if self._sensors is None:
-            return np.empty(0)
+            return _NO_MISSES
         shown = self._sensors.readings(positions) * self._sensors.lengths
         return np.abs(shown - self._of_sensors)
 
