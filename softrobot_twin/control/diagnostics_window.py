@@ -104,9 +104,8 @@ class DiagnosticsWindow:
         self.limits.update(report.active_limits)
         if report.strains:
             self.strains |= {outside.key: outside for outside in report.strains}
-        if outcome.violated:
-            self.violated.update(outcome.violated)
-            self.blocked += 1
+        self.violated.update(outcome.violated)
+        self.blocked += bool(outcome.violated)
         if result.contacts is not None:
             self._add_contacts(result)
         for error in outcome.tracking_errors.tolist():

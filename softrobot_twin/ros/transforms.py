@@ -236,14 +236,12 @@ class TransformOutput:
         return self.publisher is not None and self._audience.hears(self.publisher)
 
     def publish(self, outcome: TickOutcome, make_header: Callable[[], Header]) -> None:
-        """Publishes a tick to those who listen.
+        """Publishes a tick, where it is heard.
 
         Args:
             outcome: What the tick told.
             make_header: Gives the header of the tick's messages.
         """
-        if not self.is_heard:
-            return
         header = make_header()
         positions, turns = self._simulation.rigid_poses()
         ends = outcome.result.effector_positions

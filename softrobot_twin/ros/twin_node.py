@@ -198,14 +198,12 @@ class ComplianceOutputs:
         return self._audience.hears_any((*self._compliances, *self._jacobians))
 
     def publish(self, outcome: TickOutcome, header: Callable[[], Header]) -> None:
-        """Publishes a tick to those who listen.
+        """Publishes a tick to those who listen, where there are any.
 
         Args:
             outcome: What the tick told.
             header: Gives the header of the tick's messages.
         """
-        if not self.is_heard:
-            return
         loop = self._loop
         if self._compliance is None:
             self._compliance = EffectorCompliance(loop.simulation)
@@ -604,8 +602,7 @@ class TwinNode(TickingNode):
         for output, make, publishers in self._outputs:
             heard = [(index, one) for index, one in publishers.items()
                      if type(one) is not Publisher or self._audience.hears(one)]
-            is_wanted = not output.is_costly or any(self._audience.hears(one) for _, one in heard)
-            if heard and is_wanted:
+            if heard and (not output.is_costly or self._audience.hears_any(one for _, one in heard)):
                 self._heard.append((output, make, heard))
 
     def _publish_command(self, command: ActuatorCommand, poses: Mapping[str, Pose], stamp: int) -> None:

@@ -16,7 +16,7 @@ from softrobot_twin.constraints.contact import Contacts
 from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.mechanics.strain_watch import StrainOutside
 from softrobot_twin.mechanics.touch_loads import TouchState
-from softrobot_twin.simulation.state import State
+from softrobot_twin.simulation.state import State, made
 
 # Contacts that carry less than this share of all loads are omitted.
 CARRIES = 1.0e-9
@@ -240,19 +240,6 @@ class StepReport:
     is_exploring: bool = False
     figures: Mapping[str, float] = field(default_factory=dict)
 
-    @classmethod
-    def of(cls, **entries: object) -> StepReport:
-        """A report of entries by their names, `figures` among them; the others are its defaults.
-
-        Each step makes one: this takes a quarter of the time of a call of a frozen class.
-
-        Args:
-            **entries: The entries.
-        """
-        report = object.__new__(cls)
-        report.__dict__.update(entries)
-        return report
-
     @property
     def is_overloaded(self) -> bool:
         """True when the budget left no time for a linearization."""
@@ -312,9 +299,7 @@ class StepResult:
             state: The new state.
             make: Makes all other fields, by their names.
         """
-        result = object.__new__(cls)
-        result.__dict__.update(state=state, _make=make)
-        return result
+        return made(cls, state=state, _make=make)
 
     def make(self) -> None:
         """Make what was not made yet, before that which it is made from changes."""

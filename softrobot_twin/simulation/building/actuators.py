@@ -224,8 +224,7 @@ class Actuators:
             return reached.copy()
         displacements = self.drives(setpoints)
         if self.limits.has_effort_driven:
-            own = slice(0, self.row_count)
-            displacements[own] = np.where(self.is_effort_driven[own], reached, displacements[own])
+            np.copyto(displacements[: self.row_count], reached, where=self.is_effort_driven[: self.row_count])
         return displacements
 
     def setpoints(self, drives: np.ndarray) -> np.ndarray:

@@ -470,12 +470,8 @@ class ActuatorLimits:
             return []
         if is_slack is not None and found[:, 0].any():
             found[is_slack(), 0] = 0
-        names = []
-        for i, sides in enumerate(found.tolist()):
-            for k, side in enumerate(sides):
-                if side:
-                    names.append(f"{self.names[i]}.{self._word(i, k, side > 0, bounds)}")
-        return names
+        return [f"{self.names[i]}.{self._word(i, k, side > 0, bounds)}"
+                for i, sides in enumerate(found.tolist()) for k, side in enumerate(sides) if side]
 
     def _word(self, i: int, k: int, is_high: bool, bounds: Bounds) -> str:
         """The name of an active limit of an actuator's displacement (k = 0) or effort (k = 1)."""
@@ -491,9 +487,8 @@ class ActuatorLimits:
 
     def _high_efforts(self, bounds: Bounds) -> np.ndarray:
         """Efforts from which on the greatest one of this step counts as reached."""
-        if not self.has_effort_driven:
-            return self._most_efforts
-        return np.minimum(self._most_efforts, bounds.effort_max)
+        own = self._most_efforts
+        return np.minimum(own, bounds.effort_max) if self.has_effort_driven else own
 
     def _low_efforts(self, bounds: Bounds) -> np.ndarray:
         """Efforts up to which the least one of this step counts as reached."""

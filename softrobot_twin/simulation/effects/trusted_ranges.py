@@ -64,8 +64,7 @@ class SampledRanges(StepPart):
     def report(self, state: State, newton: Newton) -> PartReport:
         """See `StepPart`."""
         shares = {name: np.maximum.reduce(one.ranges, None) for name, one in self._superelements.items()}
-        for one in self._coordinates:
-            shares[one.name] = one.share(state.positions)
+        shares |= {one.name: one.share(state.positions) for one in self._coordinates}
         most, outside = max(shares.values()), ()
         if most > 1.0:
             outside = tuple(f"{name}.{SAMPLED}" for name, share in shares.items() if share > 1.0)

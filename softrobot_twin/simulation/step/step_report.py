@@ -20,7 +20,7 @@ from softrobot_twin.simulation.result import (
     StepResult,
     contact_forces,
 )
-from softrobot_twin.simulation.state import State
+from softrobot_twin.simulation.state import State, made
 from softrobot_twin.simulation.step.actuation import INVERSION, Actuation, ContactLoads
 from softrobot_twin.simulation.step.goals import REACH, Goal
 from softrobot_twin.simulation.step.linearized import Linearized
@@ -140,7 +140,7 @@ class StepResults:
     def of_step(
         self, goal: Goal, outcome: Outcome, clock: StageClock, before: State, state: State
     ) -> dict[str, object]:
-        """The fields of a `StepResult` beside its state, by their names, before the model changes again.
+        """The result of a step with a new state but for that state, before the model changes again.
 
         Args:
             goal: What was asked.
@@ -148,6 +148,9 @@ class StepResults:
             clock: Booked the stages.
             before: The state that it began with.
             state: The new state.
+
+        Returns:
+            The fields of a `StepResult` beside its state, by their names.
         """
         model, newton, actuation = self._model, self._newton, outcome.actuation
         balance, tangent = newton.balance, newton.tangent
@@ -165,9 +168,7 @@ class StepResults:
         if goal.follows and not met and not any(limit.endswith(RATE) for limit in active):
             was_at = model.effectors.positions(before.positions)
             _, _, missed_before = self._missed(goal, was_at, before.positions, told, 1)
-            active = (*active, *goal.what_else_holds(
-                outcome.linear, outcome.held, missed_before, missed
-            ))  # fmt: skip
+            active = (*active, *goal.what_else_holds(outcome.linear, outcome.held, missed_before, missed))
         status = judge(actuation, balance.inverted_count, outcome.balance, met, active, goal.follows)
         if status is Status.NOT_CONVERGED and outcome.iterations >= model.scene.solver.newton_iterations:
             active = (*active, ITERATIONS)
@@ -189,15 +190,16 @@ class StepResults:
             touching = contact_forces(model.contacts, actuation.contact.multipliers,
                                       outcome.positions, balance.constant_load + loads)  # fmt: skip
             entries.update(_of_contacts(actuation.contact, touching))
-        report = StepReport.of(
-            stage_times=clock.times, compute_time=clock.total, residual=outcome.residual,
+        report = made(
+            StepReport, stage_times=clock.times, compute_time=clock.total, residual=outcome.residual,
             iterations=outcome.iterations, active_limits=active, projected_tangent=tangent.is_projected,
             inverted_count=balance.inverted_count, factor_age=tangent.factor_age,
             is_late=outcome.pressed and tangent.factor_age == 0, qp_solver=actuation.qp_solver,
             linearization_error=imbalance(model.effectors, *outcome.first), driven_by=goal.driven_by,
             figures=figures, **entries,
         )  # fmt: skip
-        # The rows were evaluated last where the step ended.
+        # The rows were evaluated last where the step ended; the next one evaluates them anew,
+        # in the same array.
         reached = model.rows.values[model.rows.groups.actuators]
         return {
             "status": status, "setpoints": state.setpoints, "efforts": state.efforts,
@@ -248,10 +250,8 @@ class StepResults:
             places: Where the effectors are [m], shape (effector_count, 3).
         """
         errors, angles = goal.errors(places, state.positions)
-        report = StepReport(
-            clock.times, clock.total, math.nan, iterations, limits,
-            projected_tangent=self._newton.tangent.is_projected, driven_by=goal.driven_by,
-        )  # fmt: skip
+        report = StepReport(clock.times, clock.total, math.nan, iterations, limits, driven_by=goal.driven_by,
+                            projected_tangent=self._newton.tangent.is_projected)  # fmt: skip
         displacements = self._model.actuators.displacements(state.setpoints, state.positions)
         return StepResult(
             state, status, state.setpoints, state.efforts, displacements, places, errors, report,
