@@ -136,6 +136,7 @@ class CommandGate:
         self._names = tuple(actuator_names)
         self._lowest, self._highest = limits.setpoint_range(rest_setpoints)
         self._limits, self._rest = limits, np.array(rest_setpoints, float)
+        self._reach = (0.0, limits.reach(0.0))
         self.tolerances = gate_tolerances(limits)
         self.home = self.within(rest_setpoints)
         self.start_from(self.home, np.zeros(len(rest_setpoints)))
@@ -215,7 +216,9 @@ class CommandGate:
         Args:
             time_step: The time [s].
         """
-        return self._limits.reach(time_step)
+        if time_step != self._reach[0]:  # Most ticks stand for a period.
+            self._reach = (time_step, self._limits.reach(time_step))
+        return self._reach[1]
 
     def _violations(self, setpoints, efforts, time_step: float) -> tuple[str, ...]:
         """Names of the limits that a command violates."""

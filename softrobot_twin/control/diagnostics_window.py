@@ -86,7 +86,8 @@ class DiagnosticsWindow:
         self.sources.add(source)
         self.add_again(outcome)
         result, report = outcome.result, outcome.result.report
-        self.worst = max(self.worst, result.status, key=_SEVERITY.__getitem__)
+        if result.status is not self.worst:
+            self.worst = max(self.worst, result.status, key=_SEVERITY.__getitem__)
         for (field, tells_nan), before, value in zip(
             _LARGEST.items(), self.largest.values(), _LARGEST_OF(report)
         ):
@@ -98,7 +99,8 @@ class DiagnosticsWindow:
         if report.qp_solver:
             self.qp_solvers.add(report.qp_solver)
         for stage, time in report.stage_times.items():
-            self.stage_maxima[stage] = max(time, self.stage_maxima[stage])
+            if time > self.stage_maxima[stage]:
+                self.stage_maxima[stage] = time
         self.limits.update(report.active_limits)
         if report.strains:
             self.strains |= {outside.key: outside for outside in report.strains}
@@ -121,7 +123,7 @@ class DiagnosticsWindow:
         self.newest = outcome
         self.ticks += 1
         self.resting += outcome.result.report.is_resting
-        self.statuses[outcome.result.status.value] += 1
+        self.statuses[outcome.result.status._value_] += 1  # As `value`, which takes two calls.
         if outcome.cause:
             self.causes[outcome.cause] += 1
 

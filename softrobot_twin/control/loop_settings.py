@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field, fields
 from enum import Enum
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -172,12 +173,12 @@ class LoopSettings:
         """Time that a step may take [s], or None without a deadline."""
         return self.deadline or None
 
-    @property
+    @cached_property
     def period(self) -> float:
         """Time from tick to tick [s]."""
         return 1.0 / self.rate
 
-    @property
+    @cached_property
     def reach(self) -> float:
         """Greatest distance that an effector may be sent in a tick [m].
 

@@ -172,7 +172,7 @@ def approach(positions: np.ndarray, aims: np.ndarray, reach: float) -> np.ndarra
     Returns:
         Points on the lines to the aims [m], same shape.
     """
-    near = np.empty_like(aims)
+    near = np.empty(aims.shape)
     return near if shorten_ways(positions, aims, reach, near) else aims
 
 

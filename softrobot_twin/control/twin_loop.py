@@ -376,9 +376,12 @@ class TwinLoop:
         self.pulleys = simulation.pulleys
         self.inputs = inputs_of(simulation, mode, settings, frame_id, self.cavities, velocity_effector)
         vars(self).update(self.inputs)
-        self._channels = {one.name: self.inputs[one.measured_name] for one in measured()}
+        channels = {one.name: self.inputs[one.measured_name] for one in measured()}
         # Together in the order of the scene's sensors.
-        self._by_sensors = [one for name, one in self._channels.items() if name.startswith("sensor_")]
+        self._by_sensors = [one for name, one in channels.items() if name.startswith("sensor_")]
+        # Most robots have objects of few channels: the others tell the same in each tick.
+        self._measured = {name: one.read(-math.inf) for name, one in channels.items()}
+        self._channels = {name: one for name, one in channels.items() if len(self._measured[name])}
         self._no_targets = TargetReading.none(simulation.oriented_effectors)
         self._guidance = Guidance(simulation, self.poses)
         self.measurement = EffectorMeasurement(simulation)
@@ -729,7 +732,7 @@ class TwinLoop:
             activity, cause, result, released, violated, aims.reading, aims.aims, predicted,
             measured, misfit, effectors, errors, poses, self._plausibility.left_out,
             aims.is_approaching, self.simulation.orientation_angles(aims.reading.orientations),
-            {name: one.read(now) for name, one in self._channels.items()},
+            {**self._measured, **{name: one.read(now) for name, one in self._channels.items()}},
         )  # fmt: skip
         is_resting = result.report.is_resting and activity in _MAY_REPEAT and not violated
         if is_resting and not self._waits(now):
@@ -759,7 +762,9 @@ class TwinLoop:
         elif time != (command.time_step, command.reach_time):
             command = replace(command, time_step=time.step, reach_time=time.reach)
         result = self.simulation.stay(command)
-        if result is None or not _commands_same(result, before.result):
+        # The very arrays of the command before have passed the gate.
+        if (result is None or result.setpoints is not before.result.setpoints
+                or result.efforts is not before.result.efforts):  # fmt: skip
             return None
         self._rest = _Rest(before, rest.command, rest.repeats + 1)
         self._remember(ros_time, before.predicted_markers, result)
@@ -858,8 +863,8 @@ class TwinLoop:
 
     def _is_led(self, reading: TargetReading) -> bool:
         """Whether there are targets, of places, stiffness or sensors."""
-        has_others = any(one is not None and one.is_given for one in (self.stiffness, self.sensors))
-        return self.mode is Mode.INVERSE and (has_others or any(map(math.isfinite, reading.targets.flat)))
+        return self.mode is Mode.INVERSE and (any(map(math.isfinite, reading.targets.flat)) or any(
+            one is not None and one.is_given for one in (self.stiffness, self.sensors)))
 
     def _loss(self, now: float, measured: np.ndarray) -> str:
         """The lost measurement for which the robot must hold; empty when there is none."""
@@ -1119,11 +1124,6 @@ class TwinLoop:
         touches = result.touches
         is_new = self.observer is not None and self.observer.is_settling
         return is_new or (touches is not None and bool(touches.is_touched.any()))
-
-
-def _commands_same(result: StepResult, before: StepResult) -> bool:
-    """Whether a step commands the very arrays of the one before, which have passed the gate."""
-    return result.setpoints is before.setpoints and result.efforts is before.efforts
 
 
 def _undone(

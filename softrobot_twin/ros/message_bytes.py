@@ -240,7 +240,7 @@ def _read_sequence(code: str, read: _Read | None, content: bytes, place: int) ->
     return values, place
 
 
-def stamped(content: bytes | bytearray, stamp: int) -> bytes:
+def stamped(content: bytes, stamp: int) -> bytes:
     """A message in CDR with another time [ns] in its header, its first field.
 
     Args:
@@ -277,9 +277,10 @@ class MessageBytes:
             stamp: Its time [ns].
             numbers: The arrays, shape (count,) each.
         """
+        _STAMP.pack_into(self._content, len(_ENCAPSULATION), *divmod(stamp, NANOSECONDS))
         for place, values in zip(self._places, numbers, strict=True):
             place[:] = np.asarray(values, _DOUBLE).tobytes()
-        return stamped(self._content, stamp)
+        return bytes(self._content)
 
 
 class _Cut(NamedTuple):

@@ -230,15 +230,18 @@ class TransformOutput:
         self._kind, topic = TFMessage, TWIN_TOPICS["/tf"]
         self.publisher = node.create_publisher(TFMessage, topic.name, topic.quality)
 
-    def publish(self, outcome: TickOutcome, make_header: Callable[[], Header]) -> bool:
-        """Publishes a tick to those who listen; false where nobody does.
+    @property
+    def is_heard(self) -> bool:
+        """Whether somebody receives them."""
+        return self.publisher is not None and self._audience.hears(self.publisher)
+
+    def publish(self, outcome: TickOutcome, make_header: Callable[[], Header]) -> None:
+        """Publishes a tick, where it is heard.
 
         Args:
             outcome: What the tick told.
             make_header: Gives the header of the tick's messages.
         """
-        if self.publisher is None or not self._audience.hears(self.publisher):
-            return False
         header = make_header()
         positions, turns = self._simulation.rigid_poses()
         ends = outcome.result.effector_positions
@@ -253,7 +256,6 @@ class TransformOutput:
                 above, [header.frame_id], self._base[None, :3], self._base[None, 3:]
             )
         self.publisher.publish(self._kind(transforms=transforms))
-        return True
 
 
 def _checked_pose(pose: Sequence[float]) -> np.ndarray:

@@ -192,15 +192,18 @@ class ComplianceOutputs:
             for topic in ("compliance", "jacobian")
         )  # fmt: skip
 
-    def publish(self, outcome: TickOutcome, header: Callable[[], Header]) -> bool:
-        """Publishes a tick to those who listen; false where nobody does.
+    @property
+    def is_heard(self) -> bool:
+        """Whether somebody receives one of them."""
+        return self._audience.hears_any((*self._compliances, *self._jacobians))
+
+    def publish(self, outcome: TickOutcome, header: Callable[[], Header]) -> None:
+        """Publishes a tick to those who listen, where there are any.
 
         Args:
             outcome: What the tick told.
             header: Gives the header of the tick's messages.
         """
-        if not self._audience.hears_any((*self._compliances, *self._jacobians)):
-            return False
         loop = self._loop
         if self._compliance is None:
             self._compliance = EffectorCompliance(loop.simulation)
@@ -210,7 +213,6 @@ class ComplianceOutputs:
         quantities = actuators.driven_quantities(found.is_by_effort)
         columns = list(map(column, actuators.names, quantities))
         self._send(self._jacobians, found.jacobian, columns, header())
-        return True
 
     def _send(self, publishers, matrices: np.ndarray, columns, header: Header) -> None:
         for publisher, matrix in zip(publishers, matrices, strict=True):
@@ -259,7 +261,6 @@ class TwinNode(TickingNode):
     _mesh_error: MeshErrorWatch | None = None
     _mesh_error_reported = False
     _reduction: ReductionErrorWatch | None = None
-    _has_listeners = True
 
     def __init__(self, **arguments):
         super().__init__("twin", **arguments)
@@ -579,7 +580,7 @@ class TwinNode(TickingNode):
     def _publish(self, outcome: TickOutcome, stamp: int) -> None:
         if self._audience.begin_round() != self._round:
             self._ask_audience()
-        elif self.loop.is_repeating and not self._has_listeners:
+        elif self.loop.is_repeating and not self._others:
             # To make and convert a message takes longer than to publish its bytes.
             for publisher, content in self._sent:
                 publisher.publish(stamped(content, stamp))
@@ -591,17 +592,17 @@ class TwinNode(TickingNode):
             rows = output.read(outcome)
             for index, publisher in publishers if rows else ():
                 self._send(publisher, make(stamp, *rows[index]))
-        outputs, header = (self._compliances, self._transforms), partial(self._header, stamp)
-        self._has_listeners = any([output.publish(outcome, header) for output in outputs])
+        for others in self._others:
+            others.publish(outcome, partial(self._header, stamp))
 
     def _ask_audience(self) -> None:
         """Finds the outputs that are received or, as those of a recorded run, kept: no other is read."""
         self._round, self._heard = self._audience.rounds, []
+        self._others = [one for one in (self._compliances, self._transforms) if one.is_heard]
         for output, make, publishers in self._outputs:
             heard = [(index, one) for index, one in publishers.items()
                      if type(one) is not Publisher or self._audience.hears(one)]
-            is_wanted = not output.is_costly or any(self._audience.hears(one) for _, one in heard)
-            if heard and is_wanted:
+            if heard and (not output.is_costly or self._audience.hears_any(one for _, one in heard)):
                 self._heard.append((output, make, heard))
 
     def _publish_command(self, command: ActuatorCommand, poses: Mapping[str, Pose], stamp: int) -> None:
@@ -684,14 +685,14 @@ class TwinNode(TickingNode):
             self.get_logger().info(watch.at_rest.in_words())
 
     def _warn_of(self, outcome: TickOutcome, now: float) -> None:
-        logger, activity = self.get_logger(), outcome.activity.value
+        logger, loop = self.get_logger(), self.loop
         if self.last_command is not None and self.last_command.failure:
             logger.warning(f"the last command is not kept for the next start: "
                            f"{self.last_command.failure}", throttle_duration_sec=60.0)
-        if self.loop.is_enabled and self.loop.device_is_lost(now):
-            logger.warning(f"device lost: {activity}", throttle_duration_sec=_WARN_EVERY)
-        if self.loop.is_enabled and self.loop.markers_are_lost(outcome.measured_markers):
-            logger.warning(f"markers lost: {activity}", throttle_duration_sec=_WARN_EVERY)
+        if loop.is_enabled and loop.device_is_lost(now):
+            logger.warning(f"device lost: {outcome.activity.value}", throttle_duration_sec=_WARN_EVERY)
+        if loop.is_enabled and loop.markers_are_lost(outcome.measured_markers):
+            logger.warning(f"markers lost: {outcome.activity.value}", throttle_duration_sec=_WARN_EVERY)
         if self.loop.why_given_up:
             logger.error(f"disabled: {self.loop.why_given_up}; call ~/enable to try again",
                          throttle_duration_sec=_WARN_EVERY)

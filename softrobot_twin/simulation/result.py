@@ -16,7 +16,7 @@ from softrobot_twin.constraints.contact import Contacts
 from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.mechanics.strain_watch import StrainOutside
 from softrobot_twin.mechanics.touch_loads import TouchState
-from softrobot_twin.simulation.state import State
+from softrobot_twin.simulation.state import State, made
 
 # Contacts that carry less than this share of all loads are omitted.
 CARRIES = 1.0e-9
@@ -292,22 +292,20 @@ class StepResult:
     stiffness_errors: np.ndarray | None = field(default_factory=_none)
 
     @classmethod
-    def when_read(cls, state: State, make: Callable[[], StepResult]) -> StepResult:
+    def when_read(cls, state: State, make: Callable[[], dict[str, object]]) -> StepResult:
         """A result of which all but the state is made when it is read first.
 
         Args:
             state: The new state.
-            make: Makes the result.
+            make: Makes all other fields, by their names.
         """
-        result = object.__new__(cls)
-        result.__dict__.update(state=state, _make=make)
-        return result
+        return made(cls, state=state, _make=make)
 
     def make(self) -> None:
         """Make what was not made yet, before that which it is made from changes."""
         make = self.__dict__.get("_make")
         if make is not None:
-            self.__dict__.update(make().__dict__)
+            self.__dict__.update(make())
             self.__dict__.pop("_make", None)
 
     def __getattr__(self, name: str):

@@ -31,7 +31,7 @@ from softrobot_twin.simulation.effects.moving_base import MovingBase
 from softrobot_twin.simulation.mounting import Mounted, branch_notes, mount
 from softrobot_twin.simulation.readouts import Readouts
 from softrobot_twin.simulation.result import Status, StepResult
-from softrobot_twin.simulation.state import State
+from softrobot_twin.simulation.state import State, made
 from softrobot_twin.simulation.step.actuation import INVERSION, PASSING, Actuation
 from softrobot_twin.simulation.step.direct_actuation import DirectActuation
 from softrobot_twin.simulation.step.goals import Goal, Goals
@@ -499,9 +499,7 @@ class Simulation(Readouts):
             rest: The result of a step that kept the state.
         """
         self.state = self.state.kept_through(command.time_step)
-        result = object.__new__(StepResult)
-        result.__dict__.update(rest.__dict__, state=self.state)
-        return result
+        return made(StepResult, rest.__dict__, state=self.state)
 
     def asks_as(self, before: Command, command: Command) -> bool:
         """Whether a command asks for the same as one before, of a state that is kept.

@@ -4,8 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any, TypeVar
 
 import numpy as np
+
+Made = TypeVar("Made")
+
+
+def made(kind: type[Made], before: Mapping[str, Any] = {}, **fields: Any) -> Made:
+    """An object of a frozen class, in a tenth of the time of a call of the class: each step makes some.
+
+    Args:
+        kind: The class.
+        before: Fields by their names, such as those of another object.
+        **fields: More of them, or in their place. The others are the defaults of the class.
+    """
+    one = object.__new__(kind)
+    one.__dict__.update(before, **fields)
+    return one
 
 
 @dataclass(frozen=True)
@@ -81,7 +97,4 @@ class State:
         Args:
             time_step: The step's duration [s].
         """
-        # A tick at rest does little else: this takes a tenth of the time of `replace`.
-        kept = object.__new__(State)
-        kept.__dict__.update(self.__dict__, step_count=self.step_count + 1, time=self.time + time_step)
-        return kept
+        return made(State, self.__dict__, step_count=self.step_count + 1, time=self.time + time_step)

@@ -111,9 +111,9 @@ def test_transforms_are_made_only_for_those_who_listen(with_tf2):
     audience = Audience(clock.__next__)
     output = output_of(node, audience, simulation)
     assert node.opened == [(TFMessage, "/tf", TRANSFORMS)]
-    output.publish(outcome_of([[0.0, 0.0, 0.2]]), lambda: HEADER)
-    assert simulation.reads == 0 and not output.publisher.messages
+    assert not output.is_heard and simulation.reads == 0
     output.publisher.listeners = 1
+    assert output.is_heard
     output.publish(outcome_of([[0.0, 0.0, 0.2]]), lambda: HEADER)
     transforms = output.publisher.messages[0].transforms
     assert [one.child_frame_id for one in transforms] == ["palm", "tip"]
@@ -136,7 +136,7 @@ def test_the_base_is_in_the_frame_that_is_given(with_tf2):
 def test_without_tf2_msgs_there_is_nothing_and_only_who_asks_is_told(without_tf2, wanted, warnings):
     node = Node()
     output = output_of(node, tf=wanted)
-    output.publish(outcome_of([[0.0, 0.0, 0.2]]), lambda: HEADER)
+    assert not output.is_heard
     assert not node.opened and len(node.warnings) == warnings
     assert all("tf2_msgs is not installed" in sentence for sentence in node.warnings)
 

@@ -219,10 +219,11 @@ class Actuators:
             setpoints: Each in the unit of its kind, shape (count,).
             reached: δ of the actuators with rows, shape (row_count,).
         """
+        if self.limits.are_all_effort_driven and self.row_count == self.count:
+            return reached.copy()
         displacements = self.drives(setpoints)
         if self.limits.has_effort_driven:
-            own = slice(0, self.row_count)
-            displacements[own] = np.where(self.is_effort_driven[own], reached, displacements[own])
+            np.copyto(displacements[: self.row_count], reached, where=self.is_effort_driven[: self.row_count])
         return displacements
 
     def setpoints(self, drives: np.ndarray) -> np.ndarray:

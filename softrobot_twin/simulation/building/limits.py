@@ -462,35 +462,38 @@ class ActuatorLimits:
         Returns:
             Such as ``north.shortening_max``, ``east.rate``; empty if none is active.
         """
-        found, margins = np.empty((len(self.names), 2), np.int64), self._margins
+        found = np.empty((len(self.names), 2), np.int64)
         if not find_limits(
-            displacements, efforts, bounds.displacement_min, bounds.displacement_max, margins,
+            displacements, efforts, bounds.displacement_min, bounds.displacement_max, self._margins,
             self._low_efforts(bounds), self._high_efforts(bounds), found,
         ):  # fmt: skip
             return []
-        if is_slack is not None:
+        if is_slack is not None and found[:, 0].any():
             found[is_slack(), 0] = 0
-        names, places = [], found.nonzero()
-        for i, k, side in zip(*(one.tolist() for one in (*places, found[places] > 0))):
-            if k == 0:
-                words = self.limit_names[i]
-                is_own = (bounds.displacement_max[i] >= self.displacement_max[i] - margins[i] if side
-                          else bounds.displacement_min[i] <= self.displacement_min[i] + margins[i])
-            else:
-                words, is_own = self.effort_names[i], not self.is_effort_driven[i] or (
-                    bounds.effort_max[i] >= self._most_efforts[i] if side
-                    else bounds.effort_min[i] <= self.effort_min[i])
-            names.append(f"{self.names[i]}.{words[side] if is_own else 'rate'}")
-        return names
+        return [f"{self.names[i]}.{self._word(i, k, side > 0, bounds)}"
+                for i, sides in enumerate(found.tolist()) for k, side in enumerate(sides) if side]
+
+    def _word(self, i: int, k: int, is_high: bool, bounds: Bounds) -> str:
+        """The name of an active limit of an actuator's displacement (k = 0) or effort (k = 1)."""
+        if k == 0:
+            words, margin = self.limit_names[i], self._margins[i]
+            is_own = (bounds.displacement_max[i] >= self.displacement_max[i] - margin if is_high
+                      else bounds.displacement_min[i] <= self.displacement_min[i] + margin)
+        else:
+            words, is_own = self.effort_names[i], not self.is_effort_driven[i] or (
+                bounds.effort_max[i] >= self._most_efforts[i] if is_high
+                else bounds.effort_min[i] <= self.effort_min[i])
+        return words[is_high] if is_own else "rate"
 
     def _high_efforts(self, bounds: Bounds) -> np.ndarray:
         """Efforts from which on the greatest one of this step counts as reached."""
-        if not self.has_effort_driven:
-            return self._most_efforts
-        return np.minimum(self._most_efforts, bounds.effort_max)
+        own = self._most_efforts
+        return np.minimum(own, bounds.effort_max) if self.has_effort_driven else own
 
     def _low_efforts(self, bounds: Bounds) -> np.ndarray:
         """Efforts up to which the least one of this step counts as reached."""
         if not self.has_effort_driven:
             return self._least_efforts
+        if self.are_all_effort_driven:
+            return bounds.effort_min
         return np.where(self.is_effort_driven, bounds.effort_min, self._least_efforts)

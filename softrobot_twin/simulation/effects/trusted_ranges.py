@@ -64,7 +64,7 @@ class SampledRanges(StepPart):
 
     def report(self, state: State, newton: Newton) -> PartReport:
         """See `StepPart`."""
-        shares = {name: one.ranges.max() for name, one in self._superelements.items()}
+        shares = {name: np.maximum.reduce(one.ranges, None) for name, one in self._superelements.items()}
         shares |= {one.name: one.share(state.positions) for one in self._coordinates}
         most, outside = max(shares.values()), ()
         if most > 1.0:

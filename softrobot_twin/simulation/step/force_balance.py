@@ -19,7 +19,7 @@ from softrobot_twin.simulation.step.actuation import Actuation
 from softrobot_twin.solvers.dense_stiffness import without_rows
 
 # Places of the traced stages, of terms and of rows apart from them; moves are with the rows.
-MOVE, LOAD, GATHER, ASSEMBLE, ASSEMBLE_LATER = range(5)
+MOVE, LOAD, GATHER, ASSEMBLE, ASSEMBLE_LATER, GATHER_KNOWN = range(6)
 EVALUATE, ADD_STIFFNESS = GATHER, ASSEMBLE
 
 
@@ -73,7 +73,7 @@ class ForceBalance:
         self._is_at_start = True
         moves = make_whole, self._load_rows
         self._stages = TracedStages(
-            are_traceable, *moves, self._gather, self._assemble, self._assemble
+            are_traceable, *moves, self._gather, self._assemble, self._assemble, self._gather
         )
         self._row_stages = TracedStages(
             are_rows, *moves, self._rows.evaluate, self._rows.add_stiffness
@@ -99,15 +99,15 @@ class ForceBalance:
         self.inverted_count, self.is_folded = 0, False
 
     def expect(self, time_step: float) -> None:
-        """Let a step begin; its stages run in Python where it is longer or shorter than before.
+        """Let a step begin; its stages run in Python where terms learn that its duration is another one.
 
         Args:
             time_step: Its duration [s].
         """
         self._is_at_start = True
-        if time_step != self.time_step:
-            self.time_step = time_step
+        if time_step != self.time_step and self._model.beginners:
             self.forget_stages()
+        self.time_step = time_step
 
     def forget_stages(self) -> None:
         """Let the stages run in Python once: something else than their arrays has changed."""
@@ -195,16 +195,17 @@ class ForceBalance:
         self.set_multipliers(actuation)
         self._rows.add_forces(self.multipliers, self.forces)
 
-    def gather_forces(self, positions: np.ndarray) -> np.ndarray:
+    def gather_forces(self, positions: np.ndarray, are_known: bool = False) -> np.ndarray:
         """Sum b = p - F(q) and the rows H, δ of all terms; A stays as it is.
 
         Args:
             positions: Node positions [m], shape (node_count, 3).
+            are_known: Whether terms know these positions mostly, where a step begins: they do less then.
 
         Returns:
             The forces.
         """
-        self._note_folds(self._stages.run(GATHER, positions))
+        self._note_folds(self._stages.run(GATHER_KNOWN if are_known else GATHER, positions))
         if self._has_rows_apart:
             self._row_stages.run(EVALUATE, positions)
         return self.forces

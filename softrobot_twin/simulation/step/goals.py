@@ -34,7 +34,7 @@ from softrobot_twin.simulation.command import (
     Hold,
     fitting,
 )
-from softrobot_twin.simulation.state import State
+from softrobot_twin.simulation.state import State, made
 from softrobot_twin.simulation.step.actuation import NO_EFFORT, Actuation
 from softrobot_twin.simulation.step.augmented_tangent import HeldActuators
 from softrobot_twin.simulation.step.direct_actuation import DirectActuation
@@ -360,7 +360,7 @@ class TargetGoal(Goal):
             positions: Node positions [m], shape (node_count, 3).
         """
         if self._sensors is None:
-            return np.empty(0)
+            return super().misses_of_sensors(positions)
         shown = self._sensors.readings(positions) * self._sensors.lengths
         return np.abs(shown - self._of_sensors)
 
@@ -411,9 +411,7 @@ class TargetGoal(Goal):
         Args:
             actuation: What was found.
         """
-        goal = object.__new__(SetpointGoal)
-        goal.__dict__.update(self.__dict__, wanted=actuation.drives(self._limits), seeks_once=False)
-        return goal
+        return made(SetpointGoal, self.__dict__, wanted=actuation.drives(self._limits), seeks_once=False)
 
     def is_met(self, actuation: Actuation, missed: np.ndarray) -> bool:
         """See `Goal`."""

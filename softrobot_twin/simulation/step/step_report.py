@@ -20,7 +20,7 @@ from softrobot_twin.simulation.result import (
     StepResult,
     contact_forces,
 )
-from softrobot_twin.simulation.state import State
+from softrobot_twin.simulation.state import State, made
 from softrobot_twin.simulation.step.actuation import INVERSION, Actuation, ContactLoads
 from softrobot_twin.simulation.step.goals import REACH, Goal
 from softrobot_twin.simulation.step.linearized import Linearized
@@ -139,8 +139,8 @@ class StepResults:
 
     def of_step(
         self, goal: Goal, outcome: Outcome, clock: StageClock, before: State, state: State
-    ) -> StepResult:
-        """The result of a step with a new state, before the model changes again.
+    ) -> dict[str, object]:
+        """The result of a step with a new state but for that state, before the model changes again.
 
         Args:
             goal: What was asked.
@@ -148,89 +148,91 @@ class StepResults:
             clock: Booked the stages.
             before: The state that it began with.
             state: The new state.
+
+        Returns:
+            The fields of a `StepResult` beside its state, by their names.
         """
         model, newton, actuation = self._model, self._newton, outcome.actuation
+        balance, tangent = newton.balance, newton.tangent
         places = model.effectors.positions(state.positions)
-        errors, angles = goal.errors(places, outcome.positions)
         told = [part.report(state, newton) for part in self._parts]
-        missed = self._missed(errors, angles, told, 0)
-        missed = np.concatenate([missed, goal.misses_of_sensors(outcome.positions)])
+        errors, angles, missed = self._missed(goal, places, outcome.positions, told, 0)
         active = goal.limits_met(actuation)
-        if newton.balance.is_nearly_flat and INVERSION not in active:
+        if balance.is_nearly_flat and INVERSION not in active:
             active = (*active, INVERSION)
-        doubted = [part for part in told if not part.is_trusted]
-        active = (*active, *(limit for part in doubted for limit in part.limits))
-        met = not newton.balance.is_nearly_flat and not doubted and goal.is_met(actuation, missed)
+        is_trusted = not balance.is_nearly_flat
+        for own in told:
+            if not own.is_trusted:
+                active, is_trusted = (*active, *own.limits), False
+        met = is_trusted and goal.is_met(actuation, missed)
         if goal.follows and not met and not any(limit.endswith(RATE) for limit in active):
             was_at = model.effectors.positions(before.positions)
-            missed_before = self._missed(*goal.errors(was_at, before.positions), told, 1)
-            missed_before = np.concatenate([missed_before, goal.misses_of_sensors(before.positions)])
-            active = (*active, *goal.what_else_holds(
-                outcome.linear, outcome.held, missed_before, missed
-            ))  # fmt: skip
-        status = judge(
-            actuation, newton.balance.inverted_count, outcome.balance, met, active, goal.follows
-        )
+            _, _, missed_before = self._missed(goal, was_at, before.positions, told, 1)
+            active = (*active, *goal.what_else_holds(outcome.linear, outcome.held, missed_before, missed))
+        status = judge(actuation, balance.inverted_count, outcome.balance, met, active, goal.follows)
         if status is Status.NOT_CONVERGED and outcome.iterations >= model.scene.solver.newton_iterations:
             active = (*active, ITERATIONS)
-        if goal.held is None and newton.tangent.is_projected:
+        if tangent.is_projected and goal.held is None:
             active = (*active, UNSTABLE)
         if goal.follows and not met and model.rubs:
             active = (*active, *what_touches(model.contacts, actuation.contact.multipliers))
         figures, entries, readings = {}, {}, {}
         for part, own in zip(self._parts, told):
-            active = (*active, *(limit for limit in own.limits if limit not in active))
-            figures |= {f"{part.name}.{figure}": own.figures[figure] for figure in part.figures}
-            entries |= own.entries
-            readings |= own.readings
+            if own.limits:
+                active = (*active, *(limit for limit in own.limits if limit not in active))
+            for figure in part.figures:
+                figures[f"{part.name}.{figure}"] = own.figures[figure]
+            entries.update(own.entries)
+            readings.update(own.readings)
         touching = None
         if model.rows.varies:
             loads = model.actuators.load(actuation.efforts) + actuation.contact.load
-            touching = contact_forces(
-                model.contacts, actuation.contact.multipliers, outcome.positions,
-                newton.balance.constant_load + loads,
-            )
-        report = StepReport(
-            clock.times, clock.total, outcome.residual, outcome.iterations, active,
-            projected_tangent=newton.tangent.is_projected, inverted_count=newton.balance.inverted_count,
-            linearization_error=imbalance(model.effectors, *outcome.first),
-            factor_age=newton.tangent.factor_age,
-            is_late=outcome.pressed and newton.tangent.factor_age == 0,
-            qp_solver=actuation.qp_solver,
-            driven_by=goal.driven_by, figures=figures, **entries,
-            **_of_contacts(actuation.contact, touching),
+            touching = contact_forces(model.contacts, actuation.contact.multipliers,
+                                      outcome.positions, balance.constant_load + loads)  # fmt: skip
+            entries.update(_of_contacts(actuation.contact, touching))
+        report = made(
+            StepReport, stage_times=clock.times, compute_time=clock.total, residual=outcome.residual,
+            iterations=outcome.iterations, active_limits=active, projected_tangent=tangent.is_projected,
+            inverted_count=balance.inverted_count, factor_age=tangent.factor_age,
+            is_late=outcome.pressed and tangent.factor_age == 0, qp_solver=actuation.qp_solver,
+            linearization_error=imbalance(model.effectors, *outcome.first), driven_by=goal.driven_by,
+            figures=figures, **entries,
         )  # fmt: skip
-        # The rows were evaluated last where the step ended.
-        reached = model.rows.values[model.rows.groups.actuators].copy()
-        displacements = model.actuators.displacements_at(state.setpoints, reached)
-        return StepResult(
-            state, status, state.setpoints, state.efforts, displacements, places, errors, report,
-            touching, self._quaternions(outcome.positions), angles, **readings,
-        )  # fmt: skip
+        # The rows were evaluated last where the step ended; the next one evaluates them anew,
+        # in the same array.
+        reached = model.rows.values[model.rows.groups.actuators]
+        return {
+            "status": status, "setpoints": state.setpoints, "efforts": state.efforts,
+            "displacements": model.actuators.displacements_at(state.setpoints, reached),
+            "effector_positions": places, "effector_errors": errors, "report": report, "contacts": touching,
+            "effector_orientations": self._quaternions(outcome.positions), "orientation_errors": angles,
+            "effector_stiffness": None, "stiffness_errors": None, **readings,
+        }  # fmt: skip
 
     def _missed(
-        self, errors: np.ndarray, angles: np.ndarray | None, told: list[PartReport], when: int
-    ) -> np.ndarray:
-        """How far each effector is from all that is asked [m], orientations by their length per radian.
+        self, goal: Goal, places: np.ndarray, positions: np.ndarray, told: list[PartReport], when: int
+    ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray]:
+        """Distances and angles as of `Goal.errors`, and all misses [m]: of effectors, then of sensors.
 
         Args:
-            errors: Distances from the targets [m]; see `Goal.errors`.
-            angles: See there.
+            goal: What was asked.
+            places: Where the effectors are [m], shape (effector_count, 3).
+            positions: Node positions [m], shape (node_count, 3).
             told: What parts tell, and with it what is missed beside the targets.
             when: 0 after the step, 1 before it; see `PartReport.misses`.
         """
+        errors, angles = goal.errors(places, positions)
         missed = errors if angles is None else self._model.effectors.misses(errors, angles)
         for more in (part.misses[when] for part in told if part.misses):
             both = np.hypot(np.nan_to_num(missed), more)
             missed = np.where(np.isnan(missed) & (more == 0.0), np.nan, both)
-        return missed
+        of_sensors = goal.misses_of_sensors(positions)
+        return errors, angles, np.concatenate([missed, of_sensors]) if len(of_sensors) else missed
 
     def _quaternions(self, positions: np.ndarray) -> np.ndarray | None:
         """Turns of the effectors from rest; None in a scene without orientations."""
         effectors = self._model.effectors
-        if not effectors.orientations:
-            return None
-        return effectors.quaternions(positions)
+        return effectors.quaternions(positions) if effectors.orientations else None
 
     def of_failure(
         self, goal: Goal, clock: StageClock, iterations: int, status: Status,
@@ -248,10 +250,8 @@ class StepResults:
             places: Where the effectors are [m], shape (effector_count, 3).
         """
         errors, angles = goal.errors(places, state.positions)
-        report = StepReport(
-            clock.times, clock.total, math.nan, iterations, limits,
-            projected_tangent=self._newton.tangent.is_projected, driven_by=goal.driven_by,
-        )  # fmt: skip
+        report = StepReport(clock.times, clock.total, math.nan, iterations, limits, driven_by=goal.driven_by,
+                            projected_tangent=self._newton.tangent.is_projected)  # fmt: skip
         displacements = self._model.actuators.displacements(state.setpoints, state.positions)
         return StepResult(
             state, status, state.setpoints, state.efforts, displacements, places, errors, report,

@@ -174,7 +174,7 @@ class Tangent:
         if with_stale_factor:
             self.factor_age += 1
             self._rows.tell_efforts(efforts)
-            self._balance.gather_forces(positions)
+            self._balance.gather_forces(positions, True)
             clock.mark("assemble")
             linear = self._condense(positions, self._rows.multipliers(efforts))
         else:
