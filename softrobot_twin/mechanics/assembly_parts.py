@@ -27,8 +27,8 @@ from softrobot_twin.kernels.compilation import INNER, njit
 from softrobot_twin.kernels.worker_threads import finish, take, wait_for
 from softrobot_twin.mechanics.element_batches import ElementBatches
 
-LEAST_NODES = 1500
-"""Nodes of a body that is cut into parts: steps of smaller ones are too short for threads."""
+LEAST_NODES = 700
+"""Nodes of a body that is cut into parts: the factors of smaller ones, too, run on one thread."""
 PART_COUNT = 16
 """Parts of a body: with four threads the last ones to end leave few idle for long."""
 
