@@ -57,9 +57,7 @@ def limits(bounds, unit: str) -> str:
         bounds: The lower and the upper limit.
         unit: Their unit.
     """
-    if np.isfinite(bounds).any():
-        return f"{vector(bounds)} {unit}".rstrip()
-    return "without limit"
+    return f"{vector(bounds)} {unit}".rstrip() if np.isfinite(bounds).any() else "without limit"
 
 
 def describe_material(material: Material) -> str:
