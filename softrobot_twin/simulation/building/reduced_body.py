@@ -275,12 +275,12 @@ class BodyReduction(NamedTuple):
         basis: Φ: displacement of each node by each coordinate, in mesh coordinates; the largest
             displacement of a node by a coordinate is one, so coordinates are in metres. Zero at
             fixed nodes. The modes in use come first, then the spare ones,
-            shape (node_count, 3, mode_count + spare_count).
+            shape (node_count, 3, mode_count + spare mode count).
         mode_count: Number of modes in use, a multiple of three.
         sampled: The quadrature points that stand for all, with the modes in use.
         spare_sampled: Those that stand for all with the spare modes too.
         ranges: Largest magnitude of each coordinate in the training, spare ones included [m],
-            shape (mode_count + spare_count,).
+            shape (mode_count + spare mode count,).
         measured: Median and largest error against the full model at fresh states, as a share of
             the effectors' displacement, or of a tenth of the largest one where that is more; NaN
             before, shape (2,).
@@ -294,11 +294,6 @@ class BodyReduction(NamedTuple):
     ranges: np.ndarray
     measured: np.ndarray
     training: dict
-
-    @property
-    def spare_count(self) -> int:
-        """Number of spare modes."""
-        return self.basis.shape[2] - self.mode_count
 
     def with_spare_modes(self) -> BodyReduction:
         """The same with the spare modes in use, and none spare."""
