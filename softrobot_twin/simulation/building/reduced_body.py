@@ -333,21 +333,19 @@ def write_body_reduction(path: Path, reduction: BodyReduction, prints: dict[str,
     np.savez(path, **arrays)
 
 
-def read_body_reduction(file: ModelFile | Path, body: Body | None = None) -> BodyReduction:
+def read_body_reduction(file: ModelFile, body: Body) -> BodyReduction:
     """Read a reduction.
 
     Args:
         file: The file.
-        body: The body that it is for; None to read it alone.
+        body: The body that it is for.
 
     Raises:
         ModelFileError: It was made of another body, or is damaged.
     """
-    if not isinstance(file, ModelFile):
-        file = ModelFile(file)
-    prints = {} if body is None else reduction_fingerprints(body)
+    prints = reduction_fingerprints(body)
     file.check_prints(prints)
-    basis = file.taken("basis", None if body is None else body.mesh.node_count, 3, None)
+    basis = file.taken("basis", body.mesh.node_count, 3, None)
     total = basis.shape[2]
     count = int(file.taken("mode_count", kind="i", least=3, most=total))
     if count % 3 or total % 3:
@@ -364,14 +362,14 @@ def read_body_reduction(file: ModelFile | Path, body: Body | None = None) -> Bod
         file.taken("measured", 2, least=0.0, may_be_nan=True), training,
     )  # fmt: skip
     seen = (*file.sums, *prints.values())
-    if body is not None and seen not in _HELD:
+    if seen not in _HELD:
         _check_on_body(file, reduction, body)
         _HELD.add(seen)
     return reduction
 
 
-def _sampled_points(file: ModelFile, name: str, body: Body | None) -> SampledPoints:
-    most = MOST if body is None else max(block.numbers.max() for block in body.mesh.strained_blocks())
+def _sampled_points(file: ModelFile, name: str, body: Body) -> SampledPoints:
+    most = max(block.numbers.max() for block in body.mesh.strained_blocks())
     cells = file.taken(f"{name}_cells", None, kind="i", least=0, most=most)
     points = file.taken(f"{name}_points", len(cells), kind="i", least=0)
     weights = file.taken(f"{name}_weights", len(cells), least=LEAST)
@@ -648,7 +646,7 @@ def reduced_body(body: Body, scene: Scene) -> ReducedBody:
     key = f"{body.key}.reduced"
     _refuse(body, scene)
     try:
-        reduction = read_body_reduction(path, body)
+        reduction = read_body_reduction(ModelFile(path), body)
     except ModelFileError as error:
         command = f"{COMMAND} {shlex.quote(str(scene.path))}"
         raise scene.error(f"{key}.file", str(path), f"{error.reason}; run: {command}") from None
