@@ -93,7 +93,7 @@ def main() -> int:
         constants = ", ".join(f"{key} {value:g}" for key, value in fit.constants.items())
         made.add_row(
             name, preset.law, constants, f"{100.0 * fit.rms_error:.1f} %",
-            f"{100.0 * fit.largest_error:.1f} %", f"{100.0 * preset.smallest_strain:.0f} %",
+            f"{100.0 * fit.largest_error:.1f} %", f"{100.0 * preset.curve[0][0]:.0f} %",
             f"{100.0 * preset.largest_strain:.0f} %",
         )  # fmt: skip
     console().print(made)

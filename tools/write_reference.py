@@ -26,7 +26,7 @@ from pydantic.fields import FieldInfo
 
 from softrobot_twin.command_line.commands import program
 from softrobot_twin.ros.parameters import DEVICE, TARGET, TWIN, Entry as Parameter
-from softrobot_twin.ros.topics import NODES, TWIN_SERVICES, Direction, Topic
+from softrobot_twin.ros.topics import NODES, TWIN_SERVICES, Direction, Topic, quality_in_words
 from softrobot_twin.scene.entry import NamedEntry, OnBody, check_name, is_entry, item_of_list
 from softrobot_twin.scene.patterns import Pattern
 from softrobot_twin.scene.schema import Scene
@@ -493,7 +493,7 @@ def topics() -> str:
 
 def _topic(topic: Topic) -> str:
     unit = f" [{topic.unit}]" if topic.unit else ""
-    quality = "".join(f", {word}" for word in topic.quality_in_words.split(", ")
+    quality = "".join(f", {word}" for word in quality_in_words(topic.quality).split(", ")
                       if word not in USUAL_QUALITY)  # fmt: skip
     return f"- `{topic.name}` ({topic.type_name}{unit}{quality}): {topic.meaning}"
 

@@ -480,10 +480,6 @@ def _stacked(markers: np.ndarray, effectors: np.ndarray, efforts: np.ndarray) ->
     return np.concatenate([np.ravel(markers), np.ravel(effectors), efforts])
 
 
-def _turn_about(axis: int, frame: MarkerFrame) -> np.ndarray:
-    return MarkerFrame(rotation=(np.eye(3)[axis] * frame.rotation).tolist()).to_cameras
-
-
 def frame_derivative(frame: MarkerFrame, points: np.ndarray) -> np.ndarray:
     """Derivatives of points in the frame of the cameras by position, angles and scales of that frame.
 
@@ -495,7 +491,7 @@ def frame_derivative(frame: MarkerFrame, points: np.ndarray) -> np.ndarray:
         Shape (n, 3, 9); by the position first, by the scales last.
     """
     # R turns about x, then y, then z: each angle turns about its axis as those after it have turned it.
-    x, y, z = (_turn_about(axis, frame) for axis in range(3))
+    x, y, z = (MarkerFrame(rotation=(axis * frame.rotation).tolist()).to_cameras for axis in np.eye(3))
     R, from_origin = z @ y @ x, points - np.array(frame.position)
     axes = (z @ y @ np.eye(3)[0], z @ np.eye(3)[1], np.eye(3)[2])
     found = np.zeros((len(points), 3, 9))

@@ -313,9 +313,7 @@ def simulate(
         raise OptionError("--settle", "requires --targets")
     if picture is None:
         refuse("requires --picture", picture_at=picture_at, picture_view=picture_view)
-    drawn = None
-    if picture is not None:
-        drawn = offline_run.Picture(picture, tuple(picture_at or ()), picture_view)
+    drawn = None if picture is None else offline_run.Picture(picture, tuple(picture_at or ()), picture_view)
     steps_a_second = rate or DEFAULT_RATE
     if commands is not None:
         return simulate_commands(scene, commands, output, steps_a_second, drawn, read_as)

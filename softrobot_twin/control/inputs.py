@@ -143,9 +143,7 @@ class TargetInput(Input):
         lengths: Sequence[float] = (),
     ):  # fmt: skip
         self._lengths = tuple(lengths) or (0.0,) * effector_count
-        self._orientations = None
-        if any(self._lengths):
-            self._orientations = np.full((effector_count, 4), np.nan)
+        self._orientations = np.full((effector_count, 4), np.nan) if any(self._lengths) else None
         self.slowed = 0
         self._velocity_effector = velocity_effector
         self._targets = np.full((effector_count, 3), np.nan)

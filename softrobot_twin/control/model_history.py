@@ -67,9 +67,7 @@ class ModelHistory:
     ):  # fmt: skip
         self._scales, self._markers = APART * np.asarray(travels, float), marker_count
         self._loads = np.zeros((2 * capacity, load_count))
-        self._by_loads = None
-        if load_count:
-            self._by_loads = np.zeros((2 * capacity, 3 * marker_count, load_count))
+        self._by_loads = np.zeros((2 * capacity, 3 * marker_count, load_count)) if load_count else None
         self._capacity, self._count = capacity, 0
         # Ticks that nothing was compared with yet: most wait for no measurement.
         self._newest = deque[tuple[int, np.ndarray, Moment]](maxlen=capacity)

@@ -32,40 +32,15 @@ _SAME_NODES = {"C3D4H": "C3D4", "CPS6": "STRI65"}
 _KINDS = {"regions": "volume region", "surfaces": "surface", "edges": "set of edges"}
 
 
-class FileParts(NamedTuple):
-    """Named parts, with the node and cell indices of the file.
-
-    Attributes:
-        regions: Cells of each region, shape (n,): tetrahedra counted over all their blocks, then
-            hexahedra over all of theirs.
-        surfaces: Corners of the triangles of each surface, a quadrilateral as two, shape (n, 3).
-        edges: Ends of the line elements of each set, shape (n, 2).
-        unusable: Reason for each part that cannot be used, by its name.
-        unnamed: What the file has in place of names, for messages.
-        cell_counts: Number of flat cells and lines in the parts, by their kind.
-    """
-
-    regions: dict[str, np.ndarray]
-    surfaces: dict[str, np.ndarray]
-    edges: dict[str, np.ndarray]
-    unusable: dict[str, str]
-    unnamed: str
-    cell_counts: dict[str, int]
-
-    @property
-    def is_empty(self) -> bool:
-        """True for a file that names nothing."""
-        return not (self.regions or self.surfaces or self.edges or self.unusable)
-
-
 class MeshParts(NamedTuple):
-    """Named parts of a mesh, with the indices of the mesh.
+    """Named parts of a mesh file, with the indices of the file or of the mesh that was made of it.
 
     Attributes:
         path: The file.
-        regions: Cells of each region in rising order, int64, shape (n,).
-        surfaces: Corner nodes of the triangles of each surface, oriented as in the file, int64,
-            shape (n, 3).
+        regions: Cells of each region, int64, shape (n,): of a mesh in rising order, of a file tetrahedra
+            counted over all their blocks, then hexahedra over all of theirs.
+        surfaces: Corner nodes of the triangles of each surface, a quadrilateral as two, oriented as in the
+            file, int64, shape (n, 3).
         edges: End nodes of the line elements of each set, in the order of the file, int64,
             shape (n, 2).
         unusable: Reason for each part that cannot be used, by its name.
@@ -78,6 +53,11 @@ class MeshParts(NamedTuple):
     edges: dict[str, np.ndarray]
     unusable: dict[str, str]
     unnamed: str
+
+    @property
+    def is_empty(self) -> bool:
+        """True for a file that names nothing."""
+        return not (self.regions or self.surfaces or self.edges or self.unusable)
 
     def region(self, name: str) -> np.ndarray:
         """Cells of a region; raises `MeshError` where the file has no such region.
@@ -371,9 +351,8 @@ def read_gmsh(path: str) -> meshio.Mesh:
 def _gmsh_content(path: str, raw: bytes) -> tuple[meshio.Mesh, dict | None]:
     """Cells and nodes, and the physical groups of entities of files that have such."""
     version, is_binary, size = _section(raw, b"MeshFormat").split()[:3]
-    groups = None
-    if version == b"4.1":
-        groups = _groups_of_entities(_section(raw, b"Entities"), is_binary == b"1", int(size))
+    entities = _section(raw, b"Entities")
+    groups = _groups_of_entities(entities, is_binary == b"1", int(size)) if version == b"4.1" else None
     # meshio refuses files where only some entities have groups.
     some = bool(groups) and any(groups.values()) and not all(groups.values())
     start, end = raw.find(b"$Entities"), raw.find(b"$EndEntities")
@@ -449,19 +428,20 @@ def _group_tags(content: meshio.Mesh, index: int, groups: dict | None) -> list:
     return [groups.get((content.cells[index].dim, entity), ()) for entity in entities]
 
 
-def file_parts(content: meshio.Mesh, format_name: str) -> FileParts:
+def file_parts(path: Path, content: meshio.Mesh, format_name: str) -> tuple[MeshParts, dict[str, int]]:
     """Sorts the named parts of a file by the kind of their cells.
 
     Args:
-        content: The file; only tetrahedra and hexahedra are among its solid cells.
+        path: The file.
+        content: Its content; only tetrahedra and hexahedra are among its solid cells.
         format_name: Its format.
 
     Returns:
-        The parts. A name may be that of a region and of a surface.
+        The parts, with the indices of the file, and the number of flat cells and lines in them, by their
+        kind. A name may be that of a region and of a surface.
     """
     named = content.cell_sets if format_name in ("Gmsh", "Abaqus") else {}
-    counts = _cell_counts(content, named)
-    parts = FileParts({}, {}, {}, {}, _in_place_of_names(content, format_name), counts)
+    parts = MeshParts(path, {}, {}, {}, {}, _in_place_of_names(content, format_name))
     first = _first_cells(content)
     # Without hexahedra no face of a cell is a quadrilateral.
     has_quads = any(block.type in _HEXAHEDRA for block in content.cells)
@@ -484,14 +464,14 @@ def file_parts(content: meshio.Mesh, format_name: str) -> FileParts:
             held = ", ".join(f"{count} {kind}" for kind, count in sorted(others.items()))
             parts.unusable[name] = f"has cells other than triangles ({held})"
             continue
-        for of_kind, found in zip(parts[:3], (solids, triangles, lines), strict=True):
+        for of_kind, found in zip(parts[1:4], (solids, triangles, lines), strict=True):
             if sum(map(len, found)):
                 of_kind[name] = np.concatenate(found)
-    return parts
+    return parts, _cell_counts(content, named)
 
 
 def _first_cells(content: meshio.Mesh) -> list[int]:
-    """Number of the first cell of each block of solid cells: see `FileParts.regions`."""
+    """Number of the first cell of each block of solid cells: see `MeshParts.regions`."""
     counts = {kinds: 0 for kinds in (_TETS, _HEXAHEDRA)}
     first = []
     for block in content.cells:
@@ -549,13 +529,12 @@ def cell_of_each(of_file: np.ndarray, cells: np.ndarray) -> np.ndarray:
     return cell_of_group[group[len(cells) :]]
 
 
-def placed_parts(path: Path, parts: FileParts, cell_of: np.ndarray, node_of: np.ndarray) -> MeshParts:
+def placed_parts(parts: MeshParts, cell_of: np.ndarray, node_of: np.ndarray) -> MeshParts:
     """Renumbers the parts of a file after repair.
 
     Args:
-        path: The file.
-        parts: Its parts.
-        cell_of: Cell of the mesh for each cell of the file, numbered as in `FileParts.regions`,
+        parts: The parts.
+        cell_of: Cell of the mesh for each cell of the file, numbered as in `MeshParts.regions`,
             −1 where it was dropped, shape (file_cell_count,).
         node_of: Node of the mesh for each node of the file, −1 where it is not a corner of the
             mesh, shape (file_node_count,).
@@ -564,7 +543,7 @@ def placed_parts(path: Path, parts: FileParts, cell_of: np.ndarray, node_of: np.
         The parts of the mesh. Triangles and edges whose corners were merged into one are dropped.
         A part that loses a node is unusable.
     """
-    placed = MeshParts(path, {}, {}, {}, dict(parts.unusable), parts.unnamed)
+    placed = MeshParts(parts.path, {}, {}, {}, dict(parts.unusable), parts.unnamed)
     for name, of_file in parts.regions.items():
         cells = np.unique(cell_of[of_file])
         cells = cells[cells >= 0]

@@ -27,7 +27,6 @@ from softrobot_twin.geometry.mesh_file_checks import (
 )
 from softrobot_twin.geometry.mesh_parts import (
     NO_PARTS,
-    FileParts,
     MeshParts,
     cell_of_each,
     file_parts,
@@ -86,7 +85,7 @@ class MeshFile(NamedTuple):
     mid_nodes: np.ndarray | None
     hexahedra: np.ndarray
     dropped_cells: dict[str, int]
-    parts: FileParts
+    parts: MeshParts
     format_name: str
     expected_format: str
     notes: tuple[str, ...]
@@ -110,8 +109,8 @@ def read_mesh_file(path: Path) -> MeshFile:
     format_name = _format_of_content(path)
     with damage_told(path, f"cannot be read as {format_name}"):
         content = _FORMATS[format_name][2](str(path))
-        parts = file_parts(content, format_name)
-    return _solids(path, content, parts, format_name, _FORMAT_OF_SUFFIX[path.suffix.lower()])
+        parts, counts = file_parts(path, content, format_name)
+    return _solids(path, content, parts, counts, format_name, _FORMAT_OF_SUFFIX[path.suffix.lower()])
 
 
 def _format_of_content(path: Path) -> str:
@@ -125,7 +124,8 @@ def _format_of_content(path: Path) -> str:
 
 
 def _solids(
-    path: Path, content: meshio.Mesh, parts: FileParts, format_name: str, expected_format: str
+    path: Path, content: meshio.Mesh, parts: MeshParts, counts: dict[str, int], format_name: str,
+    expected_format: str,
 ) -> MeshFile:
     tets, mids, hexahedra, dropped, solids = [], [], [], {}, {}
     for block in content.cells:
@@ -157,7 +157,7 @@ def _solids(
     if len(hexahedra) and (mid_nodes >= 0).any():
         raise MeshError(path, "has tetrahedra of 10 nodes beside hexahedra of 8: only tetrahedra of "
                         "4 nodes fit on their faces")  # fmt: skip
-    unnamed = {kind: count - parts.cell_counts.get(kind, 0) for kind, count in dropped.items()}
+    unnamed = {kind: count - counts.get(kind, 0) for kind, count in dropped.items()}
     return MeshFile(
         positions, tets, mid_nodes if (mid_nodes >= 0).any() else None, hexahedra,
         {kind: count for kind, count in unnamed.items() if count}, parts, format_name,
@@ -284,12 +284,12 @@ def read_solid_mesh(
 
     mesh = _made_mesh(path, nodes, nodes.new_indices[hexahedra])
     notes += _oddity_notes(mesh, nodes.old_indices, file_tets)
-    parts = MeshParts(path, {}, {}, {}, {}, file.parts.unnamed)
+    parts = file.parts
     if not file.parts.is_empty:
         cells = cell_of_each(tets, tets[file_tets])
         of_hexahedra = cell_of_each(representatives[file.hexahedra], hexahedra)
         cells = np.concatenate([cells, of_hexahedra + len(once)])
-        parts = placed_parts(path, file.parts, cells, mesh_node_indices)
+        parts = placed_parts(file.parts, cells, mesh_node_indices)
     return MeshReading(mesh, tuple(notes), nodes.old_indices, mesh_node_indices, mids, parts)
 
 

@@ -84,15 +84,14 @@ def by_key(pairs: Iterable[tuple[Key, Value]]) -> dict[Key, list[Value]]:
 _KEYS = 24
 
 
-def listing(title: str, rows, piped: bool | None = None) -> Table:
+def listing(title: str, rows) -> Table:
     """Rows of a name and a text without a frame; on a terminal long texts go on below themselves.
 
     Args:
         title: The title above.
         rows: Name and text of each row.
-        piped: Whether it is shown as through a pipe; None to see.
     """
-    plain = not sys.stdout.isatty() if piped is None else piped
+    plain = not sys.stdout.isatty()
     made = Table(title=title, title_justify="left", title_style="" if plain else "bold",
                  box=None, show_header=False, padding=(0, 0, 0, 2), min_width=len(title) + 2)
     made.add_column(max_width=None if plain or all(not text for _, text in rows) else _KEYS,

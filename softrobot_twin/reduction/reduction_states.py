@@ -549,9 +549,7 @@ class StateFinder:
         return True
 
     def _load(self, forces: np.ndarray, gravity: np.ndarray) -> None:
-        self._touched = None
-        if len(forces):
-            self._touched = Touched(forces, np.full_like(forces, np.nan))
+        self._touched = Touched(forces, np.full_like(forces, np.nan)) if len(forces) else None
         if self._weight is not None:
             self._gravity = gravity
             self._weight.weights[:] = np.tensordot(gravity, self._unit_weights, 1)

@@ -212,13 +212,9 @@ class SoftPartModel:
             pushed = self._pushed(self._cavities, positions, pressures, len(forces))
             load = max(load, np.linalg.norm(pushed))
             forces += pushed
-        stiffest = self._stiffness_scale()
-        return forces, max(float(load), stiffest)
-
-    def _stiffness_scale(self) -> float:
-        """Force that strains the part by about one [N], times a small strain."""
         moduli = [material.young_modulus for material in self._division.body.materials]
-        return 1.0e-3 * min(moduli) * float(self.rest @ self.rest)
+        # At least the force that strains the part by about one, times a small strain.
+        return forces, max(float(load), 1.0e-3 * min(moduli) * float(self.rest @ self.rest))
 
     @staticmethod
     def _pushed(cavities: Cavities, positions, pressures, count: int) -> np.ndarray:

@@ -196,11 +196,6 @@ class DemoPlan:
         """True when commands are played and no targets followed."""
         return self.runs == DIRECT_RUNS
 
-    @property
-    def record_file(self) -> Path:
-        """The twin's rerun recording."""
-        return self.folder / "run.rrd"
-
     def command(self, node: str) -> list[str]:
         """Module and arguments of a node, to follow ``python -m``.
 
@@ -217,7 +212,7 @@ class DemoPlan:
                     "target_ramp_time": self.ramp_time}  # fmt: skip
         overrides: Mapping[str, Mapping[str, object]] = {
             "twin": {**scene, "use_device": True, "closed_loop": self.runs == CONTROLLED_RUNS,
-                     "record_file": str(self.record_file.resolve()), "view": bool(view),
+                     "record_file": str((self.folder / "run.rrd").resolve()), "view": bool(view),
                      "view_spawn": self.opens_viewer, **view},
             "device": {}, "target": scene if self.is_direct else of_paths,
         }  # fmt: skip

@@ -84,11 +84,6 @@ class Topic(NamedTuple):
         """Name of the type, such as ``sensor_msgs/JointState``."""
         return self.kind if isinstance(self.kind, str) else type_name(self.kind)
 
-    @property
-    def quality_in_words(self) -> str:
-        """Its quality of service, such as ``reliable, newest 1``."""
-        return quality_in_words(self.quality)
-
     def full_name(self, name: str = "", twin: str = "") -> str:
         """Name by which it is opened.
 

@@ -123,9 +123,7 @@ def _content(entity: Entity, drawn: Drawn | None) -> Content:
     if drawn is None or entity.shape == "solid":
         pose = () if drawn is None else (drawn.points, drawn.vectors)
         return Content(entity.points[corners], None, None, *pose)
-    colours = None
-    if entity.colours_of is not None:
-        colours = entity.colours_of(drawn.values) / 255.0
+    colours = entity.colours_of(drawn.values) / 255.0 if entity.colours_of else None
     if entity.shape == "surface":
         return Content(drawn.points[corners], colour=None if colours is None else colours[0])
     if entity.shape == "lines" and isinstance(drawn.points, np.ndarray):  # all of one segment

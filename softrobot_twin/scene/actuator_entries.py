@@ -164,7 +164,6 @@ class Cavity(WalledEntry, ActuatorEntry):
     """A cavity that is inflated: by a pressure, or by a volume."""
 
     noun: ClassVar[str] = "cavity"
-    placed: ClassVar[dict[str, str]] = {}
 
     control: Literal["pressure", "volume"] = "pressure"
     """A pressure by a regulator, or a volume by a syringe."""

@@ -266,7 +266,7 @@ class ElasticEntry(Entry):
         if self.preset is None:
             return None
         preset = MATERIAL_PRESETS[self.preset]
-        low, high = 100.0 * preset.smallest_strain, 100.0 * preset.largest_strain
+        low, high = 100.0 * preset.curve[0][0], 100.0 * preset.largest_strain
         return (f"preset {self.preset}: fitted with an error of {100.0 * preset.rms_error:.1f} % "
                 f"(largest {100.0 * preset.largest_error:.1f} %) to {preset.source}, its data lie "
                 f"at strains of {low:.0f} % to {high:.0f} % in tension: at smaller ones, and in "

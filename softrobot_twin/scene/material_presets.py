@@ -27,7 +27,8 @@ class MaterialPreset(NamedTuple):
         density: [kg/m³], as its maker states it.
         rms_error: Root mean square of the relative error of the stress over the curve.
         largest_error: The largest.
-        curve: Engineering strains and stresses [MPa], a pair each.
+        curve: Engineering strains and stresses [MPa], a pair each, from the smallest strain on: below it,
+            the law is extrapolated.
         source: Where the curve was published.
     """
 
@@ -43,11 +44,6 @@ class MaterialPreset(NamedTuple):
     def largest_strain(self) -> float:
         """Engineering strain up to which it was fitted."""
         return self.curve[-1][0]
-
-    @property
-    def smallest_strain(self) -> float:
-        """Engineering strain from which on there are data: below it, the law is extrapolated."""
-        return self.curve[0][0]
 
     @property
     def strain_range(self) -> tuple[float, float]:

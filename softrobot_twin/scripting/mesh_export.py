@@ -14,7 +14,7 @@ from softrobot_twin.geometry.quadratic_mesh import QuadraticMesh
 from softrobot_twin.harness.output_file import OutputError, output_file
 from softrobot_twin.mechanics.rotation import rotation_from_quaternion
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.appearance import rigid_poses
+from softrobot_twin.simulation.appearance import rigid_poses, rigid_skins
 from softrobot_twin.simulation.building.deformable_body import Body
 
 
@@ -83,7 +83,7 @@ def _parts(simulation: Simulation) -> Iterator[_Part]:
         nodes = beam.nodes_mapping()
         yield _Part(beam.name, nodes.positions(now), nodes.positions(rest), _line(beam.node_count))
     for skin, *places in zip(
-        simulation.rigid_skins(), _frames(simulation, now), _frames(simulation, rest), strict=True
+        rigid_skins(simulation.model), _frames(simulation, now), _frames(simulation, rest), strict=True
     ):
         here, there = (origin + skin.points @ rotation.T for origin, rotation in places)
         yield _Part(skin.name, here, there, [("triangle", skin.triangles)])

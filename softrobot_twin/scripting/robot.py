@@ -573,9 +573,7 @@ class Robot:
 
     def _remember(self, outcome: StepResult, command: Command) -> None:
         """Takes what pictures and read-outs need of a step, and shows it."""
-        self._by_effort = None
-        if isinstance(command, CommandEfforts):
-            self._by_effort = np.isfinite(command.efforts)
+        self._by_effort = np.isfinite(command.efforts) if isinstance(command, CommandEfforts) else None
         self._targets = command.targets if isinstance(command, FollowTargets) else None
         self._contacts = outcome.contacts
         if self._view is not None:

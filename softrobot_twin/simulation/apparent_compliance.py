@@ -297,7 +297,7 @@ class EffectorCompliance(HeldTangent):
         Args:
             by_effort: See `at_state`.
         """
-        return self._found(by_effort, self._simulation.static_factorization)
+        return self._found(by_effort, self._simulation.newton.tangent.static_factorization)
 
     def _found(self, by_effort: np.ndarray | None, factorization: Factorization | None) -> ApparentCompliance:
         model, state = self._model, self._simulation.state

@@ -21,7 +21,7 @@ from softrobot_twin.simulation.building.deformable_body import Body
 from softrobot_twin.simulation.building.mapped_surfaces import surface_on_mesh
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.building.reduced_body import Placed
-from softrobot_twin.simulation.building.scene_layout import triangulated
+from softrobot_twin.simulation.building.scene_layout import FACETS, triangulated
 from softrobot_twin.simulation.state import State
 
 # A beam is drawn with at least this many pieces, each element with no more than the second number.
@@ -229,7 +229,7 @@ class SolidSkin(NamedTuple):
     triangles: np.ndarray
 
 
-def rigid_skins(model: Model, facets: float) -> tuple[SolidSkin, ...]:
+def rigid_skins(model: Model, facets: float = FACETS) -> tuple[SolidSkin, ...]:
     """The rigid bodies, each in the coordinates of its scene entry.
 
     Args:
@@ -280,7 +280,7 @@ def rigid_poses(model: Model, positions: np.ndarray) -> tuple[np.ndarray, np.nda
     return origins, quaternions
 
 
-def obstacle_skins(model: Model, facets: float) -> tuple[SolidSkin, ...]:
+def obstacle_skins(model: Model, facets: float = FACETS) -> tuple[SolidSkin, ...]:
     """The obstacles, in the world; of a plane, a square beside the bodies.
 
     Args:

@@ -533,9 +533,7 @@ class MeshErrorEstimator:
     def responses(self) -> tuple[Response, Response, Response]:
         """At rest: of the scene's own elements, of quadratic ones, and the limit of both."""
         quadratic, cubic = self._cubic.responses()
-        own = quadratic
-        if self.element != "quadratic":
-            own = response(Newton(self._own.model), self._own.model)
+        own = quadratic if self.element == "quadratic" else response(Newton(self._own.model), self._own.model)
         return own, quadratic, limit(quadratic, cubic, self._own_share)
 
     def at_rest(self) -> MeshError:

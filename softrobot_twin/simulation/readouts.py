@@ -9,18 +9,14 @@ from softrobot_twin.mechanics.touch_loads import TouchState
 from softrobot_twin.simulation.appearance import (
     CavityDisplay,
     Pose,
-    SolidSkin,
     beam_skin,
     named_poses,
-    obstacle_skins,
     own_skin,
     rigid_poses,
-    rigid_skins,
     skins,
     spring_places,
 )
 from softrobot_twin.simulation.building.model import Model
-from softrobot_twin.simulation.building.scene_layout import FACETS
 from softrobot_twin.simulation.building.sensor_kinds import (
     ANGLE,
     FORCE,
@@ -276,19 +272,3 @@ class Readouts:
     def poses(self) -> dict[str, Pose]:
         """Pose of each rigid body, by name."""
         return named_poses(self.model, self.state.positions)
-
-    def rigid_skins(self, facets: float = FACETS) -> tuple[SolidSkin, ...]:
-        """Surfaces of the rigid bodies, in the coordinates of `rigid_poses`.
-
-        Args:
-            facets: Length of the facets of round shapes, as a share of their radius.
-        """
-        return rigid_skins(self.model, facets)
-
-    def obstacle_skins(self, facets: float = FACETS) -> tuple[SolidSkin, ...]:
-        """Surfaces of the obstacles, in the world; of a plane, a square near the bodies.
-
-        Args:
-            facets: Length of the facets of round shapes, as a share of their radius.
-        """
-        return obstacle_skins(self.model, facets)

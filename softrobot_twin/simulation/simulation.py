@@ -51,7 +51,6 @@ from softrobot_twin.simulation.step.situation import NO_LOADS
 from softrobot_twin.simulation.step.time_budget import StageClock, TimeBudget
 from softrobot_twin.simulation.step.time_integration import Dynamics, GeneralizedAlpha, Statics
 from softrobot_twin.simulation.warm_up import run_every_path
-from softrobot_twin.solvers.factorization import Factorization
 
 # Linearizations of a step in time of which a move was too long for one of them, at most.
 MOST_SHARES = 10
@@ -331,11 +330,6 @@ class Simulation(Readouts):
     def figure_names(self) -> tuple[str, ...]:
         """Names of what optional effects report of each step, such as ``fatigue.steps``."""
         return tuple(f"{part.name}.{figure}" for part in self.parts for figure in part.figures)
-
-    @property
-    def static_factorization(self) -> Factorization | None:
-        """A⁻¹ of the last linearization; None where it is not exactly that of statics."""
-        return self.newton.tangent.static_factorization
 
     def warm_up(self) -> None:
         """Run every path once, so that nothing is compiled or set up later; state unchanged."""
@@ -681,7 +675,7 @@ class Simulation(Readouts):
         Near is where the scene or the deadline stopped the linearizations before they could converge,
         and the residual is small beside the forces at rest, and of actuators, contacts and parts.
         """
-        if done.share != 1.0 or not done.actuation.is_exact:
+        if done.share != 1.0 or not done.actuation.contact.converged:
             return Balance.MISSED
         if done.is_balanced:
             return Balance.REACHED

@@ -676,16 +676,6 @@ class ReducedModel(NamedTuple):
     point_count: int
 
     @property
-    def name(self) -> str:
-        """Name of its file."""
-        return self.path.name
-
-    @property
-    def law(self) -> str:
-        """Its material law, that of the scene."""
-        return self.level.scene.body.material.law
-
-    @property
     def scene(self) -> Scene:
         """The scene with it."""
         return self.level.scene.changed(body={"reduced": Reduced(file=self.path.resolve())})
@@ -694,7 +684,7 @@ class ReducedModel(NamedTuple):
     def columns(self) -> dict[str, object]:
         """What a row of errors says of it."""
         return {"knob": REDUCED, "setting": f"{self.mode_count} modes, {self.point_count} points",
-                "file": self.name, "mode_count": self.mode_count, "point_count": self.point_count}
+                "file": self.path.name, "mode_count": self.mode_count, "point_count": self.point_count}
 
 
 class MeshLevel(NamedTuple):
@@ -1075,7 +1065,7 @@ def study_reduced(reduced: ReducedModel, study: Study, timed_steps: int) -> Accu
         timed_steps: Most steps that are timed.
     """
     level = reduced.level._replace(scene=reduced.scene)
-    row = _judge(level, reduced.law, study.loads, study.references, None, timed_steps)
+    row = _judge(level, level.scene.body.material.law, study.loads, study.references, None, timed_steps)
     return replace(row, **reduced.columns)
 
 

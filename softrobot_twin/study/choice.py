@@ -356,8 +356,8 @@ class Models:
         Args:
             model: The reduced model.
         """
-        if self.reduced.setdefault(model.name, model) is not model:
-            warn(f"{model.path} is left out: {self.reduced[model.name].path} has the same name")
+        if self.reduced.setdefault(model.path.name, model) is not model:
+            warn(f"{model.path} is left out: {self.reduced[model.path.name].path} has the same name")
 
     def scene(self, setting: Setting) -> Scene:
         """The scene of a setting.
@@ -380,20 +380,21 @@ class Models:
         return [row for row in made if row is not None]
 
     def _row(self, model: ReducedModel, known: Sequence[AccuracyRow]) -> AccuracyRow | None:
-        name = model.level.name, model.level.scene.body.element, model.law
-        own = (model.name, model.mode_count, model.point_count)
+        body = model.level.scene.body
+        name = model.level.name, body.element, body.material.law
+        own = (model.path.name, model.mode_count, model.point_count)
         same = [row for row in known if (row.mesh, row.element, row.law) == name]
         for row in same:
             if row.knob == REDUCED and (row.file, row.mode_count, row.point_count) == own:
                 return row
         full = next((row for row in same if row.knob == MESH), None)
         if full is None:
-            warn(f"{model.name} is left out: the error of {describe_mesh(*name[:2])} is not known")
+            warn(f"{model.path.name} is left out: the error of {describe_mesh(*name[:2])} is not known")
             return None
-        report_activity(f"{model.name} beside its full model")
+        report_activity(f"{model.path.name} beside its full model")
         added = differences(model.level.scene, model.scene)
         if not np.isfinite(added.moved):
-            warn(f"{model.name} is left out: in the poses of the study it, or its full model, has "
+            warn(f"{model.path.name} is left out: in the poses of the study it, or its full model, has "
                  "no equilibrium")  # fmt: skip
             return None
         return reduced_row(full, model, added)

@@ -31,7 +31,6 @@ from softrobot_twin.mechanics.laws import law_named
 from softrobot_twin.mechanics.observed_loads import ObservedLoads
 from softrobot_twin.mechanics.sealed_gas import SealedGas
 from softrobot_twin.scene import Scene
-from softrobot_twin.scene.body_entries import Material
 from softrobot_twin.scene.words import count, in_words, number, vector, words
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.building.actuator_kinds import ActuatorGroup, Quantity
@@ -57,19 +56,7 @@ def limits(bounds, unit: str) -> str:
         bounds: The lower and the upper limit.
         unit: Their unit.
     """
-    if np.isfinite(bounds).any():
-        return f"{vector(bounds)} {unit}".rstrip()
-    return "without limit"
-
-
-def describe_material(material: Material) -> str:
-    """A material entry, after its law.
-
-    Args:
-        material: The entry.
-    """
-    law = _describe_law(material.law, law_at_rest(material, material.law), material.constants)
-    return words(law, material.describe())
+    return f"{vector(bounds)} {unit}".rstrip() if np.isfinite(bounds).any() else "without limit"
 
 
 def _describe_law(law: str, at_rest: AtRest | MaterialPart, constants: dict | None) -> str:
@@ -360,10 +347,12 @@ def _listed(names: list[str]) -> str:
 def _body_effects(body, integration: str, names: list[str]) -> Iterator[Effect]:
     """Effects of a deformable body: mesh, material, fixed regions, damping."""
     entry, key, mesh, vertebrae = body.entry, body.key, body.mesh, body.vertebrae
+    material, law = entry.material, entry.material.law
     yield Effect(f"{key}.mesh", f"{entry.mesh.describe()}, {entry.element} elements",
                  f"{mesh.node_count} nodes, {_cells(mesh)}")
-    yield Effect(f"{key}.material", describe_material(entry.material),
-                 "in superelements" if vertebrae else _term(names, entry.material.law))
+    yield Effect(f"{key}.material", 
+                 words(_describe_law(law, law_at_rest(material, law), material.constants), material.describe()),
+                 "in superelements" if vertebrae else _term(names, law))
     for part, other in zip(body.materials[-len(entry.materials):], entry.materials, strict=False):
         cells = "cells" if "hexahedra" in mesh.cell_counts else "tets"
         content = words(f"{other.place}: {_describe_law(part.law, part, other.constants)}",

@@ -278,9 +278,7 @@ def _ranges(
         # A slide has no effort, and a cavity without wall none.
         if not np.isfinite(values).any() or (quantity == kind.effort and not values.any()):
             continue
-        most = ""
-        if names:
-            most = f" of {names[int(np.nanmax(np.abs(values), axis=0).argmax())]}"
+        most = f" of {names[int(np.nanmax(np.abs(values), axis=0).argmax())]}" if names else ""
         told.append(f"{told_range(quantity, values)}{most}")
     return ", ".join(told)
 

@@ -229,14 +229,6 @@ class Snapshot(NamedTuple):
     forces: tuple[np.ndarray, np.ndarray]
     labels: list[Label]
 
-    def of_kind(self, kind: str) -> list[Solid]:
-        """Solids of a kind in `LEGEND`.
-
-        Args:
-            kind: The kind.
-        """
-        return [solid for solid in self.solids if solid.kind == kind]
-
 
 def take_snapshot(simulation: Simulation, contacts: ContactForces | None, title: str,
          targets: np.ndarray | None = None, effector_path: np.ndarray | None = None) -> Snapshot:
@@ -538,7 +530,7 @@ _BAR_TITLES = {"cable": "cable tension [N]", "cavity": "gauge pressure [kPa]"}
 
 def _values(snapshots: Sequence[Snapshot], kind: str) -> list[float]:
     """Values of the solids of a kind, and 0."""
-    return [0.0, *(solid.value for shot in snapshots for solid in shot.of_kind(kind))]
+    return [0.0, *(solid.value for shot in snapshots for solid in shot.solids if solid.kind == kind)]
 
 
 def _colour_maps(snapshots: Sequence[Snapshot]) -> dict:

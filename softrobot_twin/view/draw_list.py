@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.appearance import SolidSkin, fixed_ends, fixed_places
+from softrobot_twin.simulation.appearance import SolidSkin, fixed_ends, fixed_places, obstacle_skins, rigid_skins
 from softrobot_twin.simulation.building.scene_layout import FACETS
 from softrobot_twin.simulation.colours import (
     CLEAR_SURFACE_COLOUR,
@@ -230,7 +230,7 @@ class DrawList:
     def _rigid(self, facets: float) -> Effect:
         """Rigid bodies, and their frames, which are not longer than the body."""
         simulation, parts = self._simulation, self._simulation.model.rigid
-        skins = simulation.rigid_skins(facets)
+        skins = rigid_skins(simulation.model, facets)
         entities = [_solid("/rigid_bodies", RIGID_COLOUR, skin, "rigid body",
                            "free body" if part.is_free else "guided body")
                     for skin, part in zip(skins, parts, strict=True)]  # fmt: skip
@@ -254,7 +254,7 @@ class DrawList:
         planes = {entry.name for entry in self._simulation.scene.obstacles if entry.plane is not None}
         return [_solid("/obstacles", OBSTACLE_COLOUR, skin, "obstacle",
                        "plane" if skin.name in planes else "obstacle")
-                for skin in self._simulation.obstacle_skins(facets)], None  # fmt: skip
+                for skin in obstacle_skins(self._simulation.model, facets)], None  # fmt: skip
 
     def _contacts(self) -> Effect:
         if self._simulation.scene.contact is None:

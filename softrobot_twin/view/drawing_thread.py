@@ -158,14 +158,9 @@ class DrawingThread:
         self._thread.start()
 
     @property
-    def dropped_count(self) -> int:
-        """Frames that were replaced before they were drawn."""
-        return self.latest.dropped_count
-
-    @property
     def is_busy(self) -> bool:
         """Whether frames that were chosen are still to be drawn."""
-        done = self.logged_count + self.failed_count + self.dropped_count
+        done = self.logged_count + self.failed_count + self.latest.dropped_count
         return done < self.latest.put_count
 
     def offer(self, frame: Frame) -> None:

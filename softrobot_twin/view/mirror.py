@@ -135,7 +135,7 @@ class RerunMirror(AbstractContextManager):
     @property
     def frames_dropped(self) -> int:
         """Chosen frames that were replaced by newer ones before they were drawn."""
-        return sum(outlet.dropped_count for outlet in self.drawing_threads)
+        return sum(outlet.latest.dropped_count for outlet in self.drawing_threads)
 
     @property
     def frames_failed(self) -> int:

@@ -14,19 +14,14 @@ from softrobot_twin.constraints.effector_orientation import (
 )
 from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.errors import CommandError
-from softrobot_twin.geometry.point_location import locate_points
-from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.kinematics import CarriedPoints
 from softrobot_twin.mechanics.rigid_bodies import RigidFrames
+
+from .test_effector import carried
 
 LENGTH = 0.25
 PATCH = [(0.02, 0.02, 0.35), (0.15, 0.05, 0.36), (0.1, 0.25, 0.3), (0.05, 0.2, 0.38)]
 FLAT_PATCH = [(0.02, 0.02, 0.35), (0.15, 0.02, 0.35), (0.1, 0.25, 0.35)]
-
-
-def carried(mesh, points):
-    found = locate_points(mesh, np.array(points, float))
-    return BarycentricMapping(found.nodes, found.barycentric_weights)
 
 
 def posed(mesh, points=PATCH, axis=None, directions=(0, 1, 2), free_index=None):

@@ -2,19 +2,17 @@
 
 import numpy as np
 
-from softrobot_twin.mechanics.inertia import ConsistentInertia, MassDamping, lumped_masses
+from softrobot_twin.mechanics.inertia import MassDamping, lumped_masses
 
-DENSITY, STEP, ALPHA = 1070.0, 0.004, 3.0
+from .test_inertia import DENSITY, consistent
+
+STEP, ALPHA = 0.004, 3.0
 
 
 def mass_damping(mesh, free_index, _):
     nodes = np.flatnonzero(free_index >= 0)
     masses = lumped_masses(mesh, DENSITY)[nodes]
     return MassDamping(nodes, free_index[nodes], masses, ALPHA)
-
-
-def consistent_inertia(mesh, free_index, _):
-    return ConsistentInertia(mesh, free_index, DENSITY, np.flatnonzero(free_index >= 0))
 
 
 def displaced(positions, amount, seed):
@@ -44,7 +42,7 @@ def test_mass_damping_force_is_proportional_to_mass_and_velocity(block, bind):
 
 def test_a_free_body_with_mass_damping_slows_down_as_backward_euler_predicts(block, bind):
     mesh = block(cells=(1, 1, 1))
-    bound = bind((mass_damping, mesh, 1.0, 0.0), (consistent_inertia, mesh, 1.0, 0.0))
+    bound = bind((mass_damping, mesh, 1.0, 0.0), (consistent, mesh, 1.0, 0.0))
     x, velocities = mesh.node_positions.copy(), np.tile([1.0, 2.0, -1.0], (mesh.node_count, 1))
     for term in bound.terms:
         term.begin_step(x, velocities, STEP)

@@ -16,7 +16,7 @@ from softrobot_twin.mechanics.strain_rate_damping import StrainRateDamping
 from softrobot_twin.simulation.build import bound_factorization
 from softrobot_twin.solvers.superlu import SuperLU
 
-from .test_reduced_elements import MODES, smooth_basis
+from .test_reduced_elements import MODES, forces_of, smooth_basis
 
 STEP, BETA, LAME = 0.01, 3e-3, LameParameters(1.4e5, 3.6e4)
 KINDS = ("inertia", "mass damping", "strain-rate damping")
@@ -40,12 +40,6 @@ def term_of(kind, mesh, basis):
         points = point_gradients(part, all_points(part), basis)
         term = ReducedStrainRateDamping(points, LAME, BETA, nodes, nodes)
     return term, bound_factorization(SuperLU, [term], count)
-
-
-def forces_of(term, q):
-    forces = np.zeros((len(q) // 3, 3))
-    term.add_forces(q.reshape(-1, 3), forces)
-    return forces.ravel()
 
 
 def begun(term, rng, step=STEP, size=0.01):

@@ -10,6 +10,8 @@ from softrobot_twin.geometry.smoothed_mesh import edge_rings, smooth
 from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.mechanics.strain_rate_damping import StrainRateDamping
 from softrobot_twin.mechanics.volume_barrier import BARRIER_VOLUME
+
+from .test_corotational import deformed
 from test.builder import builder
 
 YOUNG, POISSON = 2.0e5, 0.4
@@ -26,12 +28,6 @@ def body(block, bind, /, law="corotational", fixed=(), **shape):
     """A box of tetrahedra with smoothed strain."""
     mesh = block(**shape)
     return mesh, bind((law, rings_of(mesh), YOUNG, POISSON), fixed=fixed)
-
-
-def deformed(mesh, amount, seed=0):
-    rng = np.random.default_rng(seed)
-    size = np.ptp(mesh.node_positions)
-    return mesh.node_positions + amount * size * rng.standard_normal((mesh.node_count, 3))
 
 
 def inside(mesh):

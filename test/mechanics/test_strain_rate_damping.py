@@ -7,26 +7,20 @@ from scipy.spatial.transform import Rotation
 
 from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.geometry.shape_functions import integration_points
-from softrobot_twin.mechanics.inertia import ConsistentInertia, LumpedInertia, lumped_masses
+from softrobot_twin.mechanics.inertia import lumped_masses
 from softrobot_twin.mechanics.material import lame_parameters
 from softrobot_twin.mechanics.strain_rate_damping import THINNEST, StrainRateDamping
+
+from .test_inertia import DENSITY, consistent, lumped
+from .test_mass_damping import displaced
 from test.builder import builder, each_of
 
-YOUNG, POISSON, DENSITY = 2.0e5, 0.3, 1070.0
+YOUNG, POISSON = 2.0e5, 0.3
 STEP, BETA = 0.004, 0.02
 
 
 def damping(mesh, free_index, lame, beta=BETA):
     return StrainRateDamping(mesh, free_index, lame, beta)
-
-
-def lumped_inertia(mesh, free_index, _):
-    nodes = np.flatnonzero(free_index >= 0)
-    return LumpedInertia(nodes, free_index[nodes], lumped_masses(mesh, DENSITY)[nodes])
-
-
-def consistent_inertia(mesh, free_index, _):
-    return ConsistentInertia(mesh, free_index, DENSITY, np.flatnonzero(free_index >= 0))
 
 
 element = each_of(["linear", "quadratic"])
@@ -37,10 +31,6 @@ def body(element, block, /, cells=(1, 2, 2)):
     """Makes a box of elements of a kind that does not fill its batches."""
     mesh = block(cells=cells)
     return add_mid_edge_nodes(mesh) if element == "quadratic" else mesh
-
-
-def moved(positions, amount, seed):
-    return positions + amount * np.random.default_rng(seed).standard_normal(positions.shape)
 
 
 def strained(mesh):
@@ -73,7 +63,7 @@ def test_matrix_is_minus_the_derivative_of_the_force(angle, body, bind):
     bound = bind((damping, mesh, YOUNG, POISSON), fixed=[0, 3, 4])
     begin(bound, strained(mesh))
     # Stretches of some per cent in the step, beside the rotation.
-    x = turned(moved(strained(mesh), 0.004, seed=2), angle)
+    x = turned(displaced(strained(mesh), 0.004, seed=2), angle)
     forces, A = bound.assemble(x)
     np.testing.assert_array_equal(bound.forces(x)[0], forces)
     A = A.toarray()
@@ -105,7 +95,7 @@ def test_the_projected_matrix_is_never_indefinite(body, bind):
     least = []
     for seed in range(5):
         # Pressed and sheared in one step until the exact tangent is indefinite.
-        x = turned(moved(0.8 * strained(mesh), 0.02, seed), 40.0)
+        x = turned(displaced(0.8 * strained(mesh), 0.02, seed), 40.0)
         for projected in (False, True):
             A = bound.assemble(x, projected)[1].toarray()
             least.append(np.linalg.eigvalsh(A).min() / np.abs(A).max())
@@ -116,7 +106,7 @@ def test_the_projected_matrix_is_never_indefinite(body, bind):
 def test_force_is_the_viscous_stress_in_the_elements_own_frame(body, bind):
     mesh = body()
     start = strained(mesh)
-    x = turned(moved(start, 0.004, seed=2), 50.0)
+    x = turned(displaced(start, 0.004, seed=2), 50.0)
     bound = bind((damping, mesh, YOUNG, POISSON))
     # The step before must leave nothing behind.
     begin(bound, x, 2.0 * STEP)
@@ -161,11 +151,11 @@ def test_dissipation_is_positive_for_any_shape_and_motion(body, bind):
     viscous = bound.terms[0]
     for seed in range(10):
         # The largest turn half of the elements inside out.
-        start = moved(mesh.node_positions, 0.02 * seed, seed)
+        start = displaced(mesh.node_positions, 0.02 * seed, seed)
         begin(bound, start)
         assert viscous.heat(start) == 0.0
         for amount in (1e-5, 1e-2, 1.0):
-            assert viscous.heat(moved(start, amount, seed + 100)) > 0.0
+            assert viscous.heat(displaced(start, amount, seed + 100)) > 0.0
         A = bound.assemble(start)[1].toarray()
         assert np.linalg.eigvalsh(A).min() > -1e-10 * np.abs(A).max()
 
@@ -177,7 +167,7 @@ def test_the_work_against_the_damping_force_is_half_the_dissipation_on_any_path(
     start = strained(mesh)
     begin(bound, start)
     points, weights = np.polynomial.legendre.leggauss(8)
-    ends = [start, turned(start, 40.0), turned(moved(start, 0.004, seed=6), 40.0)]
+    ends = [start, turned(start, 40.0), turned(displaced(start, 0.004, seed=6), 40.0)]
     work = 0.0
     for first, last in zip(ends[:-1], ends[1:], strict=True):
         for point, weight in zip(0.5 * (points + 1.0), 0.5 * weights, strict=True):
@@ -208,7 +198,7 @@ def test_the_damping_force_has_no_resultant_or_torque_for_any_motion(side, body,
     bound = bind((damping, mesh, YOUNG, POISSON))
     start = side * strained(mesh)
     begin(bound, start)
-    x = turned(moved(start, 0.05, seed=4), 70.0)
+    x = turned(displaced(start, 0.05, seed=4), 70.0)
     forces = bound.forces(x)[0]
     scale = np.linalg.norm(np.cross(x, forces), axis=1).sum()
     assert np.abs(torque(x, forces)).max() < 1e-12 * scale
@@ -244,7 +234,7 @@ def test_a_body_that_spins_freely_keeps_its_angular_momentum(degrees, element, b
     velocities = np.cross(np.radians(degrees) / STEP * axis, start)
     before = torque(start, masses * velocities)
     elastic = ("corotational", mesh, stiff, POISSON)
-    inertia = (lumped_inertia, mesh, stiff, POISSON)
+    inertia = (lumped, mesh, stiff, POISSON)
     after = []
     for beta in (0.0, STEP, 100.0 * STEP):
         viscous = (lambda *given, beta=beta: damping(*given, beta), mesh, stiff, POISSON)
@@ -259,7 +249,7 @@ def test_a_body_that_spins_freely_keeps_its_angular_momentum(degrees, element, b
 def test_a_cantilevers_first_mode_decays_at_half_beta_omega_squared(body, bind):
     mesh = body((1, 1, 3))
     fixed = np.flatnonzero(mesh.node_positions[:, 2] < 1e-9)
-    parts = (("corotational", mesh, YOUNG, POISSON), (consistent_inertia, mesh, 1.0, 0.0))
+    parts = (("corotational", mesh, YOUNG, POISSON), (consistent, mesh, 1.0, 0.0))
     plain = bind(*parts, fixed=fixed)
     still = np.zeros((len(plain.free), 3))
     begin(plain, mesh.node_positions, np.inf, still)
@@ -300,7 +290,7 @@ def test_a_crushed_or_inverted_body_is_damped_by_a_bounded_matrix(share, body, b
     for flattened in ([1.0, 1.0, share], [share, share, share]):
         start = mesh.node_positions * flattened
         begin(bound, start)
-        x = moved(start, 0.01, seed=5)
+        x = displaced(start, 0.01, seed=5)
         forces, A = bound.assemble(x)
         assert np.isfinite(forces).all() and np.sum(forces * (x - start)) < 0.0
         assert 0.0 < A.diagonal().sum() <= THINNEST**2 * rest

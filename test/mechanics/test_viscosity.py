@@ -9,6 +9,8 @@ from softrobot_twin.mechanics.remembering_elements import RememberingElements
 from softrobot_twin.mechanics.softening import SofteningConstants
 from softrobot_twin.mechanics.viscosity import ViscousTerm, instant_shares, step_factors
 
+from .test_softening import along, uniaxial
+
 LAW = law_named("neo_hookean").of_moduli(2.0e5, 0.45)
 MU = LAW.shear_modulus
 SERIES = (ViscousTerm(0.2, 0.5), ViscousTerm(0.1, 4.0))
@@ -17,15 +19,6 @@ MEMORIES = {
     "softening": {"softening": SofteningConstants(1.5, 2000.0, 0.1)},
     "both": {"viscosity": SERIES, "softening": SofteningConstants(1.5, 2000.0, 0.1)},
 }
-
-
-def uniaxial(stretch):
-    return np.diag([stretch, stretch**-0.5, stretch**-0.5])
-
-
-def along(P, stretch):
-    """Engineering stress of a uniaxial stretch at constant volume [Pa]: without the pressure."""
-    return P[0, 0] - P[1, 1] * stretch**-1.5
 
 
 def sheared(amount):

@@ -5,9 +5,11 @@ import pytest
 import yaml
 
 from softrobot_twin.reduction import body_training
+from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Simulation
-from softrobot_twin.simulation.building.reduced_body import read_body_reduction
+from softrobot_twin.simulation.building.reduced_body import BodyReduction, ModelFile, read_body_reduction
 from softrobot_twin.simulation.linear_model import ModalTangent
+from softrobot_twin.study.accuracy_study import only_body
 from test.lost_samples import lose_second
 from test.scene_changes import entries_of, repeat_step, yaml_file
 
@@ -31,9 +33,14 @@ def reduced(column, file):
     return yaml_file(column.parent / "reduced.yaml", mapping)
 
 
-def equal(first, second):
+def read(scene, file) -> BodyReduction:
+    """The reduced model of a file, for the body of a scene file."""
+    return read_body_reduction(ModelFile(file), only_body(load_scene(scene)))
+
+
+def equal(scene, first, second):
     """Whether two files hold the same reduced model; the time of the training may differ."""
-    one, other = (read_body_reduction(file) for file in (first, second))
+    one, other = (read(scene, file) for file in (first, second))
     np.testing.assert_array_equal(one.basis, other.basis)
     for name in ("sampled", "spare_sampled"):
         for a, b in zip(getattr(one, name), getattr(other, name), strict=True):
@@ -43,9 +50,9 @@ def equal(first, second):
     return True
 
 
-def test_the_file_says_how_it_was_made(trained):
-    found = read_body_reduction(trained)
-    assert found.mode_count == 18 and found.spare_count == 6
+def test_the_file_says_how_it_was_made(column, trained):
+    found = read(column, trained)
+    assert found.mode_count == 18 and found.basis.shape[2] == 24
     assert found.training["states"] == 48 and found.training["seed"] == 0
     assert len(found.sampled.cells) < 120 == 2 * 2 * 5 * 6
     assert found.ranges[0] > 1e-3 and (np.diff(found.ranges[[0, 5, 23]]) < 0.0).all()
@@ -72,7 +79,7 @@ def test_a_scene_with_the_file_moves_as_the_full_one(trained, column):
 @pytest.mark.exhaustive
 def test_two_processes_train_the_same(trained, column, call, tmp_path):
     done = call("reduce", column, "--output", tmp_path / "r.npz", "--workers", 2, *SMALL)
-    assert equal(trained, tmp_path / "r.npz")
+    assert equal(column, trained, tmp_path / "r.npz")
     assert "48 of 48" in done.output and "8 fresh states" in done.output
     assert "56 of 56" in done.errors
 
@@ -80,14 +87,14 @@ def test_two_processes_train_the_same(trained, column, call, tmp_path):
 def test_the_scene_that_names_the_file_trains_it_again(trained, column, call, tmp_path):
     scene = reduced(column, tmp_path / "missing.npz")
     call("reduce", scene, "--output", tmp_path / "r.npz", "--workers", 1, *SMALL)
-    assert equal(trained, tmp_path / "r.npz")
+    assert equal(column, trained, tmp_path / "r.npz")
 
 
 def test_the_file_lies_beside_the_mesh(column, call):
     call("reduce", column, "--workers", 1, "--snapshots", 8, "--modes", 3,
          "--spare-modes", 3, "--states", 0)  # fmt: skip
     file = column.parent / "column_reduced.npz"
-    assert np.isnan(read_body_reduction(file).measured).all()
+    assert np.isnan(read(column, file).measured).all()
     file.unlink()
 
 
@@ -96,7 +103,7 @@ def test_modes_follow_from_the_energy_that_they_may_leave_out(column, call, tmp_
     for energy in (1e-2, 1e-5):
         call("reduce", column, "--output", tmp_path / "r.npz", "--workers", 1,
              "--snapshots", 40, "--energy", energy, "--states", 0)  # fmt: skip
-        found = read_body_reduction(tmp_path / "r.npz")
+        found = read(column, tmp_path / "r.npz")
         assert found.training["energy left out"] <= energy and found.mode_count % 3 == 0
         counts.append(found.mode_count)
     assert counts[0] < counts[1]
@@ -107,7 +114,7 @@ def test_a_body_that_saw_loads_follows_them(trained, column, call, tmp_path):
     call("reduce", column, "--output", tmp_path / "r.npz", "--workers", 1,
          "--snapshots", 80, "--modes", 24, "--loads", 0.1, "--tilts", 120,
          *RANGE)  # fmt: skip
-    told = read_body_reduction(tmp_path / "r.npz")
+    told = read(column, tmp_path / "r.npz")
     assert told.measured[1] < 0.05 and told.training["load [N]"] == 0.1
     mapping = entries_of(column, {"gravity": [0.0, 9.81, 0.0]})
     moved = []
@@ -131,7 +138,7 @@ def test_a_wanted_error_is_met_by_adding_where_it_is_worst(column, call, tmp_pat
     done = call("reduce", column, "--output", tmp_path / "r.npz", "--workers", 1,
                 "--error", "2%", "--states", 8, *RANGE)  # fmt: skip
     assert "round 1: 8 states" in done.output and "round 2" in done.output
-    found = read_body_reduction(tmp_path / "r.npz")
+    found = read(column, tmp_path / "r.npz")
     assert found.training["wanted error"] == 0.02 and found.training["states"] > 8
     assert found.measured[1] < 0.03
 
@@ -154,7 +161,7 @@ def test_a_training_by_targets_tells_which_were_reached_and_is_judged_between_th
     done = call("reduce", column, "--output", tmp_path / "r.npz", "--workers", 1, "--targets",
                 "tip=0.004:0.016,0.004:0.016,0.096:0.104", "--snapshots", 24, "--modes", 9,
                 "--spare-modes", 3, "--states", 6)  # fmt: skip
-    training = read_body_reduction(tmp_path / "r.npz").training
+    training = read(column, tmp_path / "r.npz").training
     sought, missed = training["targets sought"], training["missed targets"]
     assert sought == 23 and 0 < missed < 23
     assert 0.001 < training["largest miss [m]"] < 0.01
@@ -168,7 +175,7 @@ def test_lost_chains_are_told_and_the_rest_is_used(column, call, tmp_path, monke
     done = call("reduce", column, "--output", tmp_path / "r.npz", "--snapshots", 40, "--modes", 6,
                 "--states", 0, code=1)  # fmt: skip
     assert "10 states are lost: no power" in done.errors
-    assert read_body_reduction(tmp_path / "r.npz").training["states"] == 30
+    assert read(column, tmp_path / "r.npz").training["states"] == 30
 
 
 @pytest.mark.exhaustive
@@ -182,7 +189,7 @@ def test_a_stopped_run_goes_on_where_it_was(column, stop, call, tmp_path):
     done = call(*arguments)
     assert not part.exists()
     assert "24 of 60" in done.errors
-    assert read_body_reduction(output).training["states"] == 60
+    assert read(column, output).training["states"] == 60
 
 
 def test_an_error_that_fresh_states_exceed_after_the_last_round_is_said(capsys):
@@ -227,7 +234,7 @@ def moving(column, tmp_path_factory):
         small = ("--snapshots", 48, "--states", 0, "--spare-modes", 3, *RANGE)
         arguments = ["reduce", scene, "--output", file, "--workers", 1, *small, *more]
         assert main([str(argument) for argument in arguments]) == 0
-        assert read_body_reduction(file).training["vibration modes"] == (0 if more else 12)
+        assert read(column, file).training["vibration modes"] == (0 if more else 12)
         simulations.append(Simulation.from_scene_file(in_motion(column, file)))
     return simulations
 

@@ -9,6 +9,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from softrobot_twin.ros.topics import NEWEST
 from softrobot_twin.ros.twin_node import TwinNode
 from softrobot_twin.ros.visualization import RobotMarkers
+from softrobot_twin.simulation.appearance import obstacle_skins
 
 TOPIC = "/twin/visualization"
 
@@ -121,7 +122,7 @@ def test_obstacles_rigid_bodies_and_targets_are_shown(world):
     world.until(lambda: not twin.tick() and heard)
     simulation = twin.loop.simulation
     found = by_kind(heard[0])
-    obstacles = simulation.obstacle_skins()
+    obstacles = obstacle_skins(simulation.model)
     for number, skin in enumerate(obstacles):
         marker = found["obstacles", number]
         np.testing.assert_array_equal(points_of(marker), skin.points[skin.triangles.ravel()])

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, FollowTargets, Hold, Status
+
+from .test_cable_friction import pull
 from test.scene_changes import solved
 
 
@@ -26,11 +28,6 @@ def path_lengths(simulation):
 def unstretched(simulation, stiffness):
     """Lengths that the tensions leave of the paths, by Hooke's law [m]."""
     return path_lengths(simulation) / (1.0 + simulation.state.efforts / stiffness)
-
-
-def pull(simulation, *shortenings):
-    lengths = simulation.rest_setpoints - np.array(shortenings)
-    return simulation.step(CommandSetpoints(lengths, 0.1))
 
 
 def test_a_cable_and_springs_share_the_shortening_as_springs_in_series(simulate):

@@ -12,6 +12,7 @@ from softrobot_twin.geometry.surface_reading import read_surface
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.mechanics.cavity_surfaces import surface_area
 from softrobot_twin.simulation import Simulation, State
+from softrobot_twin.simulation.appearance import rigid_skins
 from test.builder import builder
 from test.places import SCENES
 
@@ -109,7 +110,7 @@ def test_a_rigid_body_s_pose_places_its_shape(grasper):
     grasper.reset()
     positions, quaternions = grasper.rigid_poses()
     assert grasper.rigid_names == ("palm", "cube") and grasper.guided_names == ("palm",)
-    cube = grasper.rigid_skins()[1]
+    cube = rigid_skins(grasper.model)[1]
     assert np.ptp(cube.points, axis=0) == pytest.approx([0.04] * 3)
     assert positions[1] == pytest.approx([0.0, 0.0, -0.104])
     assert quaternions[1] == pytest.approx(Rotation.from_euler("z", 0.785398).as_quat())
@@ -128,7 +129,7 @@ def test_a_shape_away_from_its_body_s_origin_stays_at_its_place_in_the_scene():
     }  # fmt: skip
     simulation = Simulation(scene_from_mapping(mapping))
     (position,), (quaternion,) = simulation.rigid_poses()
-    points = simulation.rigid_skins()[0].points
+    points = rigid_skins(simulation.model)[0].points
     assert position == pytest.approx([1.0, 0.0, 0.0])
     assert points[:, 0].min() == pytest.approx(0.2) and points[:, 0].max() == pytest.approx(0.4)
     placed = Rotation.from_quat(quaternion).apply(points) + position

@@ -7,12 +7,9 @@ from scipy.optimize import nnls
 from softrobot_twin.solvers.pivoting import MUCH_LOWER, solve_by_pivoting
 from softrobot_twin.solvers.quadratic_program import DAQPSolver, whiten
 
+from .test_force_bounds import solve
+
 ADMISSIBLE = 1.0e-9
-
-
-def solve(robot, problem=None, **options):
-    problem = robot.problem() if problem is None else problem
-    return solve_by_pivoting(problem, robot.held, robot.touching, **options)
 
 
 @pytest.mark.parametrize("seed", range(25))

@@ -5,6 +5,7 @@ import pytest
 
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import Hold, Simulation
+from softrobot_twin.simulation.appearance import rigid_skins
 from softrobot_twin.view.draw_list import DrawList, Shown
 from test.places import SCENES
 
@@ -61,7 +62,7 @@ def test_frames_of_rigid_bodies_turn_with_them_and_are_no_longer_than_they():
     np.testing.assert_array_equal(frames.points, np.repeat(places, 3, axis=0))
     triads = frames.vectors.reshape(-1, 3, 3)
     lengths = np.linalg.norm(triads, axis=2)
-    for triad, length, skin in zip(triads, lengths, simulation.rigid_skins(), strict=True):
+    for triad, length, skin in zip(triads, lengths, rigid_skins(simulation.model), strict=True):
         np.testing.assert_allclose(triad @ triad.T, length[0] ** 2 * np.eye(3), atol=1e-12)
         assert length[0] < np.ptp(skin.points, axis=0).max()
     assert {entity.kind for path, entity in entities.items() if path.startswith("/rigid_bodies")} == {

@@ -96,13 +96,13 @@ def test_offering_returns_while_the_thread_is_blocked_and_then_the_newest_frame_
     wait_for_entry(canvas)
     for frame in range(1, 1000):
         outlet.offer(frame)
-    assert canvas.drawn == [] and outlet.dropped_count == 998
+    assert canvas.drawn == [] and outlet.latest.dropped_count == 998
     canvas.let.release()
     wait_for_entry(canvas)
     canvas.let.release()
     end(outlet)
     assert canvas.drawn == [0, 999]
-    assert (outlet.logged_count, outlet.dropped_count, outlet.failure) == (2, 998, None)
+    assert (outlet.logged_count, outlet.latest.dropped_count, outlet.failure) == (2, 998, None)
 
 
 def test_the_last_frame_is_drawn_before_the_end(canvas, outlet):

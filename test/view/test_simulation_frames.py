@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.simulation import Hold, Simulation
+from softrobot_twin.simulation.appearance import obstacle_skins, rigid_skins
 from softrobot_twin.view import ViewError
 from softrobot_twin.view.simulation_frames import SimulationFrames
 from test.places import SCENES
@@ -105,12 +106,12 @@ def test_other_actuators_have_curves_of_setpoint_and_effort_in_their_units():
 
 def test_rigid_bodies_obstacles_and_scaled_contact_forces_are_shown():
     simulation, stage, frame, result = shown("grasper")
-    for skin, place, turn in zip(simulation.rigid_skins(), *simulation.rigid_poses(), strict=True):
+    for skin, place, turn in zip(rigid_skins(simulation.model), *simulation.rigid_poses(), strict=True):
         path = f"/rigid_bodies/{skin.name}"
         np.testing.assert_array_equal(entity(stage, path).points, skin.points)
         np.testing.assert_array_equal(frame.drawn[path].points, place)
         np.testing.assert_array_equal(frame.drawn[path].vectors, turn)
-    for skin in simulation.obstacle_skins():
+    for skin in obstacle_skins(simulation.model):
         np.testing.assert_array_equal(entity(stage, f"/obstacles/{skin.name}").points, skin.points)
     assert len(result.contacts.forces) > 0
     np.testing.assert_array_equal(frame.drawn["/contacts/points"].points, result.contacts.positions)

@@ -17,7 +17,6 @@ class Capsule(AxialShape):
 
     told: ClassVar[tuple[str, ...]] = ("capsule of radius {radius:mm} mm", "{ends:|} mm long")
     kind: ClassVar[int] = CAPSULE
-    has_round_ends: ClassVar[bool] = True
 
     def lowest(self, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """See `RollingShape.lowest`: of the balls at both ends."""

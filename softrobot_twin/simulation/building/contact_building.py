@@ -233,9 +233,8 @@ def _beam_pair(first: Side, second: Side, friction: float, key: str, layout: Lay
 def _held_against(beam: BeamBody, surface, layout: Layout) -> list[int]:
     """Nodes of a beam that move with the carrier of a shape, or stand still as it does."""
     frames = beam.carriers.frame_nodes
-    held = np.isin(frames, surface.nodes)
-    if not len(surface.nodes):
-        held = layout.frames.unknowns_of(frames) < 0
+    moves = len(surface.nodes)
+    held = np.isin(frames, surface.nodes) if moves else layout.frames.unknowns_of(frames) < 0
     return np.flatnonzero(held).tolist()
 
 

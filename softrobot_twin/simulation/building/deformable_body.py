@@ -322,9 +322,7 @@ def claimed_cells(
             return parts.region(other.region)
         except MeshError as error:
             raise scene.error(f"{place}.region", other.region, f"{entry.mesh.label} {error.reason}") from None
-    corners = mesh.corner_mesh.node_positions
-    if other.frame == "mesh":
-        corners = in_mesh(entry, corners)
+    corners = places_in(other.frame, entry, mesh.corner_mesh.node_positions)
     of_cells = corners[mesh.corner_mesh.cells]
     low, high = np.array(other.box.minimum), np.array(other.box.maximum)
     cells = nodes_in_box(mesh.corner_mesh.centres_at(corners), low, high)
@@ -833,6 +831,17 @@ def placed_in_world(entry: BodyEntry, points) -> np.ndarray:
     return turn.apply(np.asarray(points, float).reshape(-1, 3)) + entry.mesh.translation
 
 
+def places_in(frame: str, entry: BodyEntry, points: np.ndarray) -> np.ndarray:
+    """Points of a body in the frame of an entry, ``world`` or ``mesh`` [m], shape (count, 3).
+
+    Args:
+        frame: The frame.
+        entry: The body's entry.
+        points: Places in the world [m], shape (count, 3).
+    """
+    return in_mesh(entry, points) if frame == "mesh" else points
+
+
 def in_mesh(entry: BodyEntry, points) -> np.ndarray:
     """Points given in world coordinates, in those of the mesh [m], shape (count, 3).
 
@@ -856,9 +865,7 @@ class _RegionSearch(NamedTuple):
 
 def _nodes_in(region: Region, search: _RegionSearch, key: str) -> np.ndarray:
     entry, mesh, reading, scene, notes = search
-    positions = mesh.node_positions
-    if region.frame == "mesh":
-        positions = in_mesh(entry, positions)
+    positions = places_in(region.frame, entry, mesh.node_positions)
     if region.box:
         low, high = np.array(region.box.minimum), np.array(region.box.maximum)
         nodes = nodes_in_box(positions, low, high)

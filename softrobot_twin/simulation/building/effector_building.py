@@ -66,9 +66,7 @@ def _orientation(
                 f"{effector.name} asks for an orientation: on a deformable body three or more "
                 "points that do not lie on one line are needed", unit="m")
         nodes, arms = patch_arms(points, rest)
-    axis = None
-    if entry.pointing:
-        axis = np.array(entry.pointing, float) / np.linalg.norm(entry.pointing)
+    axis = np.array(entry.pointing, float) / np.linalg.norm(entry.pointing) if entry.pointing else None
     length = entry.length_per_radian or layout.nodes.size
     return PatchOrientation(index, nodes, arms, frame is not None, axis, entry.weight, length)
 

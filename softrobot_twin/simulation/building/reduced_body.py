@@ -275,12 +275,12 @@ class BodyReduction(NamedTuple):
         basis: Φ: displacement of each node by each coordinate, in mesh coordinates; the largest
             displacement of a node by a coordinate is one, so coordinates are in metres. Zero at
             fixed nodes. The modes in use come first, then the spare ones,
-            shape (node_count, 3, mode_count + spare_count).
+            shape (node_count, 3, mode_count + spare mode count).
         mode_count: Number of modes in use, a multiple of three.
         sampled: The quadrature points that stand for all, with the modes in use.
         spare_sampled: Those that stand for all with the spare modes too.
         ranges: Largest magnitude of each coordinate in the training, spare ones included [m],
-            shape (mode_count + spare_count,).
+            shape (mode_count + spare mode count,).
         measured: Median and largest error against the full model at fresh states, as a share of
             the effectors' displacement, or of a tenth of the largest one where that is more; NaN
             before, shape (2,).
@@ -294,11 +294,6 @@ class BodyReduction(NamedTuple):
     ranges: np.ndarray
     measured: np.ndarray
     training: dict
-
-    @property
-    def spare_count(self) -> int:
-        """Number of spare modes."""
-        return self.basis.shape[2] - self.mode_count
 
     def with_spare_modes(self) -> BodyReduction:
         """The same with the spare modes in use, and none spare."""
@@ -338,21 +333,19 @@ def write_body_reduction(path: Path, reduction: BodyReduction, prints: dict[str,
     np.savez(path, **arrays)
 
 
-def read_body_reduction(file: ModelFile | Path, body: Body | None = None) -> BodyReduction:
+def read_body_reduction(file: ModelFile, body: Body) -> BodyReduction:
     """Read a reduction.
 
     Args:
         file: The file.
-        body: The body that it is for; None to read it alone.
+        body: The body that it is for.
 
     Raises:
         ModelFileError: It was made of another body, or is damaged.
     """
-    if not isinstance(file, ModelFile):
-        file = ModelFile(file)
-    prints = {} if body is None else reduction_fingerprints(body)
+    prints = reduction_fingerprints(body)
     file.check_prints(prints)
-    basis = file.taken("basis", None if body is None else body.mesh.node_count, 3, None)
+    basis = file.taken("basis", body.mesh.node_count, 3, None)
     total = basis.shape[2]
     count = int(file.taken("mode_count", kind="i", least=3, most=total))
     if count % 3 or total % 3:
@@ -369,14 +362,14 @@ def read_body_reduction(file: ModelFile | Path, body: Body | None = None) -> Bod
         file.taken("measured", 2, least=0.0, may_be_nan=True), training,
     )  # fmt: skip
     seen = (*file.sums, *prints.values())
-    if body is not None and seen not in _HELD:
+    if seen not in _HELD:
         _check_on_body(file, reduction, body)
         _HELD.add(seen)
     return reduction
 
 
-def _sampled_points(file: ModelFile, name: str, body: Body | None) -> SampledPoints:
-    most = MOST if body is None else max(block.numbers.max() for block in body.mesh.strained_blocks())
+def _sampled_points(file: ModelFile, name: str, body: Body) -> SampledPoints:
+    most = max(block.numbers.max() for block in body.mesh.strained_blocks())
     cells = file.taken(f"{name}_cells", None, kind="i", least=0, most=most)
     points = file.taken(f"{name}_points", len(cells), kind="i", least=0)
     weights = file.taken(f"{name}_weights", len(cells), least=LEAST)
@@ -653,7 +646,7 @@ def reduced_body(body: Body, scene: Scene) -> ReducedBody:
     key = f"{body.key}.reduced"
     _refuse(body, scene)
     try:
-        reduction = read_body_reduction(path, body)
+        reduction = read_body_reduction(ModelFile(path), body)
     except ModelFileError as error:
         command = f"{COMMAND} {shlex.quote(str(scene.path))}"
         raise scene.error(f"{key}.file", str(path), f"{error.reason}; run: {command}") from None

@@ -44,7 +44,7 @@ from softrobot_twin.mechanics.superelements import (
 )
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.building.beam_bodies import FramePart
-from softrobot_twin.simulation.building.deformable_body import Body, in_mesh, part_named
+from softrobot_twin.simulation.building.deformable_body import Body, in_mesh, part_named, places_in
 from softrobot_twin.simulation.building.reduced_body import (
     LEAST,
     ModelFile,
@@ -172,9 +172,7 @@ def _nodes_of(vertebra, key: str, body: Body, scene: Scene) -> np.ndarray:
     if vertebra.region is not None:
         cells = part_named(body, "region", vertebra.region, f"{key}.region", scene)
         return np.unique(body.mesh.cells[cells])
-    points = body.mesh.node_positions
-    if vertebra.frame == "mesh":
-        points = in_mesh(body.entry, points)
+    points = places_in(vertebra.frame, body.entry, body.mesh.node_positions)
     low, high = np.array(vertebra.box.minimum), np.array(vertebra.box.maximum)
     nodes = nodes_in_box(points, low, high)
     if len(nodes) < 3:

@@ -185,7 +185,7 @@ def has_spare_modes(model: Model) -> bool:
         model: The model of a simulation. In motion there is no balance to judge.
     """
     bodies = () if model.is_dynamic else reduced_bodies(model)
-    return any(body.reduction.spare_count for body in bodies)
+    return any(body.reduction.basis.shape[2] > body.reduction.mode_count for body in bodies)
 
 
 def shares_of_displacement(model: Model, moves: np.ndarray, state: State) -> np.ndarray:

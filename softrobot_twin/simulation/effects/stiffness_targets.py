@@ -106,9 +106,7 @@ class StiffnessTargets(StepPart):
 
     def end(self, positions: np.ndarray, efforts: np.ndarray) -> dict[str, np.ndarray]:
         """Find what the last move led to."""
-        self._told = PartReport()
-        if self._begun is not None:
-            self._told = self._reached(*self._begun, positions, efforts)
+        self._told = self._reached(*self._begun, positions, efforts) if self._begun else PartReport()
         return {}
 
     def _reached(

@@ -90,8 +90,3 @@ class Actuation(NamedTuple):
         """Active limits other than those of the actuators."""
         limits = self.contact.limits
         return (*limits, INVERSION) if self.is_refused else limits
-
-    @property
-    def is_exact(self) -> bool:
-        """False when the contacts are solved less exactly than the scene requires."""
-        return self.contact.converged

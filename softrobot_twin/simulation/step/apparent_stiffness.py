@@ -318,7 +318,7 @@ class ApparentStiffness:
 
     def _add_row_forces(self, blocks: np.ndarray, efforts: np.ndarray, forces: np.ndarray) -> None:
         """Add Hᵀ λ of the actuators' rows, with other entries than those at the state."""
-        rows, count = self._model.rows, self._entry_count
+        rows, count = self._model.rows, self._model.rows.actuator_entry_count
         add_row_forces(
             rows.row_index[:count], rows.node_index[:count], blocks[:count],
             np.ascontiguousarray(efforts), forces,
@@ -326,17 +326,12 @@ class ApparentStiffness:
 
     def _row_motion(self, move: np.ndarray, blocks: np.ndarray | None = None) -> np.ndarray:
         """H x of the actuators' rows, shape (actuator_row_count,)."""
-        rows, count = self._model.rows, self._entry_count
+        rows, count = self._model.rows, self._model.rows.actuator_entry_count
         own = (rows.blocks if blocks is None else blocks)[:count]
         return np.bincount(
             rows.row_index[:count], np.einsum("ij,ij->i", own, move[rows.node_index[:count]]),
             rows.groups.actuators.stop,
         )  # fmt: skip
-
-    @property
-    def _entry_count(self) -> int:
-        """Entries of the actuators' rows, which come first."""
-        return self._model.rows.actuator_entry_count
 
 
 def why_no_stiffness(model: Model) -> str:

@@ -296,10 +296,8 @@ class Tangent:
         """Assemble and factorize the tangent of the kind that is set."""
         self._balance.assemble(positions, multipliers, self.is_projected)
         clock.mark("assemble")
-        if self.is_augmented:
-            succeeded = self._augmented.factor(positions)
-        else:
-            succeeded = self._model.factorization.factor()
+        factorization = self._model.factorization
+        succeeded = self._augmented.factor(positions) if self.is_augmented else factorization.factor()
         clock.mark("factor")
         return succeeded
 
