@@ -350,7 +350,7 @@ def _body_effects(body, integration: str, names: list[str]) -> Iterator[Effect]:
     material, law = entry.material, entry.material.law
     yield Effect(f"{key}.mesh", f"{entry.mesh.describe()}, {entry.element} elements",
                  f"{mesh.node_count} nodes, {_cells(mesh)}")
-    yield Effect(f"{key}.material", 
+    yield Effect(f"{key}.material",
                  words(_describe_law(law, law_at_rest(material, law), material.constants), material.describe()),
                  "in superelements" if vertebrae else _term(names, law))
     for part, other in zip(body.materials[-len(entry.materials):], entry.materials, strict=False):
