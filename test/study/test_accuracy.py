@@ -323,7 +323,7 @@ def test_choose_takes_the_error_of_a_reduced_model_from_the_file_of_errors(
     monkeypatch.setattr(choice, "differences", lambda *_: 1 / 0)
     (model,) = reduced_models((trained,), (), levels)
     full = next(row for row in study.rows if row.mesh == "column_20")
-    known = replace(full, knob=REDUCED, file=model.name, mode_count=model.mode_count,
+    known = replace(full, knob=REDUCED, file=model.path.name, mode_count=model.mode_count,
                     point_count=model.point_count, error_lengths=0.0123, error_weightless=0.0)
     write_rows(tmp_path / "rows.csv", [*study.rows, known])
     choose(family, 500.0, tmp_path / "rows.csv", tmp_path / "chosen.yaml", clock_of_reduced,
