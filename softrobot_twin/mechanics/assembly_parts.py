@@ -5,8 +5,8 @@ Parts that share no node are assembled at once. Those that share some are assemb
 one list, so that the sums at their nodes have one order for any number of threads. In the list
 every other part comes first: few parts then wait for each other.
 
-A kernel that works on parts begins each by `next_part`, which ends the one before, and returns after
-`wait_for_parts`. See `worker_threads.py` for the list of tasks that parts are.
+A kernel that works on parts begins each by `next_part`, which ends the one before. See
+`worker_threads.py` for the list of tasks that parts are.
 
 Arguments of the kernels here, and of those that work on parts:
     waits_for_all: Whether to return when all parts are done, or when none is left to begin.
@@ -50,8 +50,12 @@ class AssemblyParts(NamedTuple):
 
 
 @njit(**INNER)
-def next_part(part, parts, state, done):
-    """End a part, -1 for none, and begin the next one of this thread; at the end the number of parts."""
+def next_part(part, parts, waits_for_all, state, done):
+    """End a part, -1 for none, and begin the next one of this thread.
+
+    Returns:
+        Its place; at the end the number of parts, when all are done where that is wanted.
+    """
     if len(done) == 0:
         return part + 1
     if part >= 0:
@@ -61,21 +65,10 @@ def next_part(part, parts, state, done):
         for k in range(parts.wait_begins[part], parts.wait_begins[part + 1]):
             if not wait_for(parts.waits[k], state, done):
                 return len(done)
+    elif waits_for_all:
+        for other in range(len(done)):
+            wait_for(other, state, done)
     return part
-
-
-@njit(**INNER)
-def batches_of(part, parts):
-    """Batches of elements of a part."""
-    return parts.batches[parts.begins[part] : parts.begins[part + 1]]
-
-
-@njit(**INNER)
-def wait_for_parts(waits_for_all, state, done):
-    """Wait until all parts are done, where that is wanted."""
-    if waits_for_all:
-        for part in range(len(done)):
-            wait_for(part, state, done)
 
 
 def sorted_along(mesh):

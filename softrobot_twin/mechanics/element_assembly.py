@@ -72,7 +72,7 @@ from softrobot_twin.kernels.compilation import (
     njit,
 )
 from softrobot_twin.kernels.worker_threads import NOTED, STATE_SIZE, note
-from softrobot_twin.mechanics.assembly_parts import batches_of, next_part, wait_for_parts
+from softrobot_twin.mechanics.assembly_parts import next_part
 from softrobot_twin.mechanics.block_addition import add_blocks, add_contiguous_blocks
 from softrobot_twin.mechanics.element_batches import (
     BATCH,
@@ -477,10 +477,10 @@ def add_forces(
     corners = np.empty((len(to_corners), 9 * BATCH))
     lowest, sure = scratch(1), scratch(1)
     noted = state if len(state) > 0 else np.zeros(STATE_SIZE, np.int64)
-    part = next_part(-1, parts, state, done)
+    part = next_part(-1, parts, waits_for_all, state, done)
     while part < len(parts.begins) - 1:
         least_volumes, inverted_count = no_volumes_yet(), 0
-        for k in batches_of(part, parts):
+        for k in parts.batches[parts.begins[part] : parts.begins[part + 1]]:
             count = node_count_of(cells[k])
             gather(moves, cells[k, :count], U)
             P[:] = 0.0
@@ -501,8 +501,7 @@ def add_forces(
         note(inverted_count, 0, noted)
         note(not least > -np.inf, 1, noted)
         note(least < BARRIER_VOLUME, 2, noted)
-        part = next_part(part, parts, state, done)
-    wait_for_parts(waits_for_all, state, done)
+        part = next_part(part, parts, waits_for_all, state, done)
     return noted[NOTED], noted[NOTED + 1] == 0 and noted[NOTED + 2] > 0
 
 
@@ -531,9 +530,9 @@ def add_stiffness(
     C = np.empty((point_count, (81 if is_tested else 0) * BATCH))
     factor, negative = scratch(81 if is_tested else 0), scratch(1)
     T, K = np.empty((point_count, 27 * BATCH)), scratch(9)
-    part = next_part(-1, parts, state, done)
+    part = next_part(-1, parts, waits_for_all, state, done)
     while part < len(parts.begins) - 1:
-        for k in batches_of(part, parts):
+        for k in parts.batches[parts.begins[part] : parts.begins[part + 1]]:
             count = node_count_of(cells[k])
             by_matrix = False
             for q in range(point_count):
@@ -561,8 +560,7 @@ def add_stiffness(
                     else:
                         add_blocks(offsets[k, pair], strides[k, pair], K, storage)
                     pair += 1
-        part = next_part(part, parts, state, done)
-    wait_for_parts(waits_for_all, state, done)
+        part = next_part(part, parts, waits_for_all, state, done)
 
 
 @njit(**INNER)

@@ -78,7 +78,7 @@ from softrobot_twin.geometry.shape_functions import HourglassFields
 from softrobot_twin.geometry.vector3 import add_scaled, dot, row, scaled, set_row
 from softrobot_twin.geometry.vector_arrays import write_differences
 from softrobot_twin.kernels.compilation import INNER, KERNEL, ONCE, njit
-from softrobot_twin.mechanics.assembly_parts import batches_of, next_part, wait_for_parts
+from softrobot_twin.mechanics.assembly_parts import next_part
 from softrobot_twin.mechanics.block_addition import add_blocks, add_contiguous_blocks
 from softrobot_twin.mechanics.element_assembly import deform, gather, subtract_forces
 from softrobot_twin.mechanics.element_batches import (
@@ -335,17 +335,16 @@ def add_forces(
 ):  # fmt: skip
     """Subtract the internal forces of all elements [N]; see `find_strains` and `write_forces`."""
     C, factors, P, sums = scratch(9), scratch(3), scratch(21), scratch(24)
-    part = next_part(-1, parts, state, done)
+    part = next_part(-1, parts, waits_for_all, state, done)
     while part < len(parts.begins) - 1:
-        for k in batches_of(part, parts):
+        for k in parts.batches[parts.begins[part] : parts.begins[part + 1]]:
             find_state(is_linear, deformations[k], C, factors)
             stresses(is_linear, deformations[k], C, factors, h[k], g[k], floor[k], P)
             for a in range(8):
                 for e in range(BATCH):
                     put_vector(sums, a, e, _to_node(P, gradients[k], gammas[k], a, e))
             subtract_forces(free[k], sums, forces)
-        part = next_part(part, parts, state, done)
-    wait_for_parts(waits_for_all, state, done)
+        part = next_part(part, parts, waits_for_all, state, done)
 
 
 @njit(**KERNEL)
@@ -367,9 +366,9 @@ def add_stiffness(
     C, factors, dC, dF = scratch(9), scratch(3), scratch(9), scratch(9)
     dh, dy, dg, K = scratch(12), scratch(12), scratch(12), scratch(9)
     force, dP = scratch(12), np.empty((3, 21 * BATCH))
-    part = next_part(-1, parts, state, done)
+    part = next_part(-1, parts, waits_for_all, state, done)
     while part < len(parts.begins) - 1:
-        for k in batches_of(part, parts):
+        for k in parts.batches[parts.begins[part] : parts.begins[part + 1]]:
             F = deformations[k]
             find_state(is_linear, F, C, factors)
             for i in range(len(force)):
@@ -396,8 +395,7 @@ def add_stiffness(
                     else:
                         add_blocks(offsets[k, pair], strides[k, pair], K, storage)
                     pair += 1
-        part = next_part(part, parts, state, done)
-    wait_for_parts(waits_for_all, state, done)
+        part = next_part(part, parts, waits_for_all, state, done)
 
 
 @njit(**KERNEL)
