@@ -499,8 +499,8 @@ def add_forces(
             inverted_count += count_inverted(weights[k, 0], lowest)
         least = least_volumes.min()
         note(inverted_count, 0, noted)
-        note(not least > -np.inf, 1, noted)
-        note(least < BARRIER_VOLUME, 2, noted)
+        note(int(not least > -np.inf), 1, noted)
+        note(int(least < BARRIER_VOLUME), 2, noted)
         part = next_part(part, parts, waits_for_all, state, done)
     return noted[NOTED], noted[NOTED + 1] == 0 and noted[NOTED + 2] > 0
 
