@@ -21,8 +21,9 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 PYTEST := PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 $(VENV)/bin/python -m pytest \
 	-p pytest_timeout --timeout 300
 PYTEST_OLDEST := $(subst $(VENV)/,$(OLDEST)/,$(PYTEST))
-# The demo and a live viewer are timed, so their tests do not run beside two others.
-AGAINST_THE_CLOCK := test/ros/test_demo.py test/view/test_live_viewer.py
+# The demo and a live viewer are timed, and the fit of a running twin has only what other processes leave
+# of the processor, so their tests do not run beside two others.
+AGAINST_THE_CLOCK := test/ros/test_calibration.py test/ros/test_demo.py test/view/test_live_viewer.py
 FEW := test/test_library_names.py test/kernels/test_compilation.py \
 	test/scripting/test_robot.py::test_after_reset_the_same_steps_follow_to_the_bit
 # Each process begins with a third of the tests, in order, and takes some of the others' when it is done.
