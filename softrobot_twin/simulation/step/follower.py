@@ -32,9 +32,7 @@ changes, and they follow the most promising one.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterator
-from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -45,6 +43,7 @@ from softrobot_twin.simulation.step.actuation import NO_EFFORT, Actuation
 from softrobot_twin.simulation.step.apparent_stiffness import StiffnessRows
 from softrobot_twin.simulation.step.curvature import Curvature, jacobian_by_drives
 from softrobot_twin.simulation.step.direct_actuation import DirectActuation
+from softrobot_twin.simulation.step.effector_path import EffectorPath
 from softrobot_twin.simulation.step.inverse_actuation import (
     Asked,
     InverseActuation,
@@ -53,6 +52,7 @@ from softrobot_twin.simulation.step.inverse_actuation import (
     with_contacts_closed,
 )
 from softrobot_twin.simulation.step.linearized import Linearized
+from softrobot_twin.simulation.step.passed_places import MUCH_NEARER, PROGRESS, PassedPlaces
 from softrobot_twin.simulation.step.situation import Situation, half_squares, longest_move
 from softrobot_twin.solvers.inverse_problem import Bounds
 
@@ -67,12 +67,6 @@ TRIES, LEAST_SHARE = 8, 0.5
 DRIFT, MOST_WAITS = 0.5, 40
 # Moves at targets that are no shorter than this share of the one before, until they are shortened.
 SETTLING, MOST_SWINGS = 0.95, 8
-# Steps in which T falls by less than this share, until it goes back to the nearest stable place.
-PATIENCE, PROGRESS = 12, 1.0e-5
-# The body snaps where T has risen in so many steps in a row, to this multiple of the nearest place's.
-RISES, SNAPPED = 3, 4.0
-# So often it goes on from there, unless T falls by the share of `LEAPT`; then it rests there.
-MOST_RETURNS = 2
 # Promises below these shares of T, and of T where targets count as reached, are none.
 NO_PROMISE, NEAR_ENOUGH = 1.0e-5, 1.0e-2
 # With wanted stiffnesses, which hardly change at first, such shares of these.
@@ -80,10 +74,7 @@ STIFFNESS = 1.0e-3
 # Round-off, as a share of T, and of the limit of contact forces.
 NOISE, EXCESS = 1.0e-9, 1.0e-7
 # The share by which T must promise to fall beyond a kink, and fall until it is looked again.
-LEAST_LEAP, LEAPT = 0.02, 5.0e-3
-# Places on the path of effectors, at most; how far apart they are, as a share of their longest step; and
-# steps that lead back to one.
-MOST_PLACES, APART, STEPS_TO_A_PLACE = 256, 0.2, 10
+LEAST_LEAP = 0.02
 # A robot has been caught where its shape at rest is nearer than this share of its distance.
 CAUGHT = 0.5
 # A resting robot whose effectors were moved by this share of the tolerance follows again.
@@ -114,28 +105,16 @@ class Pending(NamedTuple):
     drives: np.ndarray
 
 
-class Place(NamedTuple):
-    """Where the actuators were with the body in stable balance.
-
-    Attributes:
-        drives: Where they were, shape (actuator_count,).
-        now: T there [m²].
-    """
-
-    drives: np.ndarray
-    now: float
-
-
 class Follower(InverseActuation):
     """Finds actuation that brings effectors nearer to targets, as far as it is trusted."""
 
     def __init__(self, model: Model, direct: DirectActuation):
         """See `InverseActuation`."""
         self._curvature = Curvature(model.actuators.limits.drive_scale)
+        count = model.effectors.position_row_count
+        self._positions, self._ones = slice(count), np.ones(count)
         super().__init__(model, direct)
-        self._positions = slice(model.effectors.position_row_count)
         self._model, self._at_rest = model, np.zeros(len(self._scales))
-        self._ones = np.ones(model.effectors.position_row_count)
 
     def forget(self) -> None:
         """See `InverseActuation`."""
@@ -145,11 +124,9 @@ class Follower(InverseActuation):
         # Places of effectors with the actuators at rest [m], where seen; whether it went there.
         self._placed_at_rest: np.ndarray | None = None
         self._is_noted = False
-        # What is asked for, the places of effectors on the way there, and those to lead them back through.
-        self._rows = b""
-        self._path: deque[np.ndarray] = deque(maxlen=MOST_PLACES)
-        self._back: deque[np.ndarray] | None = None
-        self._since_place = 0
+        # Coordinates of orientations change while their targets stay.
+        asking = slice(None) if self._posed is None else self._positions
+        self._path = EffectorPath(asking, self._positions.stop, self._longest)
         self._keyed: Linearized | None = None
         self._task: Asked | None = None
         self._open()
@@ -163,16 +140,7 @@ class Follower(InverseActuation):
         self._swing_count, self._last_length, self._is_freed = 0, np.inf, False
         # Steps in a row that did not end in balance.
         self._arriving = 0
-        # Where it began, then places in stable balance, each nearer than the one before; the least T at
-        # all, and the steps since.
-        self._balanced_places: deque[Place] = deque(maxlen=MOST_PLACES)
-        self._best_seen, self._since, self._rises, self._last_now = np.inf, 0, 0, np.inf
-        # The nearest place with a stable tangent, which was perhaps no balance, and those of the tries before:
-        # it rests there in the end, if the body does.
-        self._stable_place: Place | None = None
-        self._stable_places: list[Place] = []
-        # T below which it has come much nearer, and how often it went back since then.
-        self._judged, self._returns = np.inf, 0
+        self._passed = PassedPlaces()
         self._resting: np.ndarray | None = None
         self._rests_balanced = False
         self._holds = self._stays = self._ends = self.is_departing = False
@@ -207,31 +175,8 @@ class Follower(InverseActuation):
     ) -> tuple[Actuation, Actuation]:  # fmt: skip
         """See `InverseActuation`; leads effectors back along their path where they were caught."""
         if self._learns and self._begins:
-            self._follow_path(linear.effectors_now, target_rows)
-        rows = self._back[-1] if self._back else target_rows
-        return super().solve(linear, rows, held, bounds, stiffness)
-
-    def _follow_path(self, now: np.ndarray, target_rows: np.ndarray) -> None:
-        """Note where effectors are on their way, or lead them to the place before."""
-        # Coordinates of orientations change while their targets stay.
-        asked = target_rows if self._posed is None else target_rows[self._positions]
-        rows = asked.tobytes()
-        if rows != self._rows:
-            self._rows, self._back = rows, None
-        place, positions = now.copy(), self._positions
-        place[positions.stop :] = np.nan
-        path, missed = self._back or self._path, np.inf
-        if path:
-            missed = longest_move(place[positions], path[-1][positions], self._ones)
-        is_near = missed <= APART * self._longest
-        if not self._back:
-            if not is_near:
-                path.append(place)
-            return
-        self._since_place += 1
-        if is_near or self._since_place >= STEPS_TO_A_PLACE:
-            path.pop()
-            self._since_place = 0
+            self._path.follow(linear.effectors_now, target_rows)
+        return super().solve(linear, self._path.rows(target_rows), held, bounds, stiffness)
 
     def _begin(self, situation: Situation, linear: Linearized, held: Actuation) -> None:
         situation = self._with_forces(situation, linear, held)
@@ -240,8 +185,7 @@ class Follower(InverseActuation):
             self._begin_anew(situation)
         last, self._situation = self._situation, situation
         self._now, self._reached = now, 0.5 * greatest * self._tolerance**2
-        if not self._balanced_places:
-            self._balanced_places.append(Place(situation.displacements, now))
+        self._passed.begin(situation, now)
         # Coordinates of orientations change while their targets stay.
         places = self._positions
         self._stays = (
@@ -249,7 +193,7 @@ class Follower(InverseActuation):
             and half_squares(self._ones, last.targets[places], situation.targets[places]) == 0.0
             and np.array_equal(last.guided, situation.guided)
         )
-        if now <= self._reached and not self._back:
+        if now <= self._reached and not self._path.leads_back:
             self._path.clear()
             self._greatest = GREATEST
         # Without misses there is no curvature, and it would hold what targets leave open.
@@ -275,7 +219,8 @@ class Follower(InverseActuation):
         if self._is_stuck and self._goal is None:
             self._leave()
         elif self._stays and not self.rests and self._goal is None:
-            self._look_back(situation)
+            if self._passed.pass_by(situation, now, self._reached, self._settles):
+                self._go_back()
         self._is_stuck = self._is_refused = False
         self._limit_at_first = self.move_limit
 
@@ -313,56 +258,20 @@ class Follower(InverseActuation):
         """A situation with what else is judged; forces within their limits need not be."""
         return situation
 
-    def _look_back(self, situation: Situation) -> None:
-        """Go back to the nearest place in stable balance, where it came no nearer for long."""
-        is_settled = situation.is_balanced and situation.is_stable
-        if is_settled and self._now < self._balanced_places[-1].now:
-            self._balanced_places.append(Place(situation.displacements, self._now))
-        elif situation.is_stable and (
-            self._stable_place is None or self._now < self._stable_place.now
-        ):  # fmt: skip
-            self._stable_place = Place(situation.displacements, self._now)
-        # Where a body is not stable, its linearization does not tell where it goes.
-        rises = situation.is_stable and self._now > self._last_now
-        self._rises = self._rises + 1 if rises else 0
-        self._last_now = self._now
-        # At its targets, what they leave open may go on for long, but in balance.
-        is_calm = self._now <= self._reached and situation.is_balanced
-        self._since += not (self._settles or is_calm)
-        if self._now < (1.0 - LEAPT) * self._judged:
-            self._judged, self._returns = self._now, 0
-        # What is not in balance may come and go, a little nearer each time.
-        progress = PROGRESS if situation.is_balanced else LEAPT
-        if self._now < (1.0 - progress) * self._best_seen:
-            self._best_seen, self._since = self._now, 0
-        snaps = self._rises >= RISES and self._has_snapped()
-        if snaps or self._since > PATIENCE:
-            self._go_back()
-
     def _leave(self) -> None:
         """Go back from where the body cannot even stay."""
-        here, places = self._situation.displacements, self._balanced_places
-        while len(places) > 1 and longest_move(places[-1].drives, here, self._scales) <= SHRINK * GREATEST:
-            places.pop()
+        self._passed.leave(self._situation.displacements, self._scales, SHRINK * GREATEST)
         self._resting = None
         self._go_back()
 
     def _go_back(self) -> None:
         """Go to the nearest place in stable balance, and on from there by much shorter moves."""
-        self._since, self._pending, self._waits = 0, None, 0
-        if (not self._is_freed or self._returns >= MOST_RETURNS) and self._lets_go():
-            self._returns = 0
+        self._passed.since, self._pending, self._waits = 0, None, 0
+        if (not self._is_freed or self._passed.is_over) and self._lets_go():
+            self._passed.returns = 0
             return
-        self._holds, self._returns = self._returns >= MOST_RETURNS, self._returns + 1
-        if self._stable_place is not None:
-            self._stable_places.append(self._stable_place)
-            self._stable_place = None
-        if self._holds:
-            for place in sorted(self._stable_places, key=attrgetter("now"), reverse=True):
-                if place.now < self._balanced_places[-1].now:
-                    self._balanced_places.append(place)
-            self._stable_places.clear()
-        self.move_limit, self._goal = SHRINK**2 * self.move_limit, self._balanced_places[-1].drives
+        self._holds = self._passed.go_back()
+        self.move_limit, self._goal = SHRINK**2 * self.move_limit, self._passed.nearest.drives
         self._branch = self._branch_before = None
 
     def _see_drift(self, linear: Linearized, situation: Situation) -> None:
@@ -383,17 +292,10 @@ class Follower(InverseActuation):
         self._waits += 1
         if (distance <= LEAST and situation.is_balanced) or self._waits >= MOST_WAITS:
             self._goal, self._waits, self.is_departing = None, 0, False
-            places = self._balanced_places
-            if len(places) > 1 and (self._has_snapped() or (self._holds and self._now > places[-2].now)):
-                # What was a balance is none, or the body has not come back from another one.
-                places.pop()
-                self._goal = self._balanced_places[-1].drives if self._holds else None
+            if self._passed.drop_lost(self._now, self._reached, self._holds):
+                self._goal = self._passed.nearest.drives if self._holds else None
             elif self._holds:
                 self._resting, self._holds = situation.places, False
-
-    def _has_snapped(self) -> bool:
-        """Whether the body is much further away than the nearest place in stable balance was."""
-        return self._now > max(SNAPPED * self._balanced_places[-1].now, self._reached)
 
     def _wake(self, situation: Situation) -> None:
         """Follow again where something else moved a resting robot, each time less far."""
@@ -491,13 +393,13 @@ class Follower(InverseActuation):
 
     def _without_promise(self, asked: Asked, found: Actuation) -> Actuation:
         """Leap beyond a kink, go back, let go, or else rest."""
-        if self._now < (1.0 - LEAPT) * self._looked:
+        if self._now < (1.0 - MUCH_NEARER) * self._looked:
             found, leaps = self._leap(asked, found)
             if leaps:
                 # It is judged by where it leads in the end: on the way it may be further away.
-                self._task, self._since = None, 0
+                self._task, self._passed.since = None, 0
                 return found
-        goes_back = self.move_limit > LEAST and self._now > (1.0 + PROGRESS) * self._balanced_places[-1].now
+        goes_back = self.move_limit > LEAST and self._now > (1.0 + PROGRESS) * self._passed.nearest.now
         if goes_back:
             self._go_back()
         if goes_back or self._lets_go():
@@ -514,10 +416,10 @@ class Follower(InverseActuation):
     def _lets_go(self) -> bool:
         """Let go, then lead effectors back, once each, where the robot was caught; whether it does."""
         is_free = np.isnan(self._situation.commanded).all()
-        if not (self._back is None and is_free and self._is_caught()):
+        if not (not self._path.has_turned and is_free and self._is_caught()):
             return False
         if self._is_freed:
-            self._back, self._path = self._path, deque(maxlen=MOST_PLACES)
+            self._path.turn()
         else:
             self._open()
             self._goal, self._is_freed = self._at_rest, True

@@ -34,7 +34,6 @@ well while contacts press, since it tells what they do beyond a kink.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from enum import Enum
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -44,6 +43,7 @@ from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.step.actuation import NO_EFFORT, Actuation, ContactLoads
 from softrobot_twin.simulation.step.apparent_stiffness import StiffnessRows
+from softrobot_twin.simulation.step.detours import NEARER, Search, Turn
 from softrobot_twin.simulation.step.direct_actuation import DirectActuation
 from softrobot_twin.simulation.step.follower import GREATEST, NO_PROMISE, SHRINK, Follower
 from softrobot_twin.simulation.step.inverse_actuation import MOST_PROGRAMS, Asked
@@ -70,9 +70,6 @@ SETTLES = 0.1
 PROGRESS, LENGTHS, FAR = 0.1, (0.25, 1.0, 4.0), (4.0, 16.0, 64.0)
 # No such move is longer than this multiple of the longest move of a linearization.
 LONGEST = 2.0
-# A detour is made at once where squares of misses would fall below the first share, else where they
-# would fall below the second one. After so many in vain, none is tried.
-NEARER, WORTH, MOST_IN_VAIN = 0.1, 0.5, 3
 # Where contacts go on as they do, friction makes what is promised to this share of the way's square.
 SO_NEAR = 0.01
 # Actuators that came to targets within this share of the tolerance stay, until effectors leave the
@@ -421,6 +418,24 @@ class Grips(NamedTuple):
         rows, least, *_ = self.sums(contacts, forces)
         return yields[:, None] * rows, yields * least
 
+    def tied_rows(
+        self, tied: Linearized, contacts: Contacts, forces: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """See `rows`; by the multipliers of a system by what contacts do.
+
+        Args:
+            tied: That system.
+            contacts: The contact term.
+            forces: λ of the solution [N], shape (contact_row_count,).
+
+        Returns:
+            Distances by its multipliers [m/N], shape (count, n), and the least ones [m], shape (count,).
+        """
+        (a, _, c), (ties, offset) = tied.groups, tied.ties
+        by_force, least = self.rows(tied, contacts, forces)
+        rows = np.delete(by_force @ ties[c.start :], np.arange(a.stop, c.start), axis=1)
+        return rows, least - by_force @ offset[c.start :]
+
     def met(self, contacts: Contacts, forces: np.ndarray) -> tuple[str, ...]:
         """Names of pairs that press no harder than they have to, and of those that cannot.
 
@@ -443,8 +458,9 @@ class Task(NamedTuple):
         aim: Where effectors shall be.
         held: What the actuators do when they stay.
         bounds: Bounds of the step.
-        is_free: Whether each actuator is not commanded, shape (actuator_count,).
-        optimise: Finds the optimum of a system, of errors, from a solution, within bounds.
+        commanded: Which actuators are commanded, shape (actuator_count,).
+        extra: Change of further rows by the multipliers of the actuators, or None.
+        chosen: Cables that are slack in any case, or None.
         before: What is missed when the actuators stay [m²].
         negligible: Squares of misses that make no difference [m²].
     """
@@ -453,15 +469,16 @@ class Task(NamedTuple):
     aim: Aim
     held: Actuation
     bounds: Bounds
-    is_free: np.ndarray
-    optimise: Callable[[Linearized, np.ndarray, Actuation, Bounds], Actuation | None]
+    commanded: np.ndarray
+    extra: np.ndarray | None
+    chosen: np.ndarray | None
     before: float
     negligible: float
 
     @property
     def leaves_open(self) -> bool:
         """Whether there are more actuators than targets determine, which the energy decides."""
-        return np.count_nonzero(self.is_free) > np.count_nonzero(self.aim.weights)
+        return np.count_nonzero(~self.commanded) > np.count_nonzero(self.aim.weights)
 
 
 class Made(NamedTuple):
@@ -493,78 +510,6 @@ class Made(NamedTuple):
         """
         promised = KEPT_PROMISE * (task.before - self.promise)
         return task.before - self.missed >= promised - task.negligible
-
-
-class Turn(Enum):
-    """What a step tries."""
-
-    STRAIGHT = "the optimum by what contacts do now"
-    PROBE = "the optimum by what they do after a move of one actuator"
-    DETOUR = "whether it is nearer to go somewhere else first, and back"
-
-
-class Search:
-    """What is tried, one thing in each step, where the effectors come no nearer.
-
-    Attributes:
-        probe: Which move is tried.
-        detour: Which move is tried as a detour.
-        choices: Number of moves that may be tried.
-        is_stalled: Whether the last step brought effectors hardly nearer.
-    """
-
-    def __init__(self, looks: bool):
-        """Begin with nothing tried.
-
-        Args:
-            looks: Whether anything but the optimum by what contacts do now is tried.
-        """
-        self._looks = looks
-        self.forget()
-
-    def forget(self) -> None:
-        """Begin anew, with other targets."""
-        self.probe = self.detour = self.choices = self._turn = self._vain = 0
-        self.is_stalled, self._least, self._goal, self._before = False, np.inf, None, np.inf
-
-    def next(self) -> Turn:
-        """What the next step tries."""
-        if not (self._looks and self.is_stalled):
-            return Turn.STRAIGHT
-        self._turn = (self._turn + 1) % 3
-        turn = tuple(Turn)[self._turn]
-        if turn is Turn.PROBE:
-            self.probe += 1
-        if turn is Turn.DETOUR:
-            if self._vain >= MOST_IN_VAIN:
-                return Turn.STRAIGHT
-            self.detour += 1
-        return turn
-
-    def judge(self, goal: np.ndarray, left: float, before: float) -> np.ndarray | None:
-        """Choose a detour, at once where it leads much nearer, else when all were tried.
-
-        Args:
-            goal: Where it leads, displacements of the actuators, shape (actuator_count,).
-            left: What is missed after it, by the linearization [m²].
-            before: What is missed now [m²].
-
-        Returns:
-            Where to go; None to stay.
-        """
-        if left < self._least:
-            self._least, self._goal = left, goal
-        is_tried = self.choices and self.detour % self.choices == 0
-        if self._least > NEARER * before and not is_tried:
-            return None
-        least, goal = self._least, self._goal
-        self._least, self._goal = np.inf, None
-        if least > WORTH * before:
-            self._vain += MOST_IN_VAIN if is_tried else 0
-            return None
-        self._vain += before > WORTH * self._before
-        self._before, self.is_stalled = before, False
-        return goal
 
 
 class InverseWithFriction(Follower):
@@ -658,53 +603,6 @@ class InverseWithFriction(Follower):
             )
         self._last_solution = self._direct.last_solution(linear)
 
-        def optimise(tied: Linearized, errors: np.ndarray, at: Actuation, bounds: Bounds):
-            def asked(*more: np.ndarray):
-                return super(InverseWithFriction, self)._over_branches(
-                    tied, *more, from_normals, bounds, commanded, rows, chosen
-                )
-
-            rows, from_normals = extra, self._on_normals(at, tied)
-            if not self._grips.names:
-                return asked(errors, weights)
-            (a, _, c), (ties, offset) = tied.groups, tied.ties
-            grip, least = self._grips.rows(linear, self._contacts, at.contact.multipliers)
-            least = least - grip @ offset[c.start :]
-            grip = np.delete(grip @ ties[c.start :], np.arange(a.stop, c.start), axis=1)
-
-            def lacking(found: Actuation) -> np.ndarray:
-                return grip @ np.append(found.efforts, found.contact.multipliers) < least
-
-            def with_least(wanted: np.ndarray) -> Actuation | None:
-                nonlocal rows
-                rows = grip[wanted] if wanted.any() else extra
-                if extra is not None and wanted.any():
-                    more = ((0, 0), (0, grip.shape[1] - a.stop))
-                    rows = np.concatenate([np.pad(extra, more), rows])
-                weight = FORCES_FIRST * weights.max(initial=0.0)
-                return asked(np.append(errors, -least[wanted]),
-                             np.append(weights, np.full(wanted.sum(), weight)))
-
-            # What lacked before lacks again in most steps. Where it does although it was asked for,
-            # it would without; what lacks no more was held down.
-            wanted = self._lacked
-            found = with_least(wanted)
-            if wanted.any() and (found is None or not lacking(found)[wanted].all()):
-                wanted = np.zeros(len(least), bool)
-                found = with_least(wanted)
-            while found is not None:
-                low = ~wanted & lacking(found)
-                if not low.any():
-                    break
-                wanted = wanted | low
-                closer = with_least(wanted)
-                if closer is None:
-                    # What lacks a least force counts so much that the actuators stay instead.
-                    break
-                found = closer
-            self._lacked = wanted
-            return found
-
         beyond = self._beyond if self._judges_forces else None
         aim = Aim(linear, errors, weights, beyond)
         left_out = self._left_out
@@ -718,7 +616,7 @@ class InverseWithFriction(Follower):
         self._has_come = is_reached and (self._has_come or before <= LEFT**2 * reached)
         if self._has_come:
             return held
-        task = Task(linear, aim, held, bounds, ~commanded, optimise, before, negligible)
+        task = Task(linear, aim, held, bounds, commanded, extra, chosen, before, negligible)
         best = self._tried(task)
         if best is None and held.solved:
             # What contacts do now may admit no solution; the actuators stay, and the bodies move on.
@@ -739,6 +637,61 @@ class InverseWithFriction(Follower):
             best = held
         self._direct.remember(best.efforts)
         return best
+
+    def _optimum(
+        self, task: Task, tied: Linearized, errors: np.ndarray, at: Actuation, bounds: Bounds
+    ) -> Actuation | None:
+        """The optimum by what contacts do in a solution; least forces and margins that lack are rows of it.
+
+        Args:
+            task: What the step is to find.
+            tied: The system by what contacts do.
+            errors: See `Aim`, in that system.
+            at: The solution.
+            bounds: Bounds of the optimum.
+        """
+        weights, from_normals = task.aim.weights, self._on_normals(at, tied)
+
+        def asked(rows: np.ndarray | None, *more: np.ndarray) -> Actuation | None:
+            return super(InverseWithFriction, self)._over_branches(
+                tied, *more, from_normals, bounds, task.commanded, rows, task.chosen
+            )
+
+        if not self._grips.names:
+            return asked(task.extra, errors, weights)
+        grip, least = self._grips.tied_rows(tied, self._contacts, at.contact.multipliers)
+        weight, extra = FORCES_FIRST * weights.max(initial=0.0), task.extra
+        extra = np.zeros((0, tied.groups.actuators.stop)) if extra is None else extra
+        extra = np.pad(extra, ((0, 0), (0, grip.shape[1] - extra.shape[1])))
+
+        def lacking(found: Actuation) -> np.ndarray:
+            return grip @ np.append(found.efforts, found.contact.multipliers) < least
+
+        def with_least(wanted: np.ndarray) -> Actuation | None:
+            if not wanted.any():
+                return asked(task.extra, errors, weights)
+            return asked(np.concatenate([extra, grip[wanted]]), np.append(errors, -least[wanted]),
+                         np.append(weights, np.full(wanted.sum(), weight)))
+
+        # What lacked before lacks again in most steps. Where it does although it was asked for,
+        # it would without; what lacks no more was held down.
+        wanted = self._lacked
+        found = with_least(wanted)
+        if wanted.any() and (found is None or not lacking(found)[wanted].all()):
+            wanted = np.zeros(len(least), bool)
+            found = with_least(wanted)
+        while found is not None:
+            low = ~wanted & lacking(found)
+            if not low.any():
+                break
+            wanted = wanted | low
+            closer = with_least(wanted)
+            if closer is None:
+                # What lacks a least force counts so much that the actuators stay instead.
+                break
+            found = closer
+        self._lacked = wanted
+        return found
 
     def _tried(self, task: Task) -> Actuation | None:
         """What this step tries; None where the problem has no solution."""
@@ -815,7 +768,7 @@ class InverseWithFriction(Follower):
         goal = self._search.judge(far.drives(self._limits), left, task.before)
         if goal is not None:
             # What refused moves here says nothing of there.
-            self._goal, self._waits, self._since, self.move_limit = goal, 0, 0, GREATEST
+            self._goal, self._waits, self._passed.since, self.move_limit = goal, 0, 0, GREATEST
 
     def _nearest(
         self, task: Task, at: Actuation, system: Linearized, bounds: Bounds, rounds: int
@@ -838,7 +791,7 @@ class InverseWithFriction(Follower):
         tied = tied_by_contacts(system, self._contacts, at, self._negligible, closes)
         errors, (ties, offset), (a, _, c) = task.aim.errors.copy(), tied.ties, tied.groups
         errors[: len(tied.effectors)] += tied.effectors - task.linear.effectors
-        found = task.optimise(tied, errors, at, bounds)
+        found = self._optimum(task, tied, errors, at, bounds)
         if found is None:
             return None
         forces = ties[c.start :, a] @ found.efforts[a] + offset[c.start :]
@@ -856,7 +809,7 @@ class InverseWithFriction(Follower):
         """
         linear, held, (a, e, _) = task.linear, task.held, task.linear.groups
         bears = np.abs(held.efforts[a]) > NO_EFFORT * np.abs(held.efforts[a]).max(initial=0.0)
-        free = np.flatnonzero(task.is_free[a] & (bears | ~self._one_sided[a]))
+        free = np.flatnonzero(~task.commanded[a] & (bears | ~self._one_sided[a]))
         if not len(free):
             return None
         side, choice = choice % 2, choice // 2
