@@ -447,6 +447,33 @@ class Simulation(Readouts):
         )  # fmt: skip
         return self._succeeded(goal, outcome, clock)
 
+    def step_aside(
+        self, state: State, factor_age: int | None, command: Command, budget: float | None, measured: list
+    ) -> tuple[StepResult, State, int | None]:
+        """Try a step from another state: the robot stays where it is.
+
+        Args:
+            state: The other state.
+            factor_age: Age of the factor there; see `Tangent`.
+            command: See `step`.
+            budget: See `step`.
+            measured: See `step`.
+
+        Returns:
+            The result, the state where the try stands, and the age of the factor there.
+        """
+        tangent, stays = self.newton.tangent, (self.state, self.kept)
+        self.state, self.kept, tangent.factor_age = state, None, factor_age
+        try:
+            result = self.step(command, budget, measured)
+            return result, self.state, tangent.factor_age
+        except Exception:
+            self.forget_solvers()
+            raise
+        finally:
+            # The factor is that of the other state.
+            (self.state, self.kept), tangent.factor_age = stays, None
+
     def finish_result(self) -> None:
         """Make the result of the last step, if somebody keeps it, before the model changes.
 

@@ -187,24 +187,13 @@ class Explorer(StepPart, Planner):
         budget: float | None, measured: list,
     ) -> StepResult:  # fmt: skip
         """Make a step of a trial in place of one of the robot, which would keep its state."""
-        newton, inverse = simulation.newton, simulation.inverse
-        stays = simulation.state, simulation.kept
-        simulation.state, newton.tangent.factor_age = exploration.state, exploration.factor_age
-        self._exploration = simulation.kept = None
-        try:
-            tried = simulation.step(command, budget, measured)
-            moved = np.abs(simulation.state.setpoints - exploration.state.setpoints)
-            exploration.state = simulation.state
-        except Exception:
-            simulation.forget_solvers()
-            raise
-        finally:
-            simulation.state, simulation.kept = stays
-            # The factor is that of another state.
-            exploration.factor_age, newton.tangent.factor_age = newton.tangent.factor_age, None
-        self._exploration = exploration
+        before, inverse, self._exploration = exploration.state, simulation.inverse, None
+        tried, exploration.state, exploration.factor_age = simulation.step_aside(
+            before, exploration.factor_age, command, budget, measured
+        )
+        self._exploration, moved = exploration, np.abs(exploration.state.setpoints - before.setpoints)
         has_gone = not inverse.is_departing
-        is_stable = simulation.is_balanced and not newton.tangent.is_projected
+        is_stable = simulation.is_balanced and not simulation.newton.tangent.is_projected
         is_calm = bool((moved <= CALM * simulation.limits.drive_scale).all())
         trial = exploration.trial
         if tried.status.is_failure:

@@ -19,7 +19,7 @@ class Turn(Enum):
     DETOUR = "whether it is nearer to go somewhere else first, and back"
 
 
-class Search:
+class Detours:
     """What is tried, one thing in each step, where the effectors come no nearer.
 
     Attributes:

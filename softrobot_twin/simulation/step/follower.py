@@ -566,7 +566,7 @@ class Follower(InverseActuation):
         """
         best, chosen, least = here, self._branch, (1.0 - LEAST_LEAP) * self._now
         self._looked, radius, self.move_limit = self._now, self.move_limit, GREATEST
-        remembered = self.solver.active, self._touching, self._wait, self._next_wait
+        remembered = self._search.memory
         # In unstable places the radius vanishes, which says nothing of the stable one that it has come to.
         is_settled = self._situation.is_balanced and self._situation.is_stable
         here_too = [self._branch] if is_settled and radius < GREATEST else []
@@ -575,7 +575,7 @@ class Follower(InverseActuation):
             if rows is not None and not (rows.gradient.compliance > 0.0).all():
                 continue
             found = self._best(asked, branch)
-            self.solver.active, self._touching, self._wait, self._next_wait = remembered
+            self._search.memory = remembered
             if found is not None:
                 left = self._situation.tracking(self._places(asked.linear, found, rows))
                 if left < least:

@@ -28,6 +28,7 @@ from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.step.actuation import NO_EFFORT, Actuation, ContactLoads
 from softrobot_twin.simulation.step.apparent_stiffness import StiffnessRows
+from softrobot_twin.simulation.step.contact_search import ContactSearch
 from softrobot_twin.simulation.step.direct_actuation import DirectActuation, widened
 from softrobot_twin.simulation.step.linearized import Linearized, row_motion
 from softrobot_twin.simulation.step.situation import NO_LOADS, Situation
@@ -39,7 +40,7 @@ from softrobot_twin.solvers.inverse_problem import (
     build_inverse_problem,
     with_effort_rows,
 )
-from softrobot_twin.solvers.inverse_solver import InverseSolver, proved_efforts
+from softrobot_twin.solvers.inverse_solver import proved_efforts
 from softrobot_twin.solvers.pivoting import WARM_START
 from softrobot_twin.solvers.qpcc import QPCC, QPCCSolution
 from softrobot_twin.solvers.quadratic_program import DAQPSolver, whiten
@@ -49,8 +50,6 @@ from softrobot_twin.solvers.quadratic_program import DAQPSolver, whiten
 LONGEST_REACH = 0.05
 # The same for an orientation [rad].
 LONGEST_TURN = 0.1
-# Programs that one linearization may solve; each takes some tens of microseconds.
-MOST_PROGRAMS = 30
 # Contacts hold effectors in some directions, in which the same energy moves them far less, and would
 # keep them off their targets. There the energy weighs the less the nearer the targets are, as a
 # Levenberg-Marquardt weight does (Yamashita and Fukushima 2001), down to this share.
@@ -67,8 +66,6 @@ LEAST_PROXIMAL_WEIGHT_WITH_STIFFNESS = 9.0
 ROUND_OFF = 1.0e-11
 # A contact force, this near to its limit as a share of it, is on it.
 LIMIT_MARGIN = 1.0e-4
-# After each second start in vain, twice as many linearizations pass without one, and at most these.
-LONGEST_WAIT = 7
 # The path of a cable this near to its limit, as a share of the cable's scale, is at the limit.
 AT_LIMIT = 1.0e-8
 
@@ -456,14 +453,13 @@ class InverseActuation:
         self._learns = not model.is_dynamic
         self._tolerance = model.reach_tolerance
         self._posed = model if model.effectors.orientations else None
-        self.solver = InverseSolver(MOST_PROGRAMS, is_exact=not alone)
+        self._search = ContactSearch(self._tolerance, is_exact=not alone)
+        self.solver = self._search.solver
         self.reset()
 
     def reset(self) -> None:
         """Forget the last solution, the contacts that bore it, and all moves."""
-        self._touching: dict[tuple[int, int], bool] | None = None
-        self._wait = self._next_wait = 0
-        self.solver.reset()
+        self._search.reset()
         self.forget()
         if self._posed is not None:
             self._posed.effectors.forget_targets()
@@ -652,7 +648,7 @@ class InverseActuation:
         )  # fmt: skip
         if not proved:
             return None
-        self.solver.active, self._touching = active, {}
+        self._search.remember(active)
         self._direct.remember(efforts)
         return Actuation(efforts, within, True, WARM_START, ContactLoads(NO_FORCES, sweeps=1))
 
@@ -759,58 +755,25 @@ class InverseActuation:
         self, linear: Linearized, problem: QPCC, held: Actuation, unknowns: Unknowns,
         errors: np.ndarray, weights: np.ndarray,
     ) -> QPCCSolution:  # fmt: skip
-        """Solve the problem, from an admissible actuation and from what touched in the last step.
+        """Solve the problem; see `ContactSearch`."""
 
-        Where contacts press and effectors miss what is asked of them, from the branch too in which
-        all contacts with bodies are open.
-        """
+        def missed(z: np.ndarray) -> float:
+            efforts, forces = unknowns.split(z, linear.contact_row_count)
+            if not (forces > 0.0).any():
+                return np.nan
+            places = linear.effector_places(efforts, forces)
+            left, wanted = errors[: len(places)] + places - linear.effectors, weights[: len(places)] > 0.0
+            return float(np.linalg.norm(left[wanted]))
+
         efforts, forces = held.efforts, held.contact.multipliers
-        taut = efforts[unknowns.commanded]
-        touching = np.concatenate([taut, forces]) > 0.0
-        known = self._contact_keys(linear)
-        last = None
-        if self._touching is not None and len(known) == len(forces):
-            before = [self._touching.get(key, False) for key in known]
-            last = np.concatenate([taut > 0.0, np.array(before, dtype=bool)])
-        missing: np.ndarray | None = None
-
-        def second_start(z: np.ndarray) -> np.ndarray | None:
-            nonlocal missing
-            if not self._seeks_anew(linear, unknowns, z, errors, weights):
-                return None
-            missing = z
-            start = problem.forces(z) > 0.0
-            start[len(taut) :] = False
-            return start
-
-        solution = self.solver.solve(
-            problem, unknowns.stack(efforts, forces), touching, last,
-            second_start=second_start if len(forces) else None,
+        return self._search_of(linear).solve(
+            problem, unknowns.stack(efforts, forces), efforts[unknowns.commanded], forces,
+            self._contact_keys(linear), missed,
         )  # fmt: skip
-        if missing is not None:
-            is_in_vain = solution.unknowns is missing
-            self._next_wait = min(2 * self._next_wait + 1, LONGEST_WAIT) if is_in_vain else 0
-            self._wait = self._next_wait
-        self._touching = dict(
-            zip(known, solution.touching[len(taut) :].tolist(), strict=True)
-        )
-        return solution
 
-    def _seeks_anew(
-        self, linear: Linearized, unknowns: Unknowns, z: np.ndarray, errors: np.ndarray,
-        weights: np.ndarray,
-    ) -> bool:  # fmt: skip
-        """Whether a solution presses and misses, and the search is to begin a second time."""
-        efforts, forces = unknowns.split(z, linear.contact_row_count)
-        if not (forces > 0.0).any():
-            return False
-        places = linear.effector_places(efforts, forces)
-        left, wanted = errors[: len(places)] + places - linear.effectors, weights[: len(places)] > 0.0
-        if np.linalg.norm(left[wanted]) <= self._tolerance:
-            self._wait = self._next_wait = 0
-            return False
-        self._wait -= 1
-        return self._wait < 0
+    def _search_of(self, linear: Linearized) -> ContactSearch:
+        """What solves the problems of a system."""
+        return self._search
 
     def _contact_keys(self, linear: Linearized) -> list[tuple[int, int]]:
         """Pair and key of each contact, by which it is recognised in the next step."""

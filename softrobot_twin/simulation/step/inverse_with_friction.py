@@ -43,14 +43,14 @@ from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.step.actuation import NO_EFFORT, Actuation, ContactLoads
 from softrobot_twin.simulation.step.apparent_stiffness import StiffnessRows
-from softrobot_twin.simulation.step.detours import NEARER, Search, Turn
+from softrobot_twin.simulation.step.contact_search import ContactSearch
+from softrobot_twin.simulation.step.detours import NEARER, Detours, Turn
 from softrobot_twin.simulation.step.direct_actuation import DirectActuation
 from softrobot_twin.simulation.step.follower import GREATEST, NO_PROMISE, SHRINK, Follower
-from softrobot_twin.simulation.step.inverse_actuation import MOST_PROGRAMS, Asked
+from softrobot_twin.simulation.step.inverse_actuation import Asked
 from softrobot_twin.simulation.step.linearized import Linearized
 from softrobot_twin.simulation.step.situation import Situation, longest_move
 from softrobot_twin.solvers.inverse_problem import Bounds
-from softrobot_twin.solvers.inverse_solver import InverseSolver
 
 # Share of its own compliance that a sticking row yields by, where several rows hold the same.
 YIELDS = 1.0e-9
@@ -547,8 +547,10 @@ class InverseWithFriction(Follower):
         """See `InverseActuation`."""
         super().reset()
         # In motion, a linearization sees no further than its step.
-        self._search = Search(self._learns)
-        self._among_open_ones = InverseSolver(most_programs=MOST_PROGRAMS, is_exact=True)
+        self._detours = Detours(self._learns)
+        # Where contacts go on as they do, there is none among the unknowns.
+        self._search_as_is = ContactSearch(self._tolerance)
+        self._search_as_is.remember(None)
         self._targets = self._moved = None
         self._has_come, self._tried_length = False, GREATEST
         # Least forces and margins that lacked in the last optimum.
@@ -566,6 +568,11 @@ class InverseWithFriction(Follower):
     def begin_step(self, is_balanced: bool, is_stable: bool, *around) -> None:
         """See `InverseActuation`; what is in balance while contacts rub is held by them."""
         super().begin_step(is_balanced, is_stable or is_balanced, *around)
+
+    def _search_of(self, linear: Linearized) -> ContactSearch:
+        """See `InverseActuation`."""
+        is_as_is = linear.ties is not None and not linear.contact_row_count
+        return self._search_as_is if is_as_is else self._search
 
     def told(self, done: Actuation, sought: Actuation) -> Actuation:
         """What actuators and contacts do by drives that were sought, with all that is told of it.
@@ -585,7 +592,7 @@ class InverseWithFriction(Follower):
             places = slice(self._place_count)
             moved[places] = np.nan_to_num(target_rows - self._targets)[places]
         if moved.any():
-            self._search.forget()
+            self._detours.forget()
             self._has_come = False
         before = np.zeros(len(moved)) if self._moved is None else np.abs(self._moved)
         self._motion = np.clip(moved, -before, before)
@@ -627,7 +634,7 @@ class InverseWithFriction(Follower):
             half = 0.5 * (held.drives(self._limits) + best.drives(self._limits))
             best = self._with_friction(linear, half, bounds, best)
         is_stalled = aim.missed(best) > (1.0 - PROGRESS) * before
-        self._search.is_stalled = is_stalled and not is_reached
+        self._detours.is_stalled = is_stalled and not is_reached
         slips = self._grips.names and self._grips.slips_on(
             self._contacts, held.contact.multipliers, best.contact.multipliers
         )
@@ -696,9 +703,9 @@ class InverseWithFriction(Follower):
     def _tried(self, task: Task) -> Actuation | None:
         """What this step tries; None where the problem has no solution."""
         moves, aim = self._moved.any(), task.aim
-        turn = Turn.STRAIGHT if moves else self._search.next()
+        turn = Turn.STRAIGHT if moves else self._detours.next()
         if turn is Turn.PROBE:
-            probe = self._displaced(task, task.bounds, self._search.probe, LENGTHS)
+            probe = self._displaced(task, task.bounds, self._detours.probe, LENGTHS)
             if probe is not None:
                 found = self._nearest(task, probe, task.linear, task.bounds, 1)
                 return min(probe, found or probe, key=aim.missed)
@@ -730,8 +737,7 @@ class InverseWithFriction(Follower):
         Returns:
             It; and whether that search would hardly find anything nearer.
         """
-        own, best, is_good = (self.solver, self._touching), None, False
-        self.solver, self._touching = self._among_open_ones, {}
+        best, is_good = None, False
         for _ in range(MOST_ROUNDS):
             made = self._made(task, at, system, bounds, closes=True)
             if made is None:
@@ -740,7 +746,6 @@ class InverseWithFriction(Follower):
             is_good |= self._is_good(task, made, bounds)
             if made.missed - made.promise <= SO_NEAR * task.before + task.negligible:
                 break
-        self.solver, self._touching = own
         return best and best.actuation, is_good
 
     def _is_good(self, task: Task, made: Made, bounds: Bounds) -> bool:
@@ -756,7 +761,7 @@ class InverseWithFriction(Follower):
     def _look_for_detour(self, task: Task) -> None:
         """Look whether it is nearer to go somewhere else first; the actuators go if it is."""
         wide = self._limits.bounds(task.held.drives(self._limits), np.inf)
-        far, left = self._displaced(task, wide, self._search.detour, FAR), np.inf
+        far, left = self._displaced(task, wide, self._detours.detour, FAR), np.inf
         if far is None:
             return
         if not task.aim.pressed_too_hard(far):
@@ -765,7 +770,7 @@ class InverseWithFriction(Follower):
             if not task.leaves_open:
                 backs.append(self._as_contacts_are(task, far, later, wide)[0])
             left = min((task.aim.missed(back) for back in backs if back), default=np.inf)
-        goal = self._search.judge(far.drives(self._limits), left, task.before)
+        goal = self._detours.judge(far.drives(self._limits), left, task.before)
         if goal is not None:
             # What refused moves here says nothing of there.
             self._goal, self._waits, self._passed.since, self.move_limit = goal, 0, 0, GREATEST
@@ -814,7 +819,7 @@ class InverseWithFriction(Follower):
             return None
         side, choice = choice % 2, choice // 2
         moved, length = free[choice % len(free)], lengths[(choice // len(free)) % len(lengths)]
-        self._search.choices = 2 * len(free) * len(lengths)
+        self._detours.choices = 2 * len(free) * len(lengths)
         own = 1.0 if self._by_effort[moved] else linear.W[moved, moved]
         farther = np.linalg.norm(linear.W[e, moved]) / own
         reach = length * np.sqrt(task.before / task.aim.weights.max())

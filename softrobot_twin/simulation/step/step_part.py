@@ -331,7 +331,6 @@ class Steppable(Protocol):
     inverse: InverseActuation | None
     state: State
     now: Callable[[], float]
-    kept: NamedTuple | None
     is_balanced: bool
 
     def __init__(self, scene: Scene, now: Callable[[], float] = ..., *, with_warnings: bool): ...
@@ -345,6 +344,10 @@ class Steppable(Protocol):
     def step(
         self, command: Command, budget: float | None = None, measured: object | None = None
     ) -> StepResult: ...
+
+    def step_aside(
+        self, state: State, factor_age: int | None, command: Command, budget: float | None, measured: list
+    ) -> tuple[StepResult, State, int | None]: ...
 
     def stay_by(self, command: Command, rest: StepResult) -> StepResult: ...
 
