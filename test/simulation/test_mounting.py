@@ -68,8 +68,7 @@ def test_a_strip_bent_to_an_arc_pulls_by_its_bending_stiffness_of_rubber_as_of_s
     np.testing.assert_allclose(found.torques["clamp"], bent, rtol=1e-5, atol=1e-8)
     np.testing.assert_allclose(found.forces["clamp"], 0.0, atol=times * 1e-5)
     assert found.energy == pytest.approx(0.5 * stiffness * angle**2 / LENGTH, rel=1e-5)
-    (beam,) = simulation.model.beams
-    places = beam.nodes_mapping().positions(simulation.state.positions)
+    places = simulation.model.beams[0].nodes_mapping().positions(simulation.state.positions)
     radius = LENGTH / angle
     distances = np.hypot(places[:, 0], places[:, 2] - radius)
     np.testing.assert_allclose(distances, radius, atol=1e-6)
