@@ -58,8 +58,8 @@ MOST_SHARES = 10
 # that is near.
 MOST_MOVES_TO_NEAR, NEAR = 12, 0.01
 # A residual within tolerance tells of balance where it is this share of the loads, or would move the
-# body by no more than this share of its size.
-TELLING_LOAD, TELLING_MOVE = 1.0e-3, 1.0e-6
+# body by no more than this share of its size. A greater one does where moves are round-off, shares of it.
+TELLING_LOAD, TELLING_MOVE, ROUND_OFF = 1.0e-3, 1.0e-6, 1.0e-13
 # Steps towards the same targets that keep the state before further ones need not be made. Within
 # fewer the inverse tries all that it will try from there, but one step for each actuator.
 STEPS_UNTIL_REST = 120
@@ -711,15 +711,15 @@ class Simulation(Readouts):
         return Balance.NEAR if self._is_small(done.actuation, done.residual, NEAR_BALANCE) else Balance.MISSED
 
     def _is_in_balance(self, actuation: Actuation, residual: float) -> bool:
-        """Whether the residual is within its tolerance, and tells of balance.
+        """Whether the residual is within its tolerance, or round-off of stiff bodies, and tells of balance.
 
         Of a body that bears less than the tolerance every residual is within it: a thin fibre far
         from its balance, too.
         """
+        newton, size = self.newton, self.model.nodes.size
         if not residual <= self.model.scene.solver.residual_tolerance:
-            return False
-        is_small = self._is_small(actuation, residual, TELLING_LOAD)
-        return is_small or self.newton.longest_left() <= TELLING_MOVE * self.model.nodes.size
+            return newton.last_move <= ROUND_OFF * size and newton.longest_left() <= ROUND_OFF * size
+        return self._is_small(actuation, residual, TELLING_LOAD) or newton.longest_left() <= TELLING_MOVE * size
 
     def _is_small(self, actuation: Actuation, residual: float, share: float) -> bool:
         """Whether a residual is at most a share of the forces at rest, of actuators, contacts and parts."""
