@@ -10,7 +10,6 @@ import argparse
 import math
 import signal
 from collections.abc import Callable, Sequence
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from textwrap import fill
 from typing import Annotated, TypeAlias
@@ -18,6 +17,7 @@ from typing import Annotated, TypeAlias
 from softrobot_twin.command_line.arguments import TEXT_WIDTH, Parser, Read, add_command
 from softrobot_twin.errors import NamedError, SoftRobotTwinError
 from softrobot_twin.harness.length_units import UNITS
+from softrobot_twin.harness.machine_facts import installed_version
 from softrobot_twin.reduction import training_options
 from softrobot_twin.reduction.training_options import (
     AROUND,
@@ -746,16 +746,10 @@ def program(name: str) -> argparse.ArgumentParser:
         epilog="COMMAND --help shows the options of a command, with examples. "
                f"{', '.join(NODES)}: nodes, as with ros2 run.\n\n{EXIT_CODES}",
         formatter_class=argparse.RawDescriptionHelpFormatter)
-    made.add_argument("--version", action="version", version=f"softrobot_twin {_version()}")
+    made.add_argument("--version", action="version",
+                      version=f"softrobot_twin {installed_version('softrobot_twin') or '(not installed)'}")
     commands = made.add_subparsers(title="commands", dest="command", metavar="COMMAND", required=True)
     for command in COMMANDS:
         add_command(commands, command, *EXCLUSIVE.get(command, ((), False)),
                     vars(training_options), EXIT_CODES)
     return made
-
-
-def _version() -> str:
-    try:
-        return version("softrobot_twin")
-    except PackageNotFoundError:
-        return "(not installed)"

@@ -69,22 +69,6 @@ class LoopStatistics:
         self._ticks.clear()
 
 
-class Tick(NamedTuple):
-    """One tick, after its work.
-
-    Attributes:
-        skipped: Grid points since the last tick that had no tick.
-        compute_time: Duration of the work [s].
-        missed: True when the work was not finished before the next grid point.
-        spare_time: Time left to the next grid point [s]; negative when missed.
-    """
-
-    skipped: int
-    compute_time: float
-    missed: bool
-    spare_time: float
-
-
 class TickClock:
     """Counts ticks, skips and misses against a fixed time grid.
 
@@ -128,7 +112,6 @@ class TickClock:
         self._began: float | None = None
         self._until_next = self._work_began = 0.0
         self._period_measured = float("nan")
-        self._skipped_now = 0
         self.statistics.clear()
 
     def now(self) -> float:
@@ -146,24 +129,25 @@ class TickClock:
         """
         now = self.now()
         due_next = now + until_next
-        self._skipped_now = 0
         if self._due_next is not None:
-            self._skipped_now = max(0, round((due_next - self._due_next) / self.period) - 1)
+            self.skipped += max(0, round((due_next - self._due_next) / self.period) - 1)
         self._period_measured = float("nan") if self._began is None else now - self._began
         self._due_next, self._began = due_next, now
         self._until_next, self._work_began = until_next, self._stopwatch()
         self.ticks += 1
-        self.skipped += self._skipped_now
         return now
 
-    def end(self) -> Tick:
-        """Marks the end of the work of the tick that `begin` started."""
+    def end(self) -> float:
+        """Marks the end of the work of the tick that `begin` started.
+
+        Returns:
+            Time left to the next grid point [s]; negative when the tick missed it.
+        """
         compute_time = self._stopwatch() - self._work_began
         spare_time = self._until_next - compute_time
-        missed = spare_time < 0.0
-        self.missed += missed
+        self.missed += spare_time < 0.0
         self.statistics.record(self._period_measured, compute_time)
-        return Tick(self._skipped_now, compute_time, missed, spare_time)
+        return spare_time
 
 
 class ClockWatch:

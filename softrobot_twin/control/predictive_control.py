@@ -87,15 +87,10 @@ class Planned(NamedTuple):
     Attributes:
         inputs: Inputs to send, shape (input_count,).
         is_solved: Whether the program was solved; else the inputs are those of the tick before.
-        expected: Outputs expected at the time at which the inputs take effect [m], shape
-            (output_count,).
-        iterations: Of the program's solver.
     """
 
     inputs: np.ndarray
     is_solved: bool
-    expected: np.ndarray
-    iterations: int
 
 
 def knots_of(horizon: int, input_count: int) -> np.ndarray:
@@ -239,16 +234,13 @@ class PredictiveControl:
         x = self._x
         for inputs in self._sent:
             x = self._A @ x + self._B @ inputs
-        here = self.model.output_values[self.outputs]
         last = (self.last_inputs - self.model.input_values) / self._scales
-        found, iterations = self._program.solve(x, last, targets - here)
-        middle = self.model.input_values
-        is_solved = found is not None
-        inputs = self.last_inputs if found is None else self._scales * found + middle
+        found = self._program.solve(x, last, targets - self.model.output_values[self.outputs])
+        inputs = self.last_inputs if found is None else self._scales * found + self.model.input_values
         low, high = self._allowed.low, self._allowed.high
         low, high = np.maximum(low, self.last_inputs - self._reach), np.minimum(high, self.last_inputs + self._reach)
         inputs = np.maximum(np.minimum(inputs, high), low)
-        return Planned(inputs, is_solved, here + self._C @ x, iterations)
+        return Planned(inputs, found is not None)
 
     def send(self, inputs: np.ndarray) -> None:
         """Takes what was sent in this tick, and goes on to the next.
@@ -360,7 +352,7 @@ class Program:
         self._reach = np.kron(spans * period, np.where(limited, allowed.rates, 0.0))[self._limited]
         self._k, self._is_first = k, np.arange(count * k) < k
 
-    def solve(self, x: np.ndarray, last: np.ndarray, targets: np.ndarray) -> tuple[np.ndarray | None, int]:
+    def solve(self, x: np.ndarray, last: np.ndarray, targets: np.ndarray) -> np.ndarray | None:
         """The inputs of the first tick, as deviations; None where the program is not solved.
 
         Args:
@@ -369,7 +361,7 @@ class Program:
             targets: From where outputs are counted [m], shape (horizon, controlled_count).
 
         Returns:
-            Shape (input_count,), and the iterations of the solver.
+            Shape (input_count,).
         """
         gradient = self._by_state @ x + self._by_last @ last
         gradient -= self._forced.T @ (KILO * targets.ravel())
@@ -377,7 +369,7 @@ class Program:
         upper = np.concatenate([self._high, held + self._reach])
         lower = np.concatenate([self._low, held - self._reach])
         found = solve_program(self._hessian, gradient, self._steps, lower, upper)
-        return (found.x[: self._k] if found.is_found else None), found.iterations
+        return found.x[: self._k] if found.is_found else None
 
     def feedback(self) -> tuple[np.ndarray, np.ndarray]:
         """Inputs of the first tick by the states, and by the last inputs, without limits.

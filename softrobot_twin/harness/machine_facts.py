@@ -22,13 +22,18 @@ def versions(libraries: tuple[str, ...] = LIBRARIES) -> dict[str, str | None]:
     """
     found: dict[str, str | None] = {"python": platform.python_version()}
     for name in ("softrobot_twin", *libraries):
-        found[name.removesuffix("-sdk")] = _version(name)
+        found[name.removesuffix("-sdk")] = installed_version(name)
     # The package name differs between the wheels and a sourced installation.
-    found["rclpy"] = _version("rclpy") or _version("ros-jazzy-rclpy")
+    found["rclpy"] = installed_version("rclpy") or installed_version("ros-jazzy-rclpy")
     return found
 
 
-def _version(name: str) -> str | None:
+def installed_version(name: str) -> str | None:
+    """Version of a library; None where it is not installed as a package.
+
+    Args:
+        name: Name of the distribution.
+    """
     try:
         return version(name)
     except PackageNotFoundError:

@@ -65,30 +65,16 @@ def bulk_modulus(young_modulus: float, poisson_ratio: float) -> float:
     return young_modulus / (3.0 * (1.0 - 2.0 * poisson_ratio))
 
 
-class Moduli(NamedTuple):
-    """Small-strain moduli of an isotropic material.
-
-    Attributes:
-        young_modulus: E [Pa].
-        poisson_ratio: ν.
-    """
-
-    young_modulus: float
-    poisson_ratio: float
-
-
-def moduli_of_shear_and_bulk(shear_modulus: float, bulk_modulus: float) -> Moduli:
-    """E and ν of µ and κ.
+def moduli_of_shear_and_bulk(shear_modulus: float, bulk_modulus: float) -> tuple[float, float]:
+    """E [Pa] and ν of µ and κ.
 
     Args:
         shear_modulus: µ [Pa], positive.
         bulk_modulus: κ [Pa], positive.
     """
     whole = 3.0 * bulk_modulus + shear_modulus
-    return Moduli(
-        9.0 * bulk_modulus * shear_modulus / whole,
-        0.5 * (3.0 * bulk_modulus - 2.0 * shear_modulus) / whole,
-    )
+    return (9.0 * bulk_modulus * shear_modulus / whole,
+            0.5 * (3.0 * bulk_modulus - 2.0 * shear_modulus) / whole)
 
 
 def bulk_modulus_of_shear(shear_modulus: float, poisson_ratio: float) -> float:

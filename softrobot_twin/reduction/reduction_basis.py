@@ -210,20 +210,10 @@ def mode_count_of(shares: np.ndarray, energy: float) -> int:
 # --- sampled points ------------------------------------------------------------------------------
 
 
-class _Chunk(NamedTuple):
-    """Some points of a body.
-
-    Attributes:
-        points: The points, by their own volumes.
-        elements: Their forces.
-    """
-
-    points: SampledPoints
-    elements: ReducedElements
-
-
-def _chunks(body: Body, basis: np.ndarray, chosen: SampledPoints | None = None) -> Iterator[_Chunk]:
-    """All points of a body, or chosen ones, so many at once as memory allows."""
+def _chunks(
+    body: Body, basis: np.ndarray, chosen: SampledPoints | None = None,
+) -> Iterator[tuple[SampledPoints, ReducedElements]]:  # fmt: skip
+    """All points of a body, or chosen ones, with their forces: so many at once as memory allows."""
     nodes = np.arange(basis.shape[2] // 3)
     for block, law in blocks_of(body):
         own = all_points(block)
@@ -233,7 +223,7 @@ def _chunks(body: Body, basis: np.ndarray, chosen: SampledPoints | None = None) 
         for first in range(0, len(own.cells), CHUNK):
             some = SampledPoints(*(field[first : first + CHUNK] for field in own))
             gradients = point_gradients(block, some, basis)
-            yield _Chunk(some, ReducedElements(gradients, law, nodes, nodes))
+            yield some, ReducedElements(gradients, law, nodes, nodes)
 
 
 def _keys(points: SampledPoints) -> np.ndarray:
@@ -274,23 +264,22 @@ def work_of(body: Body, modes: Modes, states: np.ndarray, rng: np.random.Generat
     scale = 1.0 / np.sqrt(modes.stiffness)
     seen = states[np.linspace(0, len(states) - 1, min(SIZE_STATES, len(states))).astype(int)]
     total, sizes, points = np.zeros(states.shape), [], []
-    for chunk in _chunks(body, modes.basis):
+    for some, elements in _chunks(body, modes.basis):
         for state, sum_of_all in zip(states, total, strict=True):
-            sum_of_all += scale * _force(chunk.elements, state)
-        size = sum(np.abs(chunk.elements.point_forces(state) * scale).sum(axis=1) for state in seen)
+            sum_of_all += scale * _force(elements, state)
+        size = sum(np.abs(elements.point_forces(state) * scale).sum(axis=1) for state in seen)
         sizes.append(size)
-        points.append(chunk.points)
+        points.append(some)
     points = SampledPoints(*map(np.concatenate, zip(*points, strict=True)))
     candidates = _drawn(np.concatenate(sizes), MOST_CANDIDATES, rng)
     candidates = SampledPoints(*(field[candidates] for field in points))
     parts, columns = [], []
-    for chunk in _chunks(body, modes.basis, candidates):
-        if not len(chunk.points.cells):
+    for some, elements in _chunks(body, modes.basis, candidates):
+        if not len(some.cells):
             continue
-        forces = [(chunk.elements.point_forces(state) * scale).astype(np.float32)
-                  for state in states]  # fmt: skip
+        forces = [(elements.point_forces(state) * scale).astype(np.float32) for state in states]
         columns.append(np.stack(forces).transpose(0, 2, 1).reshape(states.size, -1))
-        parts.append(chunk.points)
+        parts.append(some)
     candidates = SampledPoints(*map(np.concatenate, zip(*parts, strict=True)))
     return Work(candidates, np.concatenate(columns, axis=1), total.ravel())
 

@@ -195,7 +195,7 @@ class TickingNode(Node):
         self.stamp = self.ros_time()
         self._watch_clock(now)
         self.has_worked = self._try(self.work, now)
-        tick = self.tick_clock.end()
+        spare_time = self.tick_clock.end()
         if change := self.priority.offer():
             self.get_logger().warning(change)
         failed = not self._try(self.after_work, now) or not self.has_worked
@@ -203,7 +203,7 @@ class TickingNode(Node):
         self.failures_in_a_row = self.failures_in_a_row + 1 if failed else 0
         if failed:
             self._try(self.after_failure, now)
-        self.collector.offer(tick.spare_time)
+        self.collector.offer(spare_time)
 
     def _try(self, work: Callable[[float], None], now: float) -> bool:
         """Does a part of a tick; False where it raised an exception, which is logged."""

@@ -380,17 +380,13 @@ def _draws_of(scene: Scene, randomized: Randomized) -> tuple[tuple[Parameter | J
         if len(numbers) != 2 or numbers[0] > numbers[1]:
             raise CommandError(name, f"is drawn from {how!r}, which must be a least and a greatest "
                                f"value [{own[0].unit}], or a function of a random generator")
-        draws += [(one, partial(_uniform, *numbers)) for one in own]
+        draws += [(one, partial(np.random.Generator.uniform, low=numbers[0], high=numbers[1])) for one in own]
         for changes, end in zip(ends, numbers, strict=True):
             for one in own:
                 changes |= one.changes(end)
     for changes in ends:
         changed_scene(scene, changes)
     return tuple(draws)
-
-
-def _uniform(least: float, most: float, random: np.random.Generator) -> float:
-    return random.uniform(least, most)
 
 
 def _drives_of(simulation: Simulation) -> tuple[Axis, ...]:

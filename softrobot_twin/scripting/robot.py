@@ -215,12 +215,6 @@ class Robot:
     def __reduce__(self) -> tuple[Any, ...]:
         return _rebuilt, (self.scene, self.state, self._aims)
 
-    def __copy__(self) -> Robot:
-        return self.copy()
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> Robot:
-        return self.copy()
-
     def copy(self) -> Robot:
         """Another robot of the same scene at the same state; it is built anew.
 

@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -77,7 +77,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.nd
             SceneError: See `ReachingEnvironment`.
             WorkerError: A worker ends before its robots are built.
         """
-        self._workers: list[_Worker] = []
+        self._workers: list[_Here | _OnCluster | WorkerProcess] = []
         self.num_envs = _count("count", count)
         self.scene, beside = _scene_of(scene, reduced)
         # What is wrong is refused here, by its own error, before any process starts.
@@ -221,20 +221,6 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.nd
 # --- the workers ----------------------------------------------------------------------------------
 
 
-class _Answer(Protocol):
-    """What a worker will have computed."""
-
-    def result(self) -> Any: ...
-
-
-class _Worker(Protocol):
-    """Owns some of the robots; it computes one answer after the other."""
-
-    def ask(self, what: str, *arguments: Any) -> _Answer: ...
-
-    def close(self) -> None: ...
-
-
 class _Robots:
     """The robots of one worker."""
 
@@ -290,7 +276,7 @@ class _Here:
     def __init__(self, *robots: Any):
         self._robots = _Robots(*robots)
 
-    def ask(self, what: str, *arguments: Any) -> _Answer:
+    def ask(self, what: str, *arguments: Any) -> Future:
         answer: Future = Future()
         answer.set_result(self._robots.answer(what, *arguments))
         return answer
@@ -306,7 +292,7 @@ class _OnCluster:
         self._robots = client.submit(
             _Robots, *robots, actor=True, pure=False, workers=[address], allow_other_workers=False)
 
-    def ask(self, what: str, *arguments: Any) -> _Answer:
+    def ask(self, what: str, *arguments: Any) -> Any:
         return self._robots.result().answer(what, *arguments)
 
     def close(self) -> None:

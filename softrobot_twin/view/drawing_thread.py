@@ -14,9 +14,12 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from itertools import cycle
-from typing import Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 from softrobot_twin.view.frame import Frame
+
+if TYPE_CHECKING:
+    from softrobot_twin.view.picture import Picture
 
 Item = TypeVar("Item")
 
@@ -114,24 +117,6 @@ class RateLimit:
 _log = logging.getLogger(__name__)
 
 
-class FrameDrawing(Protocol):
-    """Draws frames."""
-
-    def log(self, frame: Frame) -> None:
-        """Draws one frame; may be slow and may fail.
-
-        Args:
-            frame: The frame.
-        """
-
-    def close(self, timeout: float) -> None:
-        """Finishes the drawing within a timeout [s].
-
-        Args:
-            timeout: Longest time that it may take [s].
-        """
-
-
 class DrawingThread:
     """Draws the newest frame repeatedly in a daemon thread.
 
@@ -145,7 +130,7 @@ class DrawingThread:
         latest: The frame to draw next.
     """
 
-    def __init__(self, name: str, canvas: FrameDrawing, is_chosen: Callable[[], bool]):
+    def __init__(self, name: str, canvas: Picture, is_chosen: Callable[[], bool]):
         self.name = name
         self.logged_count = 0
         self.failed_count = 0

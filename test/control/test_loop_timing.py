@@ -39,8 +39,7 @@ class Timer:
 def test_ticks_on_time_are_neither_skipped_nor_missed():
     timer = Timer()
     for _ in range(100):
-        tick = timer.tick(work=0.06)
-        assert tick.spare_time == pytest.approx(0.04) and not tick.missed
+        assert timer.tick(work=0.06) == pytest.approx(0.04)
     assert (timer.clock.ticks, timer.clock.skipped, timer.clock.missed) == (100, 0, 0)
 
 
@@ -54,10 +53,9 @@ def test_jitter_is_not_counted_as_a_skip():
 def test_work_longer_than_the_period_misses_its_deadline_and_skips_ticks():
     timer = Timer()
     timer.tick(work=0.01)
-    assert timer.tick(work=0.35).missed
-    after = timer.tick(work=0.01)
+    assert timer.tick(work=0.35) < 0.0
     # Due at 0.1, done at 0.45: the points 0.2 and 0.3 are gone, and 0.4 comes late.
-    assert after.skipped == 2 and not after.missed
+    assert timer.tick(work=0.01) > 0.0
     assert (timer.clock.skipped, timer.clock.missed) == (2, 1)
 
 

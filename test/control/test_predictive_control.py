@@ -144,7 +144,7 @@ def test_the_program_is_the_least_sum_of_squares_within_limits_and_rates():
     program = Program(plant, model.static_gain, free(1, -2.0, 3.0, 60.0), 12, PERIOD, share)
     x = 1e-3 * np.array([2.0, 30.0, 900.0, 1.0])  # Place, velocity, the input before, disturbance.
     targets = 1e-3 * (5.0 + np.arange(12.0))[:, None]
-    found, iterations = program.solve(x, x[2:3], targets)
+    found = program.solve(x, x[2:3], targets)
 
     def misses(inputs):
         here, before, missed = x, x[2], []
@@ -161,7 +161,7 @@ def test_the_program_is_the_least_sum_of_squares_within_limits_and_rates():
     other = minimize(lambda u: 0.5 * (misses(u) ** 2).sum(), np.full(12, x[2]), jac=lambda u: J.T @ misses(u),
                      bounds=[(-2.0, 3.0)] * 12, constraints=rates, method="SLSQP",
                      options={"ftol": 1e-12, "maxiter": 500})  # fmt: skip
-    assert other.success and iterations > 1
+    assert other.success
     assert found[0] == pytest.approx(other.x[0], abs=1e-3)
     by_state, by_last = program.feedback()
     assert by_state.shape == (1, 4) and by_last.shape == (1, 1)

@@ -98,7 +98,6 @@ class ActuatorKind(Protocol):
     Attributes:
         section: Key of its entries in a scene, such as ``cables``.
         entry: Type of each entry.
-        noun: Name of one of them in messages.
         setpoint: Commanded quantity, an absolute value.
         displacement: Its difference from rest, positive in the direction in which the effort
             does work.
@@ -121,7 +120,6 @@ class ActuatorKind(Protocol):
 
     section: str
     entry: type[ActuatorEntry]
-    noun: str
     setpoint: Quantity
     displacement: Quantity
     effort: Quantity
@@ -132,6 +130,11 @@ class ActuatorKind(Protocol):
     least_setpoint: float = -np.inf
     acts_at_rest: bool = True
     stalls: bool = False
+
+    @property
+    def noun(self) -> str:
+        """Name of one of them in messages."""
+        return self.entry.noun
 
     def build(self, layout: Layout, entries: tuple[ActuatorEntry, ...], notes: list[str]) -> ActuatorGroup:
         """The actuators of a scene.

@@ -53,7 +53,6 @@ class CableActuator(ActuatorKind):
 
     section = "cables"
     entry = Cable
-    noun = "cable"
     setpoint = Quantity("length", "m")
     displacement = Quantity("shortening", "m")
     effort = Quantity("tension", "N")

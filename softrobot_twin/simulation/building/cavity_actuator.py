@@ -42,7 +42,6 @@ class CavityActuator(ActuatorKind):
 
     section = "cavities"
     entry = Cavity
-    noun = "cavity"
     displacement = Quantity("growth", "m3")
     effort = Quantity("pressure", "Pa")
     extent = Quantity("volume", "m3")

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Set
 from dataclasses import dataclass, fields
-from functools import cached_property, lru_cache, reduce
+from functools import cached_property, lru_cache, partial, reduce
 from pathlib import Path
 from typing import ClassVar, NamedTuple, TypeVar
 
@@ -688,15 +688,15 @@ def build_body(
     notes.extend(f"{key}.mesh ({entry.mesh.label}): {note}" for note in reading.notes)
     entry = _with_element_of_cells(entry, key, reading, scene, notes)
     mesh = element_named(entry.element).make_mesh(reading.mesh)
-    search = _RegionSearch(entry, mesh, reading, scene, notes)
+    nodes_in = partial(_nodes_in, entry, mesh, reading, scene, notes)
     held = np.zeros((mesh.node_count, 3), dtype=bool)
     for index, region in enumerate(entry.fixed):
-        nodes = _nodes_in(region, search, f"{key}.fixed[{index}]")
+        nodes = nodes_in(region, f"{key}.fixed[{index}]")
         held[np.ix_(nodes, ["xyz".index(axis) for axis in region.axes])] = True
     in_part = held.any(axis=1) & ~held.all(axis=1)
     riding = {}
     for index, region in enumerate(entry.attached):
-        nodes = _nodes_in(region, search, f"{key}.attached[{index}]")
+        nodes = nodes_in(region, f"{key}.attached[{index}]")
         if in_part[nodes].any():
             raise scene.error(f"{key}.attached[{index}]", f"{in_part[nodes].sum()} nodes",
                               f"of it are held along some axes by {key}.fixed: a node is held or attached")
@@ -853,18 +853,9 @@ def in_mesh(entry: BodyEntry, points) -> np.ndarray:
     return turn.inv().apply(np.asarray(points, float).reshape(-1, 3) - entry.mesh.translation)
 
 
-class _RegionSearch(NamedTuple):
+def _nodes_in(entry: BodyEntry, mesh: CellMesh, reading: MeshReading, scene: Scene, notes: list[str],
+              region: Region, key: str) -> np.ndarray:
     """Nodes of a region; warnings are appended to `notes`."""
-
-    entry: BodyEntry
-    mesh: CellMesh
-    reading: MeshReading
-    scene: Scene
-    notes: list[str]
-
-
-def _nodes_in(region: Region, search: _RegionSearch, key: str) -> np.ndarray:
-    entry, mesh, reading, scene, notes = search
     positions = places_in(region.frame, entry, mesh.node_positions)
     if region.box:
         low, high = np.array(region.box.minimum), np.array(region.box.maximum)

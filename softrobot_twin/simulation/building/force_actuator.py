@@ -38,7 +38,6 @@ class ForceActuator(ActuatorKind):
 
     section = "forces"
     entry = Force
-    noun = "force"
     displacement = extent = Quantity("displacement", "m")
     effort = Quantity("force", "N")
     stalls = True

@@ -32,7 +32,6 @@ class HingeMotorActuator(ActuatorKind):
 
     section = "hinge_motors"
     entry = HingeMotor
-    noun = "hinge motor"
     setpoint = Quantity("angle", "rad")
     displacement = Quantity("angle", "rad")
     effort = Quantity("torque", "Nm")

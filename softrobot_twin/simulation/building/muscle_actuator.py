@@ -31,7 +31,6 @@ class MuscleActuator(ActuatorKind):
 
     section = "muscles"
     entry = Muscle
-    noun = "muscle"
     setpoint = effort = Quantity("activation", "")
     displacement = extent = Quantity("work", "J")
     is_effort_driven = True

@@ -32,7 +32,6 @@ class RestShapeActuator(ActuatorKind):
 
     section = "rest_shapes"
     entry = RestShapeEntry
-    noun = "rest shape"
     is_effort_driven = True
 
     def __init__(self, change: str = "bend"):

@@ -205,7 +205,6 @@ class SlideActuator(ActuatorKind):
 
     section = "slides"
     entry = Slide
-    noun = "slide"
     setpoint = Quantity("length", "m")
     displacement = Quantity("shortening", "m")
     effort = Quantity("tension", "N")

@@ -28,7 +28,6 @@ class StiffenerActuator(ActuatorKind):
 
     section = "stiffeners"
     entry = Stiffener
-    noun = "stiffener"
     setpoint = effort = Quantity("young_modulus", "Pa")
     displacement = extent = Quantity("strained_volume", "m3")
     is_effort_driven = True

@@ -120,7 +120,7 @@ class Chambers(ConstraintTerm):
 class ChamberActuator(ActuatorKind):
     """See `ActuatorKind`."""
 
-    section, entry, noun = "chambers", Chamber, "chamber"
+    section, entry = "chambers", Chamber
     setpoint = Quantity("volume", "m3")
     displacement = Quantity("expansion", "m3")
     effort = Quantity("pressure", "Pa")
