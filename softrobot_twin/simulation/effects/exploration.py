@@ -192,14 +192,13 @@ class Explorer(StepPart, Planner):
             before, exploration.factor_age, command, budget, measured
         )
         self._exploration, moved = exploration, np.abs(exploration.state.setpoints - before.setpoints)
-        has_gone = not inverse.is_departing
         is_stable = simulation.is_balanced and not simulation.newton.tangent.is_projected
         is_calm = bool((moved <= CALM * simulation.limits.drive_scale).all())
         trial = exploration.trial
         if tried.status.is_failure:
             exploration.next_trial()
         else:
-            exploration.judge(inverse.misses, has_gone, is_stable, is_calm)
+            exploration.judge(inverse.misses, not inverse.is_departing, is_stable, is_calm)
         if exploration.is_found or exploration.trial is not trial:
             self._begin_trial(simulation)
         simulation.state = simulation.state.kept_through(command.time_step)

@@ -89,7 +89,6 @@ class Pending(NamedTuple):
     Attributes:
         now: T before it [m²].
         promised: Decrease of T that it promised [m²].
-        straight: The same without curvature [m²].
         rise: What the curvature makes T rise by [m²].
         length: How far it went, as a share of the actuators' scales.
         targets: Targets that it was made for [m], shape (m,).
@@ -98,7 +97,6 @@ class Pending(NamedTuple):
 
     now: float
     promised: float
-    straight: float
     rise: float
     length: float
     targets: np.ndarray
@@ -217,7 +215,10 @@ class Follower(InverseActuation):
             if self._pending is None and self._stays and self._may_settle and now > self._reached:
                 self._learn_curvature(situation, linear, held)
         if self._is_stuck and self._goal is None:
-            self._leave()
+            # It goes back from where the body cannot even stay.
+            self._passed.leave(situation.displacements, self._scales, SHRINK * GREATEST)
+            self._resting = None
+            self._go_back()
         elif self._stays and not self.rests and self._goal is None:
             if self._passed.pass_by(situation, now, self._reached, self._settles):
                 self._go_back()
@@ -257,12 +258,6 @@ class Follower(InverseActuation):
     ) -> Situation:
         """A situation with what else is judged; forces within their limits need not be."""
         return situation
-
-    def _leave(self) -> None:
-        """Go back from where the body cannot even stay."""
-        self._passed.leave(self._situation.displacements, self._scales, SHRINK * GREATEST)
-        self._resting = None
-        self._go_back()
 
     def _go_back(self) -> None:
         """Go to the nearest place in stable balance, and on from there by much shorter moves."""
@@ -323,7 +318,8 @@ class Follower(InverseActuation):
         now = half_squares(situation.weights, situation.places, move.targets)
         share = (move.now - now + noise) / (move.promised + noise)
         if self._curvature.is_known:
-            self._curvature.compare(move.now - now, move.straight, move.rise)
+            straight = move.promised + (move.rise if self._curvature.is_used else 0.0)
+            self._curvature.compare(move.now - now, straight, move.rise)
         if not share >= KEEP:
             self.move_limit = SHRINK * min(move.length, self.move_limit)
             if self._stays:
@@ -453,8 +449,7 @@ class Follower(InverseActuation):
         self._is_noted, length = True, self._length(asked, found)
         drives = asked.held.drives(self._limits)
         rise = self._rise(asked, found) if self._curvature.is_known else 0.0
-        straight = promised + rise if self._curvature.is_used else promised
-        self._pending = Pending(self._now, promised, straight, rise, length, self._situation.targets, drives)
+        self._pending = Pending(self._now, promised, rise, length, self._situation.targets, drives)
 
     def _promised(self, asked: Asked, found: Actuation) -> float:
         """Decrease of T that an actuation promises [m²]."""

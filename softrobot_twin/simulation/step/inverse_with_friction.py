@@ -460,7 +460,6 @@ class Task(NamedTuple):
         bounds: Bounds of the step.
         commanded: Which actuators are commanded, shape (actuator_count,).
         extra: Change of further rows by the multipliers of the actuators, or None.
-        chosen: Cables that are slack in any case, or None.
         before: What is missed when the actuators stay [m²].
         negligible: Squares of misses that make no difference [m²].
     """
@@ -471,7 +470,6 @@ class Task(NamedTuple):
     bounds: Bounds
     commanded: np.ndarray
     extra: np.ndarray | None
-    chosen: np.ndarray | None
     before: float
     negligible: float
 
@@ -524,7 +522,6 @@ class InverseWithFriction(Follower):
         """
         self._grips = Grips.of(model)
         super().__init__(model, direct)
-        self._place_count = model.effectors.position_row_count
         # Squares of misses that make no difference, of weight one.
         self._negligible = NO_MATTER * self._tolerance
         most = float(model.contacts.friction_of_pair.max())
@@ -589,12 +586,11 @@ class InverseWithFriction(Follower):
         moved = np.zeros(len(target_rows))
         if self._targets is not None:
             # Coordinates of orientations change while their targets stay.
-            places = slice(self._place_count)
-            moved[places] = np.nan_to_num(target_rows - self._targets)[places]
+            moved[self._positions] = np.nan_to_num(target_rows - self._targets)[self._positions]
         if moved.any():
             self._detours.forget()
             self._has_come = False
-        before = np.zeros(len(moved)) if self._moved is None else np.abs(self._moved)
+        before = 0.0 if self._moved is None else np.abs(self._moved)
         self._motion = np.clip(moved, -before, before)
         self._targets, self._moved = target_rows.copy(), moved
 
@@ -623,7 +619,7 @@ class InverseWithFriction(Follower):
         self._has_come = is_reached and (self._has_come or before <= LEFT**2 * reached)
         if self._has_come:
             return held
-        task = Task(linear, aim, held, bounds, commanded, extra, chosen, before, negligible)
+        task = Task(linear, aim, held, bounds, commanded, extra, before, negligible)
         best = self._tried(task)
         if best is None and held.solved:
             # What contacts do now may admit no solution; the actuators stay, and the bodies move on.
@@ -661,7 +657,7 @@ class InverseWithFriction(Follower):
 
         def asked(rows: np.ndarray | None, *more: np.ndarray) -> Actuation | None:
             return super(InverseWithFriction, self)._over_branches(
-                tied, *more, from_normals, bounds, task.commanded, rows, task.chosen
+                tied, *more, from_normals, bounds, task.commanded, rows
             )
 
         if not self._grips.names:
@@ -675,8 +671,6 @@ class InverseWithFriction(Follower):
             return grip @ np.append(found.efforts, found.contact.multipliers) < least
 
         def with_least(wanted: np.ndarray) -> Actuation | None:
-            if not wanted.any():
-                return asked(task.extra, errors, weights)
             return asked(np.concatenate([extra, grip[wanted]]), np.append(errors, -least[wanted]),
                          np.append(weights, np.full(wanted.sum(), weight)))
 
@@ -844,12 +838,9 @@ class InverseWithFriction(Follower):
             found: See `InverseActuation`.
             held: See there.
         """
-        self._task, self._tried_length = None, self._length_from(held, found)
+        self._task = None
+        self._tried_length = longest_move(held.drives(self._limits), found.drives(self._limits), self._scales)
         return super().tries(found, held)
-
-    def _length_from(self, held: Actuation, found: Actuation) -> float:
-        """Greatest move of an actuator from where it is held, as a share of its scale."""
-        return longest_move(held.drives(self._limits), found.drives(self._limits), self._scales)
 
     def refuse(self, is_stuck: bool) -> None:
         """See `InverseActuation`."""
