@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from softrobot_twin.constraints.contact import Contacts
-from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold
 from softrobot_twin.simulation.step.contact_solvers import ContactSolvers
 from test.builder import builder
@@ -53,27 +52,6 @@ def test_an_effect_alone_adds_only_its_own_terms_and_stages(bar, effect):
     assert (model.contacts is not None) == (effect == "contact")
     assert (model.guides is not None) == (effect == "guided")
     assert model.slides is None and not model.actuators.count and not model.effectors.effectors
-
-
-def test_the_diamond_stores_no_contacts_frames_or_velocities(diamond):
-    simulation = diamond()
-    model, rows = simulation.model, simulation.model.rows
-    assert model.contacts is None and model.slides is None and "detect" not in simulation.stages
-    assert model.rigid == () and model.guides is None and model.nodes.kinds == ()
-    assert model.nodes.carried is None and model.beginners == ()
-    assert type(rows) is RowStack
-    assert rows.row_capacity == rows.row_count == model.actuators.row_count + model.effectors.row_count
-    assert simulation.state.velocities.shape == (0, 3)
-    result = simulation.step(Hold())
-    assert "detect" not in result.report.stage_times and "optimise" in simulation.stages
-    assert set(result.report.stage_times) <= set(simulation.stages)
-    assert result.contacts is None
-    assert result.report.contact_count == 0 and result.report.contact_sweeps == 0
-    assert result.report.contact_residual == 0.0
-    assert result.report.contact_force_residual == 0.0
-    simulation.step(CommandSetpoints(simulation.rest_setpoints - 0.002, 0.02))
-    result = simulation.step(FollowTargets(simulation.effector_positions(), 0.02))
-    assert "detect" not in result.report.stage_times and result.report.contact_count == 0
 
 
 CABLE = {

@@ -33,7 +33,6 @@ from softrobot_twin.simulation.building.actuator_kinds import (
 )
 from softrobot_twin.simulation.runs.input_tables import TableFileError, read_targets
 from softrobot_twin.simulation.runs.run_columns import RunColumns, actuator_cells
-from softrobot_twin.study.explain import effects
 from test.builder import builder
 from test.registrations import taken_back
 from test.scene_changes import change_scene, changed, solved
@@ -336,13 +335,3 @@ def test_a_file_of_targets_drives_it_by_volume_or_pressure(inflated, tmp_path):
     path.write_text("time_s,left_volume_m3,right_volume_m3\n0,2e-6,-1e-6\n")
     with pytest.raises(TableFileError, match="right_volume_m3 = -1e-06 m3"):
         read_targets(path, simulation)
-
-
-def test_explain_lists_it_with_its_units(inflated):
-    simulation = inflated()
-    told = {effect.entry: (effect.content, effect.result) for effect in effects(simulation)}
-    asked, made = told["chambers: left"]
-    assert asked == ("a chamber on a patch, expansion [-2, 4] cm³, "
-                     "pressure [-20, 20] kPa, rate 100 cm³/s")  # fmt: skip
-    assert made == "term chambers"
-    assert "shortening [0, 20] mm, tension [0, 40] N" in told["cables: east"][0]

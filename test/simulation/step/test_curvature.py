@@ -32,34 +32,6 @@ def learnt(bent, moves) -> Curvature:
     return curvature
 
 
-def test_moves_of_each_drive_teach_the_whole_curvature(bent):
-    curvature = learnt(bent, np.diag(0.1 * SCALES))
-    scaled = np.outer(SCALES, SCALES)
-    np.testing.assert_allclose(scaled * (curvature.rows.T @ curvature.rows), scaled * bent[2], atol=1e-9)
-    move = np.array([0.002, -0.3, 0.1])
-    assert curvature.rise(move) == pytest.approx(0.5 * move @ bent[2] @ move)
-
-
-def test_curvature_is_used_only_where_it_told_better_what_came_of_a_move(bent):
-    curvature = learnt(bent, np.diag(0.1 * SCALES))
-    assert not curvature.is_used
-    curvature.compare(decrease=0.4, promised=1.0, rise=0.5)
-    assert curvature.is_used
-    curvature.compare(decrease=0.9, promised=1.0, rise=0.5)
-    assert not curvature.is_used
-
-
-def test_curvature_vanishes_with_the_misses_and_learns_from_no_leap(bent):
-    pull, jacobian, _ = bent
-    curvature, move = learnt(bent, np.diag(0.1 * SCALES)), 0.1 * SCALES
-    whole = curvature.rise(move)
-    for drives in 2 * (np.zeros(3), move):
-        curvature.learn(drives, jacobian(drives), 1e-3 * pull, b"")
-    # Where other actuators bear, J leaps, and that is no curvature.
-    curvature.learn(-move, jacobian(-9.0 * move), 1e-3 * pull, b"other")
-    assert curvature.rise(move) == pytest.approx(1e-3 * whole, rel=1e-6)
-
-
 def test_j_by_drives_agrees_with_differences(beam):
     simulation = beam(lambda m: m["solver"].update(newton_iterations=20, residual_tolerance=1e-10))
 
