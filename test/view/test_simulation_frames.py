@@ -120,17 +120,6 @@ def test_rigid_bodies_obstacles_and_scaled_contact_forces_are_shown():
         len(result.contacts.forces), np.linalg.norm(result.contacts.forces, axis=1).max()]
 
 
-def test_several_beams_are_one_surface():
-    simulation, stage, frame, _ = shown("flexo")
-    soft = len(simulation.model.bodies)
-    assert len(simulation.skins) > soft + 1
-    beams = entity(stage, "/robot/surface/beams")
-    found = frame.drawn[beams.path].points[beams.triangles]
-    wanted = [points[skin.triangles] for skin, points in zip(
-        simulation.skins[soft:], simulation.skin_positions()[soft:], strict=True)]
-    np.testing.assert_array_equal(found, np.concatenate(wanted))
-
-
 def test_orientations_of_effectors_and_targets_are_axes(oriented_rod):
     simulation = oriented_rod({})
     turn = Rotation.from_euler("z", 90.0, degrees=True)
