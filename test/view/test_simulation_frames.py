@@ -69,14 +69,6 @@ def test_cables_have_paths_tensions_and_pull_points():
     assert frame.times["whole step"] == result.report.compute_time
 
 
-def test_errors_are_millimetres():
-    simulation = Simulation.from_scene_file(SCENES / "finger.yaml")
-    count = len(simulation.effector_names)
-    _, frame, result = frame_of(simulation, errors=np.full(count, 0.002), discretization_error=0.003)
-    np.testing.assert_allclose(frame.curves["/plots/effector_error"],
-                               [2.0, 1e3 * result.report.linearization_error, 3.0])
-
-
 def test_cavities_have_walls_pressures_and_volumes_in_their_units():
     simulation, stage, frame, _ = shown("springy")
     pressures = simulation.cavities.pressures(simulation.state)

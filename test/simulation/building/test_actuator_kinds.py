@@ -229,52 +229,6 @@ def test_it_stands_among_the_actuators_with_its_units(inflated):
     assert set(simulation.actuator_paths()) == {"east", "north", "west", "south"}
 
 
-def test_its_rows_are_the_derivative_of_its_volume(inflated):
-    simulation = inflated()
-    term = simulation.actuators.terms[1]
-    random = np.random.default_rng(3)
-    x = simulation.model.nodes.rest_positions.copy()
-    x += 1e-3 * random.standard_normal(x.shape)
-    blocks, values = np.empty((term.entry_capacity, 3)), np.empty(2)
-    term.evaluate(x, blocks, values)
-    free = simulation.model.nodes.free_nodes
-    move = np.zeros_like(x)
-    move[free] = random.standard_normal((len(free), 3))
-    by_rows = np.zeros(2)
-    np.add.at(by_rows, term.entry_rows, np.sum(blocks * move[free][term.entry_nodes], axis=1))
-    h = 1e-6
-    slopes = (term.volumes(x + h * move) - term.volumes(x - h * move)) / (2.0 * h)
-    np.testing.assert_allclose(by_rows, slopes, rtol=1e-7)
-
-
-def test_its_geometric_stiffness_is_the_derivative_of_its_rows(inflated):
-    simulation = inflated()
-    term, factorization = simulation.actuators.terms[1], simulation.model.factorization
-    nodes, random = simulation.model.nodes, np.random.default_rng(3)
-    x = nodes.rest_positions + 1e-3 * random.standard_normal(nodes.rest_positions.shape)
-    move = np.zeros_like(x)
-    move[nodes.free_nodes] = random.standard_normal((nodes.free_node_count, 3))
-    pressures = np.array([100.0, -300.0])
-
-    def forces(at):
-        blocks, found = np.empty((term.entry_capacity, 3)), np.zeros((nodes.free_node_count, 3))
-        term.evaluate(at, blocks, np.empty(2))
-        np.add.at(found, term.entry_nodes, blocks * pressures[term.entry_rows, None])
-        return found
-
-    # With a large diagonal, A⁻¹ of what the stiffness alone does to the move is known.
-    h, large = 1e-7, 1e3
-    change = (forces(x + h * move) - forces(x - h * move)) / (2.0 * h)
-    factorization.clear()
-    diagonal, strides = factorization.slots(*[np.arange(nodes.free_node_count)] * 2)
-    for i in range(3):
-        factorization.storage[diagonal + i * (1 + strides)] += large
-    term.add_stiffness(x, pressures, factorization.storage)
-    assert factorization.factor()
-    solved = factorization.solve(large * move[nodes.free_nodes] - change)
-    np.testing.assert_allclose(solved, move[nodes.free_nodes], atol=1e-9)
-
-
 def test_it_reaches_a_volume_and_the_same_pressure_holds_it_there(inflated, settle):
     simulation = inflated()
     volumes = simulation.rest_setpoints.copy()

@@ -4,14 +4,6 @@ import numpy as np
 import pytest
 
 from softrobot_twin.solvers.multifrontal import front_tasks
-from softrobot_twin.solvers.multifrontal.front_tasks import (
-    DIAGONAL,
-    FILL,
-    FRONTS,
-    TILE,
-    UPDATE,
-    plan_tasks,
-)
 from test.solvers.multifrontal.conftest import PATTERNS, System
 
 
@@ -57,12 +49,6 @@ def test_a_late_helper_does_not_touch_what_comes_later(threads_pay):
             found = (solver if len(H.row_index) < 50 else solver.with_other_rows()).condense(H, b)
             np.testing.assert_array_equal(found.W, value.W)
             np.testing.assert_array_equal(found.free, value.free)
-
-
-def test_all_kinds_of_tasks_are_tried(threads_pay):
-    solver = System(PATTERNS["grid"]).solver
-    tasks = plan_tasks(solver.elimination, solver.layout, 2).tasks
-    assert set(tasks["kind"]) == {FRONTS, FILL, DIAGONAL, TILE, UPDATE}
 
 
 @pytest.mark.parametrize("seed", range(5))
