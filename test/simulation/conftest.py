@@ -219,6 +219,21 @@ def scene_of(**entries) -> Simulation:
 
 
 @builder
+def pad(scene_of, write_block, /, friction, cells=(4, 4, 2), speed=0.05, solver=(), **body) -> Simulation:
+    """Makes a pad of 40 x 40 x 20 mm on a floor, its top on a guided plate of a speed [m/s]."""
+    return scene_of(
+        gravity=[0, 0, 0], integration="dynamic", solver=dict(solver),
+        body={"name": "pad", "mesh": {"file": write_block((0.04, 0.04, 0.02), cells), "translation": [0, 0, 0.01]},
+              "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0},
+              "attached": [{"to": "plate", "box": {"minimum": [-1, -1, 0.0199], "maximum": [1, 1, 1]}}], **body},
+        rigid_bodies=[{"name": "plate", "motion": "guided", "speed": speed, "position": [0, 0, 0.03],
+                       "box": {"size": [0.05, 0.05, 0.02]}}],
+        obstacles=[{"name": "floor", "plane": {}}],
+        contact={"friction": friction, "between": [{"pair": ["pad", "floor"]}]},
+    )  # fmt: skip
+
+
+@builder
 def hollow(tmp_path, block, body_of, /, size=(0.02, 0.02, 0.06), cells=(4, 4, 6),
            hole=((1, 3), (1, 3), (1, 5)), shake=0.0, name="hollow", **entries):  # fmt: skip
     """Makes the entry of a block with a cavity inside, and the file of the cavity's surface.

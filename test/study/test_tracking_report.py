@@ -52,14 +52,6 @@ def test_a_delay_counts_as_error():
     np.testing.assert_allclose(errors.values[:, 0], 0.001, rtol=1e-12)
 
 
-def test_figures_are_in_millimetres():
-    figures = tracking_figures("open_loop", record((0.0, 0.0, -0.002)))
-    assert figures["mean_error_mm"] == pytest.approx(2.0)
-    assert figures["max_error_mm"] == pytest.approx(2.0)
-    assert figures["mean_twin_misfit_mm"] == pytest.approx(2.1)
-    assert figures["samples"] == 199
-
-
 def test_without_targets_the_device_is_compared_with_the_twin(tmp_path):
     runs = {"direct": replace(record((0.0, 0.0, -0.002)), target=None)}
     report = tracking_report("octoleg", runs, TWIN)

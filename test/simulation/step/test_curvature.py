@@ -1,35 +1,11 @@
 """How effectors curve, learnt from moves."""
 
 import numpy as np
-import pytest
 
 from softrobot_twin.simulation import CommandSetpoints
-from softrobot_twin.simulation.step.curvature import Curvature, jacobian_by_drives
+from softrobot_twin.simulation.step.curvature import jacobian_by_drives
 from softrobot_twin.simulation.step.time_budget import StageClock
 from test.scene_changes import repeat_step
-
-SCALES = np.array([0.01, 2.0, 0.5])
-
-
-@pytest.fixture
-def bent(drawn_rng):
-    """Misses w r whose curvature S is positive definite, J of places, and S, of places quadratic in three drives."""
-    pull, first = drawn_rng.standard_normal(4), drawn_rng.standard_normal((4, 3)) / SCALES
-    second = drawn_rng.standard_normal((4, 3, 3))
-    second += second.transpose(0, 2, 1)
-    root = drawn_rng.standard_normal((3, 3))
-    second -= np.tensordot(pull, np.tensordot(pull, second, 1) - root @ root.T - np.eye(3), 0) / (pull @ pull)
-    second /= np.outer(SCALES, SCALES)
-    return pull, lambda drives: first + second @ drives, np.tensordot(pull, second, 1)
-
-
-def learnt(bent, moves) -> Curvature:
-    """What places from where each move begins teach."""
-    pull, jacobian, _ = bent
-    curvature = Curvature(SCALES)
-    for drives in np.cumsum([np.zeros(3), *moves], axis=0):
-        curvature.learn(drives, jacobian(drives), pull, b"")
-    return curvature
 
 
 def test_j_by_drives_agrees_with_differences(beam):
