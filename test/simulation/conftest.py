@@ -219,13 +219,20 @@ def scene_of(**entries) -> Simulation:
 
 
 @builder
-def pad(scene_of, write_block, /, friction, cells=(4, 4, 2), speed=0.05, solver=(), **body) -> Simulation:
+def soft_block(write_block, /, name, size, cells, centre=(0.0, 0.0, 0.0), **entries) -> dict:
+    """Makes the entry of a soft box of linear tetrahedra [m]; more entries may be given."""
+    mesh = {"file": write_block(size, cells), "translation": list(centre)}
+    return {"name": name, "mesh": mesh, "element": "linear",
+            "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0}, **entries}
+
+
+@builder
+def pad(scene_of, soft_block, /, friction, cells=(4, 4, 2), speed=0.05, solver=(), **body) -> Simulation:
     """Makes a pad of 40 x 40 x 20 mm on a floor, its top on a guided plate of a speed [m/s]."""
     return scene_of(
         gravity=[0, 0, 0], integration="dynamic", solver=dict(solver),
-        body={"name": "pad", "mesh": {"file": write_block((0.04, 0.04, 0.02), cells), "translation": [0, 0, 0.01]},
-              "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0},
-              "attached": [{"to": "plate", "box": {"minimum": [-1, -1, 0.0199], "maximum": [1, 1, 1]}}], **body},
+        body=soft_block("pad", (0.04, 0.04, 0.02), cells, [0, 0, 0.01], **body,
+                        attached=[{"to": "plate", "box": {"minimum": [-1, -1, 0.0199], "maximum": [1, 1, 1]}}]),
         rigid_bodies=[{"name": "plate", "motion": "guided", "speed": speed, "position": [0, 0, 0.03],
                        "box": {"size": [0.05, 0.05, 0.02]}}],
         obstacles=[{"name": "floor", "plane": {}}],

@@ -26,18 +26,15 @@ EFFECTS = {
         "obstacles": [FLOOR], "contact": {"between": [{"pair": ["bar", "floor"]}]}}),
     "obstacle": (set(), {"obstacles": [FLOOR]}),
 }  # fmt: skip
+BAR = {"name": "bar", "size": (0.04, 0.02, 0.02), "cells": (2, 1, 1),
+       "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [-0.019, 1, 1]}}]}
 
 
 @builder
-def bar(simulate, write_block, /, effect):
+def bar(simulate, soft_block, /, effect):
     """Makes a held bar with one effect besides."""
     damping = {"damping": {"mass": 5.0}} if effect == "first_order" else {}
-    return simulate(body={
-        "name": "bar", "mesh": {"file": write_block((0.04, 0.02, 0.02), (2, 1, 1))},
-        "element": "linear",
-        "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0},
-        "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [-0.019, 1, 1]}}], **damping,
-    }, **EFFECTS[effect][1])  # fmt: skip
+    return simulate(body=soft_block(**BAR, **damping), **EFFECTS[effect][1])
 
 
 @pytest.mark.parametrize("effect", EFFECTS)
@@ -63,14 +60,9 @@ PULLED = {"cables": [CABLE], "effectors": [TIP]}
 
 
 @builder
-def built(simulate, write_block, /, more):
+def built(simulate, soft_block, /, more):
     """Makes the held bar with further effects."""
-    return simulate(body={
-        "name": "bar", "mesh": {"file": write_block((0.04, 0.02, 0.02), (2, 1, 1))},
-        "element": "linear",
-        "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0},
-        "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [-0.019, 1, 1]}}],
-    }, **more)  # fmt: skip
+    return simulate(body=soft_block(**BAR), **more)
 
 
 def above(height):

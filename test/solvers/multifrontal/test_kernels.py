@@ -24,6 +24,7 @@ def test_processors_with_shorter_vectors_compute_the_same(processor, features, l
     environment = os.environ | {
         "NUMBA_CPU_NAME": processor, "NUMBA_CPU_FEATURES": features, "PYTHONPATH": str(ROOT)}
     for arguments in (["-c", WIDTH], ["-m", "pytest", "-q", *ANSWERS]):
-        run = subprocess.run([sys.executable, *arguments], cwd=ROOT, env=environment, capture_output=True, text=True)
+        run = subprocess.run([sys.executable, *arguments], cwd=ROOT, env=environment,
+                             capture_output=True, text=True)
         assert run.returncode == 0, run.stdout + run.stderr
         assert arguments[0] == "-m" or int(run.stdout) == lanes
