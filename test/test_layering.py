@@ -217,11 +217,12 @@ def loaded_with(modules: set[str]) -> set[str]:
     files, found, left = {module_name(path): path for path in MODULES}, set(), list(modules)
     while left:
         module = left.pop()
-        if module not in found:
+        if module and module not in found:
             found.add(module)
-            path = files.get(module) or files.get(module.rpartition(".")[0])
-            left += [item.module for item in read_imports(path) if not item.lazy] if path else []
-    return {name.partition(".")[0] for name in found} | found
+            left.append(module.rpartition(".")[0])  # a module runs the folders that it is in
+            if module in files:
+                left += [item.module for item in read_imports(files[module]) if not item.lazy]
+    return found
 
 
 def test_only_an_open_view_loads_rerun_and_only_a_picture_matplotlib():
