@@ -281,7 +281,7 @@ def tie(draw: Random, _: Path) -> DrawnRobot:
          way(f"beam of {thread['elements']}", beams=[thread])])  # fmt: skip
 
 
-# Threads and ropes: as slender as strings; they bear tension.
+# Threads: as slender as strings; they bear tension.
 
 
 def thread(draw: Random, _: Path) -> DrawnRobot:
@@ -326,48 +326,6 @@ def thread(draw: Random, _: Path) -> DrawnRobot:
     return DrawnRobot(
         f"thread, {length:.2g} m, 1:{length / radius:.0f}, E {modulus:.1e} Pa, strain {strain:.2g}",
         [theory, Way("spring", _CLOSED_FORM, spring), beam(draw.randint(1, 6)), beam(draw.randint(7, 40))])
-
-
-def rope(draw: Random, _: Path) -> DrawnRobot:
-    """A rope between two points, which hangs down by its weight; its sag is compared."""
-    length, modulus, angle = _length(draw), _modulus(draw), draw.uniform(1.2, 2.4)
-    radius, parts, middle = length / draw.choice((300.0, 1000.0)), 24, 12
-    area = math.pi * radius**2
-    gravity = 10.0 ** draw.uniform(-4.0, -2.0) * modulus / (DENSITY * length)
-    turns = np.linspace(-angle / 2, angle / 2, parts + 1)
-    arc = length / angle * np.stack([np.sin(turns), np.zeros_like(turns), -np.cos(turns)], axis=1)
-    solver = {"newton_iterations": 100,
-              "residual_tolerance": _BALANCED * DENSITY * area * length * gravity}  # fmt: skip
-
-    def beam(count: int) -> Way:
-        def answer():
-            robot = st.build(
-                name="rope", gravity=[0, 0, -gravity], solver=solver,
-                beams=[{"name": "rope", "points": arc, "elements": count, "fixed": ["start", "end"],
-                        "section": {"circle": {"radius": radius}},
-                        "material": {"young_modulus": modulus, "poisson_ratio": 0.3, "density": DENSITY}}],
-                effectors=[{"name": "middle", "body": "rope", "points": [arc[middle]]}],
-            )  # fmt: skip
-            result = robot.settle(most_steps=100)
-            return result.middle[2] - arc[0, 2], result.status.value
-
-        return Way(f"beam of {count}", _BEAM, answer)
-
-    def chain():
-        # Each inner point has the mass of half of each spring beside it.
-        part = np.linalg.norm(arc[1] - arc[0])
-        robot = st.build(
-            name="rope", gravity=[0, 0, -gravity], solver=solver,
-            mass_springs=[{"name": "rope", "points": arc, "springs": [[i, i + 1] for i in range(parts)],
-                           "masses": [DENSITY * area * part] * (parts + 1), "fixed": [0, parts],
-                           "stiffness": modulus * area / part}],
-        )  # fmt: skip
-        status = robot.settle(most_steps=100).status.value
-        return robot.positions[middle, 2] - arc[0, 2], status
-
-    return DrawnRobot(
-        f"rope, {length:.2g} m, 1:{length / radius:.0f}, E {modulus:.1e} Pa, arc {angle:.2g} rad",
-        [Way("chain of springs", _BEAM, chain), beam(parts), beam(2 * parts)])
 
 
 # Blocks that are pressed, and chambers that are inflated.
@@ -566,6 +524,6 @@ def _words(length: float, material: dict[str, Any]) -> str:
 
 
 KINDS: dict[str, Callable[[Random, Path], DrawnRobot]] = {
-    kind.__name__: kind for kind in (bar, tube, tie, thread, rope, block, balloon)
+    kind.__name__: kind for kind in (bar, tube, tie, thread, block, balloon)
 }
 """How to draw a robot of each kind; files go into a folder."""

@@ -2,7 +2,6 @@
 
 import re
 from importlib import import_module
-from pathlib import Path
 from typing import NamedTuple
 
 import pytest
@@ -13,9 +12,6 @@ DOCUMENT = ROOT / "docs" / "equations.md"
 EQUATIONS = range(1, 23)
 """Numbers of the equations of Coevoet et al., 2017."""
 LINK = re.compile(r"\[`([\w.]+)`\]\(\.\./([\w/]+\.py)\)")
-CITATION = re.compile(r"\beqs?\.\s+((?:\(?\d+\)?(?:\s*(?:-|–|,|and|to)\s*)?)+)")
-
-
 class Row(NamedTuple):
     """A row of the table.
 
@@ -40,21 +36,6 @@ def rows() -> list[Row]:
     return found
 
 
-def citations(path: Path) -> list[int]:
-    """Numbers of all equations that a file cites; a range counts by its ends."""
-    text = re.sub(r"\s*\n[\s#]*", " ", path.read_text())
-    return [int(number) for cited in CITATION.findall(text) for number in re.findall(r"\d+", cited)]
-
-
-def sources() -> list[Path]:
-    """Every file that may cite an equation."""
-    folders = ("softrobot_twin", "tools", "meshes", "config", "docs")
-    suffixes = {".py", ".md", ".yaml"}
-    return [ROOT / "README.md"] + sorted(
-        path for folder in folders for path in (ROOT / folder).rglob("*") if path.suffix in suffixes
-    )
-
-
 def test_every_equation_of_the_paper_has_one_row():
     assert sorted(n for row in rows() for n in row.numbers) == list(EQUATIONS)
 
@@ -72,22 +53,3 @@ def test_every_function_of_the_table_exists(name, file):
         found = getattr(found, part)
     assert callable(found)
     assert found.__module__ == module.__name__, "it is only imported there"
-
-
-def test_sources_cite_only_equations_of_the_paper():
-    cited = {path: set(citations(path)) - set(EQUATIONS) for path in sources()}
-    assert {path: numbers for path, numbers in cited.items() if numbers} == {}
-    assert any(citations(path) for path in sources())
-
-
-def test_a_file_of_the_table_that_cites_equations_cites_one_that_it_computes():
-    computed = {}
-    for row in rows():
-        for _, file in row.links:
-            computed.setdefault(file, set()).update(row.numbers)
-    wrong = []
-    for file, numbers in computed.items():
-        cited = citations(ROOT / file)
-        if cited and not numbers & set(cited):
-            wrong.append(f"{file} computes {sorted(numbers)} and cites {sorted(cited)}")
-    assert wrong == []

@@ -1,7 +1,6 @@
 """Forces that nobody modelled: found from markers, told with their deviations, borne by the model."""
 
 import copy
-import time
 
 import numpy as np
 import pytest
@@ -362,31 +361,6 @@ def test_a_wrench_on_a_rigid_body_is_found(rng, wrench):
     assert np.abs(off.mean(axis=0)[1:3]).max() < 0.002  # Of the 0.05 N and 0.002 N m that are drawn.
     assert np.abs(off.mean(axis=0)[3:]).max() < 0.0001
     assert np.sqrt(np.mean((off / deviations) ** 2)) < 2.0
-
-
-@pytest.mark.exhaustive
-def test_what_an_observer_costs_is_told_beside_a_step(small_scene_mapping, rng):
-    """Eight markers, one known place, a target on a circle; processor time, in the same run."""
-    mapping = coarse("diamond", "diamond_1600")
-    twin = built(observing(mapping, {"name": "tip", "points": [TIP]}))
-    observer, spent = ForceObserver(twin), []
-    for frame in range(220):
-        angle = 0.1 * frame
-        target = np.array([[0.008 * np.cos(angle), 0.008 * np.sin(angle), 0.136]])
-        times = [time.thread_time()]
-        twin.step(FollowTargets(target, 0.025), None, observer.found)
-        times.append(time.thread_time())
-        observer.look()
-        model = observer.moment(twin.marker_positions(), twin.effector_positions())
-        times.append(time.thread_time())
-        markers = model.markers + rng.normal(0.0, NOISE, (8, 3))
-        started = time.thread_time()
-        observer.update(markers, model, NOISE, (frame + 1) * FRAME)
-        spent.append([times[1] - times[0], times[2] - times[1] + time.thread_time() - started])
-    step, own = 1e3 * np.array(spent[20:]).T
-    print(f"step {np.median(step):.2f} ms, observer {np.median(own):.2f} ms (99 %: "
-          f"{np.quantile(own, 0.99):.2f}), ratio {np.median(own / step):.2f}")
-    assert not observer.is_settling and own.shape == (200,)
 
 
 # --- in the loop -----------------------------------------------------------------------------------

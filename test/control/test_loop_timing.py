@@ -1,18 +1,11 @@
 """Ticks on a time grid, clocks that are set, statistics, and garbage collection (hard case 38)."""
 
-import gc
 import math
 import random
 
 import pytest
 
-from softrobot_twin.control.loop_timing import (
-    NANOSECONDS,
-    ClockWatch,
-    ElapsedTime,
-    GarbageCollection,
-    TickClock,
-)
+from softrobot_twin.control.loop_timing import NANOSECONDS, ClockWatch, ElapsedTime, TickClock
 
 PERIOD = 0.1
 
@@ -96,27 +89,3 @@ def test_elapsed_time_never_decreases(seed):
         clock[0] += by
         passed += max(0, by)
         assert elapsed() == passed / NANOSECONDS
-
-
-def test_automatic_collection_is_off_inside_and_back_on_after():
-    assert gc.isenabled()
-    before = gc.get_freeze_count()
-    with GarbageCollection():
-        assert not gc.isenabled()
-        assert gc.get_freeze_count() > before
-    assert gc.isenabled()
-    assert gc.get_freeze_count() <= before
-
-
-def test_garbage_of_a_loop_is_collected():
-    class Knot:
-        pass
-
-    with GarbageCollection(interval=0.0) as collector:
-        knot = Knot()
-        knot.itself = knot
-        kept = id(knot)
-        del knot
-        assert any(id(thing) == kept for thing in gc.get_objects())
-        assert collector.offer(spare_time=1.0)
-        assert not any(isinstance(thing, Knot) for thing in gc.get_objects())

@@ -69,18 +69,6 @@ def account(driver, late=0):
     return tracking_cause(tracking_signs(driver.loop, window, late))
 
 
-def test_the_observed_symptoms_are_read_from_a_loop(drive):
-    driver = drive()
-    driver.target(0.02, 0.0, 0.134)
-    driver.tick(3)
-    assert account(driver).startswith("rate limit")
-    assert account(driver, late=4) == "late: 4 of 7 ticks"
-    driver.tick(40)
-    driver.outcomes.clear()
-    driver.tick(5)
-    assert account(driver) == ""
-
-
 def test_a_target_out_of_reach_is_approached_and_then_its_limits_are_the_cause(drive):
     driver = drive(approach_speed=0.01)
     driver.target(0.0, 0.0, 0.25)

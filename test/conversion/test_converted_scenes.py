@@ -28,12 +28,6 @@ def test_a_scene_is_converted_and_runs_twenty_steps(convert, run_alone, name):
     assert set(statuses) <= GOOD
 
 
-def test_each_entry_has_a_comment_with_its_source(convert):
-    text = convert("diamond.py").path.read_text()
-    for kind, line in (("TetrahedronFEMForceField", 21), ("CableActuator", 29), ("PositionEffector", 27)):
-        assert re.search(rf"# {kind} /robot\S*, diamond.py:{line}\n", text)
-
-
 def test_loader_and_state_place_the_file_of_the_body(convert):
     mesh = convert("diamond.py").scene.deformables[0].mesh
     assert mesh.scale == 1e-3 and mesh.file.name == "diamond.vtk"

@@ -33,10 +33,3 @@ def test_a_tube_without_a_hole_is_a_circle():
 def test_the_shear_factor_of_a_thin_tube_is_one_half():
     thin = tube(0.01, 0.00999, 0.0)
     assert thin.shear_area_y / thin.area == pytest.approx(0.5, rel=1e-2)
-
-
-def test_outlines_run_counter_clockwise_and_enclose_the_section():
-    for section in (rectangle(0.004, 0.01, 0.3), tube(0.01, 0.0, 0.3)):
-        y, z = section.outline.T
-        area = 0.5 * np.sum(y * np.roll(z, -1) - z * np.roll(y, -1))
-        assert 0.9 * section.area < area <= section.area * (1 + 1e-12)

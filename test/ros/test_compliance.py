@@ -6,8 +6,6 @@ from builtin_interfaces.msg import Time
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, Header
 
-from softrobot_twin.ros.audience import PERIOD
-from softrobot_twin.ros.messages import matrix_message
 from softrobot_twin.simulation.apparent_compliance import EffectorCompliance, apparent_compliance
 
 CABLES = ["north", "west", "south", "east"]
@@ -43,25 +41,6 @@ def computed(monkeypatch):
 def command_of(world, positions=(), efforts=()):
     return JointState(header=Header(stamp=world.stamp()), name=CABLES,
                       position=list(map(float, positions)), effort=list(map(float, efforts)))
-
-
-def test_nothing_is_computed_until_somebody_listens_and_after(world, make_twin, computed):
-    twin = make_twin(mode="direct")
-    cables = world.hear(JointState, "/twin/cables", 100)
-    world.until(lambda: len(cables) > 10)
-    assert not computed
-    heard = []
-    subscription = world.probe.create_subscription(
-        Float64MultiArray, "/twin/compliance/tip", heard.append, 10
-    )
-    world.until(lambda: len(heard) > 3)
-    assert computed.count(None) == 1
-    world.probe.destroy_subscription(subscription)
-    world.until(lambda: not twin.count_subscribers("/twin/compliance/tip"))
-    world.run(1.1 * PERIOD)
-    before, ticks = len(computed), len(cables)
-    world.until(lambda: len(cables) > ticks + 10)
-    assert len(computed) == before
 
 
 def test_the_matrices_are_those_of_the_twin_with_its_stamp_and_names(world, make_twin):

@@ -384,14 +384,6 @@ def distances_to_recent(reference_times, reference, times, points):
     return np.array(found)
 
 
-def test_every_robot_of_the_paper_has_a_demo_and_is_in_the_table():
-    assert set(ROBOTS) <= set(demo_robots())
-    text = (ROOT / "docs" / "robots.md").read_text()
-    for robot in ROBOTS:
-        assert f"| `{robot}` |" in text and f'src="{robot}.png"' in text
-        assert (ROOT / "docs" / f"{robot}.png").is_file()
-
-
 class LedDemos:
     """The demos of robots, each run once and alone: beside another that starts, the Grasper's device
     is late and lets its cube fall.
@@ -491,16 +483,3 @@ def test_a_short_demo_halves_the_error_and_writes_all_documented_files(led):
     assert "closed loop / open loop" in demo.output
     for phase in ("starting", "open loop", "closed loop"):
         assert phase in demo.errors
-
-
-@pytest.mark.exhaustive
-def test_the_hand_of_the_flexo_moves_while_its_tip_is_led(led):
-    # Only that both are commanded: on a busy machine the twin's ticks may be late.
-    folder = led("flexo").folder / "demo"
-    report = report_of(folder)
-    assert report["complete"] is True and report["mesh"]["dof"] == 891
-    columns = read_series(folder / "open_loop.csv").numbers
-    hand = np.column_stack([columns[f"finger_{finger}_length_m"] for finger in range(3)])
-    targets = np.column_stack([columns[name] for name in position_columns(target_name("tip"))])
-    assert np.ptp(hand, axis=0).min() > 5e-3 and np.ptp(hand, axis=1).max() < 1e-6
-    assert np.ptp(targets, axis=0).max() > 0.02

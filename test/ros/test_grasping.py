@@ -1,25 +1,20 @@
 """The Grasper's twin and device as nodes: motor, poses, contacts."""
 
-import math
 
 import numpy as np
 import pytest
 import yaml
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
-from sensor_msgs.msg import JointState, PointCloud2
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool
 
 from softrobot_twin.ros.device_node import DeviceNode
-from softrobot_twin.ros.topics import STREAM
 from softrobot_twin.ros.twin_node import TwinNode
 from test.builder import builder
 from test.places import CONFIG
 
 GIVEN = yaml.safe_load((CONFIG / "grasper.yaml").read_text())["/**"]["ros__parameters"]
-GRIP = 0.015
-
-
 @builder
 def make_grasper(world, /, **changes):
     """Makes the Grasper's twin from its parameter file, some of them replaced."""
@@ -40,51 +35,6 @@ def grip_message(world, **values):
 
 def height(messages):
     return messages[-1].pose.position.z
-
-
-def run_ticks(world, tick, count):
-    """Runs ticks without waiting, and receives messages between them."""
-    for number in range(count):
-        tick()
-        if number % 10 == 0:
-            world.executor.spin_once(0.0)
-
-
-@pytest.mark.exhaustive
-def test_a_motor_closes_the_fingers_and_a_pose_lifts_palm_and_cube(world, make_grasper):
-    twin = make_grasper(rate=100.0)
-    tick = world.ticks_of(twin)
-    cube = world.hear(PoseStamped, "/twin/bodies/cube")
-    palm = world.hear(PoseStamped, "/twin/poses/palm")
-    cables = world.hear(JointState, "/twin/cables")
-    contacts = world.hear(PointCloud2, "/twin/contacts", STREAM)
-    commands = world.speaker(JointState, "/twin/command/cables")
-    poses = world.speaker(PoseStamped, "/twin/command/pose/palm")
-    rest = twin.loop.simulation.rest_setpoints
-    commands.publish(grip_message(world, position=[float(rest[0] - GRIP)]))
-    world.until(lambda: np.isfinite(twin.loop.direct.age(twin.monotonic())))
-    run_ticks(world, tick, 150)
-    world.until(lambda: cables and np.allclose(cables[-1].position, rest - GRIP, atol=1e-6))
-    closed = height(cube)
-    poses.publish(pose_message(world, (0.0, 0.0, 0.05)))
-    world.until(lambda: twin.loop.poses.newest)
-    run_ticks(world, tick, 130)
-    world.until(lambda: abs(height(palm) - 0.05) < 1e-6)
-    world.until(lambda: abs(height(cube) - closed - 0.05) < 2e-3)
-    orientation = cube[-1].pose.orientation
-    turned = 2.0 * math.atan2(orientation.z, orientation.w)
-    assert turned == pytest.approx(math.pi / 4, abs=0.2)
-    assert cube[-1].header.frame_id == "base_link"
-    fields = [field.name for field in contacts[-1].fields]
-    assert fields == ["x", "y", "z", "fx", "fy", "fz"]
-
-    def forces():
-        return np.frombuffer(contacts[-1].data, np.float32).reshape(-1, 6)[:, 3:]
-
-    # Only the fingers carry the cube of 30 g now, by friction; the message of the last tick may
-    # still be on its way.
-    world.until(lambda: forces()[:, 2].sum() == pytest.approx(-0.2943, abs=0.02))
-    assert len(forces()) >= 3
 
 
 @pytest.mark.exhaustive

@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import pytest
 
-from softrobot_twin.ros.parameters import DEVICE, TARGET, TWIN
 from test.places import ROOT
 
 NODES = ("twin", "device", "target")
@@ -220,17 +219,6 @@ def test_a_non_ros_argument_is_refused(node, answers):
     assert done.returncode == 2
     assert done.stderr == (f"{node}: unknown arguments --rate 30: arguments of ROS must "
                            "follow --ros-args; see --help\n")
-
-
-@pytest.mark.parametrize("node, table", [("twin", TWIN), ("device", DEVICE), ("target", TARGET)])
-def test_help_names_topics_and_every_parameter_with_its_default(node, table, answers):
-    done = answers[f"{node} --help"]
-    assert done.returncode == 0 and done.stderr == ""
-    assert done.stdout.startswith(f"usage: {node} ")
-    assert "geometry_msgs/P" in done.stdout and "Exit codes: " in done.stdout
-    for entry in table:
-        assert f"\n  {entry.name} " in done.stdout
-    assert max(map(len, done.stdout.splitlines())) <= 100
 
 
 @pytest.mark.parametrize(("number", "delay"), [

@@ -2,7 +2,6 @@
 a compiler: in most tests a class stands where its message is.
 """
 
-import itertools
 import sys
 from types import ModuleType, SimpleNamespace
 
@@ -12,7 +11,6 @@ from builtin_interfaces.msg import Time
 from std_msgs.msg import Header
 
 from softrobot_twin.ros.audience import Audience
-from softrobot_twin.ros.topics import TRANSFORMS
 from softrobot_twin.ros.transforms import TransformOutput, make_transforms
 
 pytestmark = pytest.mark.libraries
@@ -104,21 +102,6 @@ def output_of(node, audience=None, simulation=None, **given):
     values = {"frame_id": "base_link", "tf": "auto", "tf_prefix": "", "tf_base_frame": "",
               "tf_base_pose": POSE}  # fmt: skip
     return TransformOutput(node, simulation or Simulation(), values | given, audience or Audience())
-
-
-def test_transforms_are_made_only_for_those_who_listen(with_tf2):
-    node, simulation, clock = Node(), Simulation(), itertools.count(0, 2)
-    audience = Audience(clock.__next__)
-    output = output_of(node, audience, simulation)
-    assert node.opened == [(TFMessage, "/tf", TRANSFORMS)]
-    assert not output.is_heard and simulation.reads == 0
-    output.publisher.listeners = 1
-    assert output.is_heard
-    output.publish(outcome_of([[0.0, 0.0, 0.2]]), lambda: HEADER)
-    transforms = output.publisher.messages[0].transforms
-    assert [one.child_frame_id for one in transforms] == ["palm", "tip"]
-    assert transforms[0].transform.rotation.z == 0.6
-    assert transforms[1].transform.translation.z == 0.2
 
 
 def test_the_base_is_in_the_frame_that_is_given(with_tf2):

@@ -219,6 +219,28 @@ def scene_of(**entries) -> Simulation:
 
 
 @builder
+def soft_block(write_block, /, name, size, cells, centre=(0.0, 0.0, 0.0), **entries) -> dict:
+    """Makes the entry of a soft box of linear tetrahedra [m]; more entries may be given."""
+    mesh = {"file": write_block(size, cells), "translation": list(centre)}
+    return {"name": name, "mesh": mesh, "element": "linear",
+            "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0}, **entries}
+
+
+@builder
+def pad(scene_of, soft_block, /, friction, cells=(4, 4, 2), speed=0.05, solver=(), **body) -> Simulation:
+    """Makes a pad of 40 x 40 x 20 mm on a floor, its top on a guided plate of a speed [m/s]."""
+    return scene_of(
+        gravity=[0, 0, 0], integration="dynamic", solver=dict(solver),
+        body=soft_block("pad", (0.04, 0.04, 0.02), cells, [0, 0, 0.01], **body,
+                        attached=[{"to": "plate", "box": {"minimum": [-1, -1, 0.0199], "maximum": [1, 1, 1]}}]),
+        rigid_bodies=[{"name": "plate", "motion": "guided", "speed": speed, "position": [0, 0, 0.03],
+                       "box": {"size": [0.05, 0.05, 0.02]}}],
+        obstacles=[{"name": "floor", "plane": {}}],
+        contact={"friction": friction, "between": [{"pair": ["pad", "floor"]}]},
+    )  # fmt: skip
+
+
+@builder
 def hollow(tmp_path, block, body_of, /, size=(0.02, 0.02, 0.06), cells=(4, 4, 6),
            hole=((1, 3), (1, 3), (1, 5)), shake=0.0, name="hollow", **entries):  # fmt: skip
     """Makes the entry of a block with a cavity inside, and the file of the cavity's surface.

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numba.core.dispatcher import Dispatcher
 
-from softrobot_twin.scene import load_scene, scene_from_mapping
+from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.loading import read_yaml, written_out
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation
 from test.places import ROOT
@@ -165,20 +165,3 @@ def test_fallback_solvers_are_compiled_before_the_first_step():
                          capture_output=True, text=True)
     assert run.returncode == 0, run.stderr
     assert run.stdout.strip() == "[]"
-
-
-@pytest.mark.parametrize("robot", ["diamond", "diamond_reduced"])
-def test_a_body_that_becomes_unstable_compiles_nothing(robot, late):
-    # Without the check of buckling, which winds cables in when a scene is loaded.
-    scene = load_scene(ROOT / "config" / "scenes" / f"{robot}.yaml")
-    simulation = Simulation(scene, with_warnings=False)
-    simulation.warm_up()
-    late.clear()
-    travel, was_augmented = simulation.limits.displacement_max, []
-    for share in np.linspace(0.1, 0.6, 6):
-        wound = simulation.actuators.setpoints(share * travel)
-        simulation.step(CommandSetpoints(wound, 1.0e3))
-        simulation.step(FollowTargets(simulation.effector_positions() + 1.0e-3, 0.02))
-        was_augmented.append(simulation.newton.tangent.is_augmented)
-    assert any(was_augmented)
-    assert late == []

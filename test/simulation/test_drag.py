@@ -7,31 +7,9 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation import Hold, Status
-from test.builder import builder
 
 STEP, PRESSED, WAY = 0.004, 0.0292, 0.004
 SOLE, SHEAR, PRESSED_HEIGHT = 0.04, 1e5 / 2.6, 0.0192
-
-
-@builder
-def pad(simulate, write_block, /, friction):
-    """Makes a pad of 40 x 40 x 20 mm, its top on a guided plate, on a floor."""
-    return simulate(
-        gravity=[0, 0, 0], integration="dynamic", solver={"newton_iterations": 5},
-        body={
-            "name": "pad",
-            "mesh": {"file": write_block((SOLE, SOLE, 0.02), (3, 3, 2)),
-                     "translation": [0, 0, 0.01]},
-            "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0},
-            "damping": {"mass": 5.0, "stiffness": 0.002},
-            "attached": [{"to": "plate", "box": {"minimum": [-1, -1, 0.0199],
-                                                 "maximum": [1, 1, 1]}}],
-        },
-        rigid_bodies=[{"name": "plate", "motion": "guided", "speed": 0.1,
-                       "position": [0, 0, 0.03], "box": {"size": [0.05, 0.05, 0.02]}}],
-        obstacles=[{"name": "floor", "plane": {}}],
-        contact={"friction": friction, "between": [{"pair": ["pad", "floor"]}]},
-    )  # fmt: skip
 
 
 def led(simulation, x, friction, steps=30):
@@ -57,7 +35,8 @@ def led(simulation, x, friction, steps=30):
 @pytest.mark.sampled
 @pytest.mark.parametrize("friction", [0.0, 0.5, 10.0])
 def test_the_cone_holds_in_both_directions(pad, friction):
-    simulation = pad(friction)
+    simulation = pad(friction, (3, 3, 2), 0.1, {"newton_iterations": 5},
+                     damping={"mass": 5.0, "stiffness": 0.002})
     pressing, before, _ = led(simulation, 0.0, friction, 40)
     load = pressing[-1, 2]
     assert load > 1.0

@@ -6,7 +6,6 @@ import pytest
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.simulation import Hold
-from softrobot_twin.study.explain import effects
 from test.builder import builder
 from test.scene_changes import repeat_step
 
@@ -153,22 +152,6 @@ def test_a_pressed_thread_is_slack_unless_it_resists_both_ways(bar):
     np.testing.assert_allclose(bar([thread], gravity=up).state.positions, plain, atol=1e-10)
     rod = bar([{**thread, "tension_only": False}], gravity=up)
     assert np.abs(rod.state.positions - plain).max() > 1e-5
-
-
-def test_a_scene_without_fibres_has_no_springs_and_explain_lists_fibres(bar):
-    assert not [term for term in bar([]).model.forces if term.name == "springs"]
-    thread = {"name": "wrap", "stiffness": 5.0, "helix": {
-        "direction": [1, 0, 0], "point": [0, 0.01, 0.01], "radius": 0.009, "pitch": 0.02,
-        "reach": [0.0, 0.1]}}  # fmt: skip
-    scene = bar([thread, {"name": "rim", "edges": "rim", "stiffness": 7.0, "tension_only": False}])
-    listed = {effect.entry: effect for effect in effects(scene)}
-    assert listed["fibres: wrap"].content == (
-        "1 of each handedness at 70.5° to the axis, radius 9 mm, EA 5 N in tension only"
-    )
-    assert listed["fibres: rim"].content == "edges rim, EA 7 N in tension and compression"
-    assert listed["fibres: rim"].result == "term springs"
-    (term,) = [term for term in scene.model.forces if term.name == "springs"]
-    assert term.spring_count == 2 * 5 * 24 + 5 and term.is_thread.sum() == 2 * 5 * 24
 
 
 @pytest.mark.parametrize("entry, key, told", [

@@ -15,7 +15,6 @@ from softrobot_twin.simulation import (
 from softrobot_twin.scene.scene_parameters import parameters
 from softrobot_twin.simulation.sensitivities import Sensitivities
 from softrobot_twin.simulation.runs.run_columns import RunColumns
-from softrobot_twin.study.explain import effects
 from test.builder import builder
 from test.finite_differences import assert_slopes_of_actuators
 from test.scene_changes import built, hold, repeat_step, solved
@@ -199,15 +198,12 @@ def test_derivatives_beside_a_force_are_those_of_its_equilibria(column, on_frame
         np.testing.assert_allclose(found, expected, atol=2e-3 * np.abs(expected).max())
 
 
-def test_columns_and_explain_name_a_force_with_its_unit(column):
+def test_columns_name_a_force_with_its_unit(column):
     entry = force(points=TOP, rate=2.0)
     del entry["direction"]
     simulation = column(entry)
     header = RunColumns(simulation).names
     assert header[header.index("push_x_force_N") :][:2] == ("push_x_force_N", "push_x_displacement_m")
-    told = {effect.entry: effect.content for effect in effects(simulation)}
-    assert told["forces: push_y"] == ("at 4 points, along y, driven by force, "
-                                      "displacement without limit, force without limit, rate 2 N/s")
     assert set(simulation.actuator_paths()) == {"push_x", "push_y", "push_z"}
 
 

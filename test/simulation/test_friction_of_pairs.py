@@ -90,17 +90,11 @@ def test_a_smooth_box_slides_over_one_that_sticks_and_bears_it(scene_of):
     )
 
 
-def in_a_corner(scene_of, write_block) -> Simulation:
+def in_a_corner(scene_of, soft_block) -> Simulation:
     """A soft block that slides over a smooth floor into a rough wall, and along it."""
     return scene_of(
         gravity=[4.0, 1.5, -9.0], integration="dynamic",
-        body={
-            "name": "block",
-            "mesh": {"file": write_block((0.04, 0.04, 0.02), (4, 4, 2)),
-                     "translation": [-0.0005, 0, 0.01]},
-            "element": "linear",
-            "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0},
-        },
+        body=soft_block("block", (0.04, 0.04, 0.02), (4, 4, 2), [-0.0005, 0, 0.01]),
         obstacles=[{"name": "wall", "plane": {}, "rotation": [0, -np.pi / 2, 0],
                     "position": [0.02, 0, 0]},
                    {"name": "floor", "plane": {}}],
@@ -110,10 +104,10 @@ def in_a_corner(scene_of, write_block) -> Simulation:
 
 
 def test_motion_and_forces_are_those_of_three_rows_with_a_coefficient_of_zero(
-    scene_of, write_block, monkeypatch
+    scene_of, soft_block, monkeypatch
 ):
-    found = in_a_corner(scene_of, write_block)
-    wanted = in_a_corner(scene_of, write_block)
+    found = in_a_corner(scene_of, soft_block)
+    wanted = in_a_corner(scene_of, soft_block)
     # Three rows for every contact of the scene.
     wanted.model.contacts.rows_of_pair[:] = 3
     rows = []
@@ -131,8 +125,8 @@ def test_motion_and_forces_are_those_of_three_rows_with_a_coefficient_of_zero(
     assert all(1 < few < 0.7 * many for few, many in rows[-20:])
 
 
-def test_rows_of_both_kinds_are_those_of_finite_differences(scene_of, write_block):
-    simulation = in_a_corner(scene_of, write_block)
+def test_rows_of_both_kinds_are_those_of_finite_differences(scene_of, soft_block):
+    simulation = in_a_corner(scene_of, soft_block)
     repeat_step(simulation, Hold(STEP), 30)
     model, q, step = simulation.model, simulation.state.positions, 1e-7
     rows = model.rows

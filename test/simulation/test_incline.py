@@ -26,14 +26,8 @@ def rigid(**more):
     }]}  # fmt: skip
 
 
-def soft(write_block, young_modulus=1.0e5):
-    return {"body": {
-        "name": "box",
-        "mesh": {"file": write_block((0.04, 0.04, 0.02), (4, 4, 2)), "translation": [0, 0, 0.01]},
-        "element": "linear",
-        "material": {"young_modulus": young_modulus, "poisson_ratio": 0.3, "density": 1000.0},
-        "damping": {"mass": 0.0},
-    }}  # fmt: skip
+def soft(soft_block):
+    return {"body": soft_block("box", (0.04, 0.04, 0.02), (4, 4, 2), [0, 0, 0.01], damping={"mass": 0.0})}
 
 
 def slide(simulation, steps):
@@ -93,8 +87,8 @@ def test_a_thrown_block_is_decelerated_in_both_directions(scene_of, start):
     assert abs(way[-1] - way[100]) < 1e-7
 
 
-def test_a_soft_block_sticks_two_percent_below_the_limit(scene_of, write_block):
-    simulation = on_slope(scene_of, np.arctan(0.98 * FRICTION), **soft(write_block))
+def test_a_soft_block_sticks_two_percent_below_the_limit(scene_of, soft_block):
+    simulation = on_slope(scene_of, np.arctan(0.98 * FRICTION), **soft(soft_block))
     way, result = slide(simulation, 500)
     # It shears downhill, and sticks.
     assert abs(way[-1] - way[249]) < 1e-7
@@ -104,9 +98,9 @@ def test_a_soft_block_sticks_two_percent_below_the_limit(scene_of, write_block):
     np.testing.assert_allclose(result.contacts.forces.sum(axis=0), expected, atol=1e-3 * weight)
 
 
-def test_a_soft_block_slides_as_a_rigid_one(scene_of, write_block):
+def test_a_soft_block_slides_as_a_rigid_one(scene_of, soft_block):
     angle = np.arctan(1.2 * FRICTION)
-    simulation = on_slope(scene_of, angle, **soft(write_block))
+    simulation = on_slope(scene_of, angle, **soft(soft_block))
     way, result = slide(simulation, 500)
     # Its acceleration, once it has stopped swinging on its feet.
     time = STEP * np.arange(1, 501)

@@ -68,15 +68,9 @@ def obeys_signorini_and_coulomb(simulation, result, friction):
 
 
 @pytest.mark.exhaustive
-def test_two_hundred_contacts_press_on_the_facets_of_a_soft_block(scene_of, write_block, studded_slab):
-    ground = {
-        "name": "ground",
-        "mesh": {"file": write_block((0.06, 0.06, 0.02), (1, 1, 1)), "translation": [0, 0, -0.01]},
-        "element": "linear",
-        "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0},
-        "damping": {"mass": 50.0},
-        "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, -0.0199]}}],
-    }
+def test_two_hundred_contacts_press_on_the_facets_of_a_soft_block(scene_of, soft_block, studded_slab):
+    ground = soft_block("ground", (0.06, 0.06, 0.02), (1, 1, 1), [0, 0, -0.01], damping={"mass": 50.0},
+                        fixed=[{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, -0.0199]}}])
     simulation = scene_of(
         integration="dynamic", rigid_bodies=[studded_slab], body=ground,
         contact={"friction": 0.5, "between": [{"pair": ["slab", "ground"]}]},

@@ -34,15 +34,10 @@ def surface(tmp_path, block, /, kind, left_out=0) -> str:
     return str(file)
 
 
-def resting_on(scene_of, write_block, obstacle, friction=0.5):
+def resting_on(scene_of, soft_block, obstacle, friction=0.5):
     return scene_of(
         integration="dynamic",
-        body={"name": "soft",
-              "mesh": {"file": write_block((0.04, 0.04, 0.02), (4, 4, 2)),
-                       "translation": [0, 0, 0.0105]},
-              "element": "linear",
-              "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0},
-              "damping": {"mass": 30.0}},
+        body=soft_block("soft", (0.04, 0.04, 0.02), (4, 4, 2), [0, 0, 0.0105], damping={"mass": 30.0}),
         obstacles=[{"name": "obstacle", **obstacle}],
         contact={"friction": friction, "between": [{"pair": ["soft", "obstacle"]}]},
     )  # fmt: skip
@@ -63,17 +58,17 @@ def settles(simulation):
 
 @pytest.mark.sampled
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_soft_block_lies_on_an_obstacle(scene_of, write_block, kind):
-    settles(resting_on(scene_of, write_block, KINDS[kind]))
+def test_a_soft_block_lies_on_an_obstacle(scene_of, soft_block, kind):
+    settles(resting_on(scene_of, soft_block, KINDS[kind]))
 
 
 @pytest.mark.parametrize("kind", ["stl", "obj", "ply"])
-def test_a_soft_block_lies_on_a_closed_surface(scene_of, write_block, surface, kind):
+def test_a_soft_block_lies_on_a_closed_surface(scene_of, soft_block, surface, kind):
     entry = {"surface": {"file": surface(kind), "scale": 0.001}}
-    settles(resting_on(scene_of, write_block, entry))
+    settles(resting_on(scene_of, soft_block, entry))
 
 
-def test_a_surface_with_a_hole_is_refused(scene_of, write_block, surface):
+def test_a_surface_with_a_hole_is_refused(scene_of, soft_block, surface):
     entry = {"surface": {"file": surface("stl", left_out=1), "scale": 0.001}}
     with pytest.raises(MeshError, match="obstacle.stl"):
-        resting_on(scene_of, write_block, entry)
+        resting_on(scene_of, soft_block, entry)

@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.mechanics import elements
-from softrobot_twin.mechanics.element_assembly import deform_all
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.material_presets import MATERIAL_PRESETS, POISSON_RATIO
 from softrobot_twin.simulation import Hold
@@ -68,17 +66,3 @@ def test_strain_outside_of_the_range_is_told_after_the_step(hung):
     F = np.linalg.solve(before, after)
     stretches = np.linalg.svd(F, compute_uv=False)
     assert outside.greatest == pytest.approx(stretches.max() - 1.0, rel=1e-6)
-
-
-def test_the_strain_of_the_state_after_a_step_needs_no_second_deformation(hung, monkeypatch):
-    deformed = []
-    monkeypatch.setattr(elements, "deform_all", lambda *given: deformed.append(deform_all(*given)))
-    simulation = hung(9.81, preset="ecoflex_00_30")
-    simulation.step(Hold())
-    deformed.clear()
-    (watch,), x = simulation.model.strain_watches, simulation.state.positions
-    squares = watch.elements.extreme_squares(x, 1.0, 1.0)
-    assert deformed == []
-    moved = np.nextafter(x, np.inf)
-    np.testing.assert_allclose(watch.elements.extreme_squares(moved, 1.0, 1.0), squares, rtol=1e-9)
-    assert len(deformed) == 1 and squares[1] > 1.001

@@ -5,7 +5,6 @@ import pytest
 
 from softrobot_twin.errors import CommandError
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, State, Status
-from test.scene_changes import LEFT_OUT
 
 
 def run(simulation, targets):
@@ -93,12 +92,6 @@ def test_a_scene_with_nothing_to_do_runs(diamond):
     assert result.setpoints.shape == (0,) and result.effector_positions.shape == (0, 3)
     with pytest.raises(CommandError, match="no effectors"):
         simulation.step(FollowTargets(np.zeros((0, 3)), 0.1))
-
-
-def test_a_scene_without_effectors_runs_in_direct_mode(diamond):
-    simulation = diamond({"effectors": LEFT_OUT})
-    simulation.warm_up()
-    assert simulation.step(CommandSetpoints(simulation.rest_setpoints, 1.0)).status.is_success
 
 
 def test_every_stage_of_a_step_is_timed_and_adds_up(diamond, circle):

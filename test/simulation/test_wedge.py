@@ -12,23 +12,15 @@ STEP, ENDS = 0.01, ([0, -0.05, 0], [0, 0.05, 0])
 
 
 @builder
-def wedged(scene_of, write_block, /, integration, friction):
+def wedged(scene_of, soft_block, /, integration, friction):
     """A block of 20 mm, its top on a guided plate, pressed into a gap of 16 mm.
 
     Gives the last result, the gaps of all steps, and whether each converged.
     """
     simulation = scene_of(
         gravity=[0, 0, 0], integration=integration,
-        body={
-            "name": "soft",
-            "mesh": {"file": write_block((0.02, 0.02, 0.04), (4, 4, 8)),
-                     "translation": [0.0005, 0, 0.03]},
-            "element": "linear",
-            "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0},
-            "damping": {"mass": 20.0},
-            "attached": [{"to": "plate", "box": {"minimum": [-1, -1, 0.0499],
-                                                 "maximum": [1, 1, 1]}}],
-        },
+        body=soft_block("soft", (0.02, 0.02, 0.04), (4, 4, 8), [0.0005, 0, 0.03], damping={"mass": 20.0},
+                        attached=[{"to": "plate", "box": {"minimum": [-1, -1, 0.0499], "maximum": [1, 1, 1]}}]),
         rigid_bodies=[{"name": "plate", "motion": "guided", "speed": 0.02,
                        "position": [0, 0, 0.06], "box": {"size": [0.05, 0.05, 0.02]}}],
         obstacles=[{"name": name, "position": [x, 0, 0],

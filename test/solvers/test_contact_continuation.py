@@ -66,15 +66,6 @@ def test_a_solution_reported_as_solved_is_one_from_any_guess(draw, drawn_seed):
     assert exact or not found.converged
 
 
-def test_the_better_of_two_guesses_is_used():
-    problem = problem_of(3)
-    exact = solved(problem)
-    solver = ContactContinuation(1e-9, 1e-6)
-    for pair in ((exact, np.ones(len(exact))), (np.ones(len(exact)), exact)):
-        found = solver.solve(problem, *pair)
-        assert found.converged and found.sweeps == 0
-
-
 def test_forces_are_zero_where_all_contacts_open():
     problem = problem_of(6)
     problem.violation[2::3] = 1.0

@@ -124,17 +124,6 @@ def test_newton_on_the_matrix_solves_problems_that_sweeps_do_not(seed):
     assert found.converged and gap <= 1.01 * GAP and share <= 1.01 * SHARE
 
 
-def test_the_last_answer_reduces_the_steps_of_the_next():
-    cold = warm = 0
-    for seed in range(10):
-        problem = bodies(seed)
-        first = solve(problem)
-        moved = problem._replace(violation=1.001 * problem.violation)
-        cold += solve(moved).sweeps
-        warm += solve(moved, first.multipliers).sweeps
-    assert warm < 0.5 * cold
-
-
 def test_a_contact_without_compliance_has_zero_force():
     problem = bodies(5)
     Yt, violation = problem.Yt.copy(), problem.violation.copy()

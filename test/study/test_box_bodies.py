@@ -143,7 +143,3 @@ def test_files_that_are_made_from_it_lie_beside_its_scene(path):
     scene = load_scene(path)
     made = reduction_path(SimpleNamespace(entry=scene.body), scene)
     assert made == path.parent / "body_vertebrae.npz"
-
-
-def test_explain_names_its_size_and_cells(path):
-    assert load_scene(path).body.mesh.describe() == "a box of [100, 20, 20] mm, 4×2×2 cells"

@@ -17,7 +17,6 @@ from softrobot_twin.study.bench_measurement import (
     measure,
     swept_setpoints,
 )
-from softrobot_twin.study.explain import effects
 from softrobot_twin.study.scene_picture import take_snapshot
 from test.builder import builder
 from test.run_files import rows_of
@@ -189,18 +188,6 @@ def add_cushion(content):
     content["cables"][0]["body"] = content["effectors"][0]["body"] = "first"
     content["sealed_cavities"] = [
         {"name": "cushion", "walls": [{"part": "cavity", "body": "twin"}], "pressure": 200.0}]
-
-
-def test_explain_lists_cavities_with_volumes_walls_and_limits(simulation_of):
-    simulation = simulation_of(add_cushion, liquid_density=1000.0)
-    told = {effect.entry: effect for effect in effects(simulation)}
-    content = told["cavities: air"].content
-    assert content.startswith("part cavity, 5.47 cm³ at rest, walls of 87.7")
-    assert "liquid of 1000 kg/m³, driven by pressure, growth [-2, 8] cm³" in content
-    assert content.endswith("pressure [-0.1, 1.5] kPa, rate 10 kPa/s")
-    sealed = told["sealed_cavities: cushion"]
-    assert "gas at 0.2 kPa above 101.325 kPa at rest" in sealed.content
-    assert sealed.result == "term sealed_gas"
 
 
 def test_a_picture_shows_walls_of_all_cavities_inside_clear_bodies(simulation_of):

@@ -42,12 +42,6 @@ def test_the_most_accurate_setting_that_keeps_the_rate_is_chosen(rate, mesh, ite
     assert best.measured.p99 <= MARGIN / rate
 
 
-def test_more_linearizations_are_not_tried_where_fewer_are_late():
-    asked = []
-    measure_candidates(rows(), 500.0, lambda setting: asked.append(setting) or clock(setting))
-    assert max(setting.iterations for setting in asked if setting.mesh == "fine") == 1
-
-
 def test_the_faster_of_equally_accurate_settings_is_chosen():
     twins = [replace(row, error_lengths=0.1, error_tensions=0.5) for row in rows()[:2]]
     assert pick(measure_candidates(twins, 100.0, clock), 100.0).setting.mesh == "coarse"
@@ -66,11 +60,6 @@ def test_meshes_that_the_reference_cannot_distinguish_are_rated_by_forces():
     found = measure_candidates(known, 100.0, clock)
     assert pick(found, 100.0, reference_uncertainty(known)).setting.mesh == "middle"
     assert pick(found, 100.0).setting.mesh == "coarse"
-
-
-def test_a_mesh_too_inaccurate_to_be_chosen_is_not_timed():
-    found = measure_candidates(rows(), 50.0, clock)
-    assert {one.setting.mesh for one in found} == {"fine"}
 
 
 def test_only_settings_with_a_known_error_are_candidates():

@@ -90,17 +90,6 @@ def test_the_size_is_searched_for_a_step_time(tmp_path, capsys, monkeypatch):
 
 
 @pytest.mark.exhaustive
-def test_what_takes_too_long_to_measure_is_left_out_and_told(tmp_path, capsys, monkeypatch):
-    need_gmsh()
-    monkeypatch.setattr(meshing, "MOST_SECONDS", 0.0)
-    part, output = write_stl(tmp_path / "block.stl", box((60, 20, 20))), tmp_path / "block.msh"
-    assert main(["mesh", str(part), "--size", "10mm", "--output", str(output)]) == 0
-    told = capsys.readouterr().out
-    assert "not measured: building it and a step take more than 0 s" in told
-    assert "The error of the mesh is not estimated" in told
-
-
-@pytest.mark.exhaustive
 def test_steps_are_measured_in_a_process_of_their_own(tmp_path):
     need_gmsh()
     write_msh(tmp_path / "block.msh", mesh_cad(write_stl(tmp_path / "block.stl", box((6, 2, 2))), 1.0, 1.0))
@@ -109,17 +98,6 @@ def test_steps_are_measured_in_a_process_of_their_own(tmp_path):
     _, scene, _ = first_scene(tmp_path / "block.yaml", source, reading, tmp_path)
     step = meshing.measured_step(scene)
     assert step.median > 0.0 and step.slowdown >= 1.0
-
-
-@pytest.mark.parametrize("slowdown, is_told", [(1.0, False), (2.1, True)])
-def test_a_time_that_others_disturbed_is_told_as_such(tmp_path, capsys, monkeypatch, slowdown, is_told):
-    need_gmsh()
-    monkeypatch.setattr(meshing, "measured_step", lambda scene: StepTime(0.01, slowdown))
-    monkeypatch.setattr(meshing, "print_mesh_error", lambda scene, begin: None)
-    part, output = write_stl(tmp_path / "block.stl", box((60, 20, 20))), tmp_path / "block.msh"
-    assert main(["mesh", str(part), "--size", "10mm", "--output", str(output)]) == 0
-    told = capsys.readouterr().out
-    assert ("other programs slowed this one down 2.1 times" in told) == is_told
 
 
 def test_a_scene_of_a_part_of_metres_is_made_by_the_printed_command(tmp_path):

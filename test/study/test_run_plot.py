@@ -99,13 +99,3 @@ def test_a_file_of_another_kind_is_refused_by_name(tmp_path, text, words):
     with pytest.raises(TableFileError, match=words):
         plot(tmp_path / "run.csv")
     assert not (tmp_path / "run_plot.png").exists()
-
-
-@pytest.mark.exhaustive
-def test_the_command_writes_a_picture_beside_the_run(tmp_path, call):
-    written(tmp_path / "run.csv", robot())
-    done = call("plot", tmp_path / "run.csv")
-    assert (tmp_path / "run_plot.png").read_bytes().startswith(b"\x89PNG") and "run_plot.png" in done.output
-    done = call("plot", tmp_path / "run.csv", "--columns", "*_tension_N", "--output",
-                tmp_path / "tension.png")
-    assert (tmp_path / "tension.png").exists()

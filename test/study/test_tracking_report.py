@@ -52,14 +52,6 @@ def test_a_delay_counts_as_error():
     np.testing.assert_allclose(errors.values[:, 0], 0.001, rtol=1e-12)
 
 
-def test_figures_are_in_millimetres():
-    figures = tracking_figures("open_loop", record((0.0, 0.0, -0.002)))
-    assert figures["mean_error_mm"] == pytest.approx(2.0)
-    assert figures["max_error_mm"] == pytest.approx(2.0)
-    assert figures["mean_twin_misfit_mm"] == pytest.approx(2.1)
-    assert figures["samples"] == 199
-
-
 def test_without_targets_the_device_is_compared_with_the_twin(tmp_path):
     runs = {"direct": replace(record((0.0, 0.0, -0.002)), target=None)}
     report = tracking_report("octoleg", runs, TWIN)
@@ -88,10 +80,3 @@ def test_the_report_is_json_with_the_ratio_of_closed_to_open_loop(tmp_path):
     assert (read["period_ms"], read["ticks"], read["missed_ticks"]) == (20.0, 1500, 2)
     assert read["mesh"] == {"nodes": 1600, "tets": 4500, "dof": 4700}
     assert read["versions"]["numpy"] == np.__version__
-
-
-def test_an_interrupted_demo_reports_its_finished_run():
-    report = tracking_report("diamond", {"open_loop": record((0.0, 0.0, -0.002))}, TWIN)
-    assert report["open_loop"]["mean_error_mm"] == pytest.approx(2.0)
-    assert report["closed_loop"] is None
-    assert report["closed_to_open_ratio"] is None

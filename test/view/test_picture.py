@@ -63,28 +63,6 @@ def test_a_removed_target_is_no_longer_shown(draw, make_frame):
     assert positions[1] == []
 
 
-def test_the_trail_ends_at_the_effector(draw, make_frame):
-    frames = [make_frame(step) for step in (0, 10, 20)]
-    (effector_path,) = draw(frames).at_steps("/robot/effector_trail", "LineStrips3D:strips")[20]
-    expected = np.vstack([frame.drawn["/robot/effectors"].points for frame in frames])
-    assert np.array(effector_path) == pytest.approx(expected, abs=1e-8)
-
-
-def test_curves_have_their_names_and_times_are_milliseconds(draw, make_frame):
-    recorded = draw([make_frame(4)])
-    assert recorded.curve_names("/plots/cable_lengths") == ["left", "right"]
-    assert recorded.curves("/plots/cable_lengths")[4] == pytest.approx([104.0, 200.0])
-    assert recorded.curves("/plots/residual")[4] == pytest.approx([1e-6])
-    assert recorded.curve_names("/plots/stage_times") == ["whole step", "assembly", "factor"]
-    assert recorded.curves("/plots/stage_times")[4] == pytest.approx([3.0, 1.0, 1.5])
-
-
-def test_the_status_is_logged_when_it_changes(draw, make_frame):
-    statuses = ["ok", "ok", "saturated", "saturated", "ok"]
-    recorded = draw([make_frame(step, status=status) for step, status in enumerate(statuses)])
-    assert recorded.at_steps("/status", "TextLog:text") == {0: ["ok"], 2: ["saturated"], 4: ["ok"]}
-
-
 def test_a_solid_is_logged_once_with_sharp_edges_and_its_pose_in_each_frame(draw, make_frame, stage):
     corners, triangles = make_frame(0).drawn["/robot/surface/body"].points, stage.entities[0].triangles
     solids = [Entity(path, "solid", (0, 0, 0), triangles=triangles, points=corners)

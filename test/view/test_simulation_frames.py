@@ -69,14 +69,6 @@ def test_cables_have_paths_tensions_and_pull_points():
     assert frame.times["whole step"] == result.report.compute_time
 
 
-def test_errors_are_millimetres():
-    simulation = Simulation.from_scene_file(SCENES / "finger.yaml")
-    count = len(simulation.effector_names)
-    _, frame, result = frame_of(simulation, errors=np.full(count, 0.002), discretization_error=0.003)
-    np.testing.assert_allclose(frame.curves["/plots/effector_error"],
-                               [2.0, 1e3 * result.report.linearization_error, 3.0])
-
-
 def test_cavities_have_walls_pressures_and_volumes_in_their_units():
     simulation, stage, frame, _ = shown("springy")
     pressures = simulation.cavities.pressures(simulation.state)
@@ -118,17 +110,6 @@ def test_rigid_bodies_obstacles_and_scaled_contact_forces_are_shown():
     np.testing.assert_allclose(frame.drawn["/contacts/forces"].vectors, 0.05 * result.contacts.forces)
     assert frame.curves["/plots/contacts"] == [
         len(result.contacts.forces), np.linalg.norm(result.contacts.forces, axis=1).max()]
-
-
-def test_several_beams_are_one_surface():
-    simulation, stage, frame, _ = shown("flexo")
-    soft = len(simulation.model.bodies)
-    assert len(simulation.skins) > soft + 1
-    beams = entity(stage, "/robot/surface/beams")
-    found = frame.drawn[beams.path].points[beams.triangles]
-    wanted = [points[skin.triangles] for skin, points in zip(
-        simulation.skins[soft:], simulation.skin_positions()[soft:], strict=True)]
-    np.testing.assert_array_equal(found, np.concatenate(wanted))
 
 
 def test_orientations_of_effectors_and_targets_are_axes(oriented_rod):

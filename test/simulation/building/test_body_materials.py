@@ -8,7 +8,6 @@ from softrobot_twin.errors import SceneError
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import Hold
 from softrobot_twin.simulation.mesh_error import MeshErrorEstimator
-from softrobot_twin.study.explain import effects
 from test.builder import builder
 from test.scene_changes import repeat_step
 
@@ -141,23 +140,6 @@ def test_a_stiffer_part_is_as_much_more_viscous(simulate, beam_entry):
         term.begin_step(rest, np.zeros_like(rest), 0.01)
     stretched = rest * [1.01, 1.0, 1.0]
     assert stiff.heat(stretched) == pytest.approx(5.0 * soft.heat(stretched))
-
-
-def test_a_body_of_two_materials_has_two_elastic_terms_and_one_has_one(simulate, beam_entry):
-    for materials, expected in (([], 1), ([{"region": "below", "young_modulus": 1e5}], 2),
-                                ([{"region": n, "young_modulus": 1e5} for n in ("below", "above")],
-                                 2)):  # fmt: skip
-        simulation = simulate(body=beam_entry(materials=materials))
-        elastic = [term for term in simulation.model.forces if "elements" in term.name]
-        assert len(elastic) == expected
-        assert sum(len(term.stencils()) for term in elastic) == simulation.tet_count
-
-
-def test_explain_lists_each_material(simulate, beam_entry):
-    entry = beam_entry(materials=[{"region": "below", "young_modulus": 5e6}])
-    listed = {effect.entry: effect for effect in effects(simulate(body=entry))}
-    assert "region below: corotational, E 5e+06 Pa" in listed["body.materials[0]"].content
-    assert "corotational elements of 72 tets" in listed["body.materials[0]"].result
 
 
 def test_the_error_of_the_mesh_knows_each_material(beam_entry, tmp_path):

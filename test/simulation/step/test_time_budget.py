@@ -9,7 +9,6 @@ import pytest
 
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
-from softrobot_twin.simulation.step.time_budget import TimeBudget
 from test.builder import builder
 from test.scene_changes import repeat_step
 
@@ -146,12 +145,3 @@ def test_the_linearization_error_equals_the_correction_of_the_next_steps(diamond
     true_error = np.linalg.norm(simulation.effector_positions() - before)
     assert report.linearization_error == pytest.approx(true_error, rel=0.3)
     assert simulation.step(Hold()).report.linearization_error < 1e-9
-
-
-def test_the_expected_time_shrinks_only_in_overload():
-    time_budget = TimeBudget()
-    time_budget.learn(1.0)
-    assert not time_budget.must_hurry(None) and not time_budget.must_hurry(2.0)
-    assert time_budget.expected == 1.0
-    assert time_budget.must_hurry(0.5)
-    assert time_budget.expected < 1.0

@@ -43,17 +43,6 @@ def test_rows_on_single_nodes_spread_over_a_body_are_condensed(make_system, name
     assert_condensed(system, H, row_count)
 
 
-def test_prepared_rows_need_no_further_memory(make_system):
-    system = make_system("body, rod and isolated nodes")
-    solver = system.solver
-    solver.factor()
-    solver.prepare_rows(np.arange(system.count), 24)
-    before = solver.Y, solver.gram, solver.work
-    for count in (24, 5, 0, 23):
-        solver.condense(system.constraint_rows(count), np.zeros((system.count, 3)))
-    assert all(a is b for a, b in zip((solver.Y, solver.gram, solver.work), before, strict=True))
-
-
 def test_separate_bodies_are_coupled_only_by_rows_on_both(make_system):
     system = make_system("two bodies")
     system.solver.factor()
