@@ -1,5 +1,6 @@
 """The README: its code runs as it is written, its files exist, and it stays short."""
 
+import csv
 import re
 import shlex
 
@@ -56,3 +57,14 @@ def test_its_commands_run_one_after_the_other(clone, capsys):
         assert main(command[1:]) == 0, capsys.readouterr().err
     written = {"explained.png", "finger.csv", "finger.png", "finger_plot.png"}
     assert written <= {file.name for file in clone.iterdir()}
+
+
+def test_its_times_of_steps_are_those_of_the_bench():
+    rows = csv.DictReader((ROOT / "docs/bench.csv").open())
+    measured = {row["scene"].removesuffix("_reduced"): float(row["median_ms"]) for row in rows
+                if row["stage"] == "whole step" and row["modes"] == ""}  # fmt: skip
+    shown = re.findall(r"\| `(\w+)` \|.*\| ([\d.]+) ms \(", TEXT)
+    assert len(shown) == 7 and len(measured.keys() & dict(shown).keys()) >= 6
+    for robot, time in shown:
+        if robot in measured:
+            assert float(time) == pytest.approx(measured[robot], rel=0.04), robot

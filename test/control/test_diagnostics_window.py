@@ -39,6 +39,13 @@ def test_steps_are_counted_by_their_status_until_clear(outcome):
     assert window.statuses == {}
 
 
+@pytest.mark.parametrize("status", Status)
+def test_every_status_can_be_reported(outcome, status):
+    window = DiagnosticsWindow()
+    window.add(changed(outcome, status))
+    assert window.worst is status
+
+
 def test_a_step_that_had_to_be_late_counts_as_overload(outcome):
     window = DiagnosticsWindow()
     for late in (False, True, True):

@@ -5,6 +5,7 @@ import pickle
 import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
@@ -145,6 +146,32 @@ def test_another_checkout_of_the_same_sources_compiles_nothing(small_package):
     assert run(other) == (16.0, 0)
 
 
+@pytest.mark.exhaustive
+def test_of_processes_that_need_a_kernel_at_once_one_compiles_it(small_package):
+    processes = [begun(small_package) for _ in range(3)]
+    for process in processes:
+        process.stdin.close()
+    results = sorted(process.stdout.read().split() for process in processes)
+    assert [process.wait() for process in processes] == [0, 0, 0]
+    assert results == [["16.0", "0"], ["16.0", "0"], ["16.0", "1"]]
+    kept = sorted(entry.name.split("-")[0] for entry in entries(small_package))
+    assert kept == ["inner.scale", "law.own_response", "outer.outer"]
+    assert run(small_package) == (16.0, 0)
+
+
+@pytest.mark.exhaustive
+def test_nobody_waits_for_a_kernel_that_could_not_be_compiled(small_package):
+    code = RUN.replace("print(outer.outer(law.Law(1.0), 3.0)", """
+try:
+    outer.outer(law.Law(1.0), "text")
+except Exception:
+    print("failed", flush=True)
+sys.stdin.read()
+print(1.0""")
+    for process in [begun(small_package, code, (), "failed") for _ in range(2)]:
+        process.communicate()
+
+
 def test_kernels_that_came_with_the_package_are_not_compiled(small_package):
     run(small_package)
     with ZipFile(small_package / "kernels" / "kernels.zip", "w") as archive:
@@ -153,6 +180,36 @@ def test_kernels_that_came_with_the_package_are_not_compiled(small_package):
     installed = small_package.parents[1] / "elsewhere" / "two" / "softrobot_twin"
     shutil.copytree(small_package, installed)
     assert run(installed) == (16.0, 0) and not entries(installed)
+
+
+WRITE_LIST = """
+import lzma, pickle
+from softrobot_twin import law, outer
+from softrobot_twin.kernels import kernel_cache, kernels_ahead
+outer.outer(law.Law(1.0), 3.0)
+calls = [(module, name, pickle.dumps(types))
+         for module, name, types in kernel_cache.used.values() if name == "outer"]
+calls += [("softrobot_twin.law", "renamed", calls[0][2])]
+kernels_ahead.LIST.write_bytes(
+    lzma.compress(pickle.dumps([kernels_ahead.SceneKernels(frozenset(), tuple(calls))])))
+"""
+AHEAD = """
+import os
+from softrobot_twin.kernels.kernels_ahead import compile_ahead
+compile_ahead(0, 0, 1, os.getppid())
+"""
+
+
+@pytest.mark.exhaustive
+def test_another_process_compiles_what_a_list_names(small_package):
+    shutil.copy(PACKAGE / "kernels" / "kernels_ahead.py", small_package / "kernels")
+    run(small_package, WRITE_LIST)
+    for entry in entries(small_package):
+        entry.unlink()
+    run(small_package, AHEAD.replace("getppid", "getpid"))
+    assert not entries(small_package)  # Its parent has ended.
+    run(small_package, AHEAD)
+    assert run(small_package) == (16.0, 0)
 
 
 def test_the_list_by_which_processes_compile_ahead_is_of_these_sources():
@@ -181,6 +238,24 @@ def test_a_damaged_entry_is_compiled_anew(small_package):
         entry.write_bytes(entry.read_bytes()[:-10])
     assert run(small_package) == (16.0, 1)
     assert run(small_package) == (16.0, 0)
+
+
+@pytest.mark.exhaustive
+def test_entries_that_nobody_used_for_a_week_are_deleted(small_package):
+    run(small_package)
+    (outer,) = (entry for entry in entries(small_package) if entry.name.startswith("outer."))
+    folder = outer.parent
+    now = time.time()
+    for name, days in (("old.f-0-0.nbc", 8), ("recent.f-0-0.nbc", 6), ("old.f-0-1.nbcabc", 8)):
+        (folder / name).touch()
+        os.utime(folder / name, (now, now - days * 24 * 3600))
+    # One that is used is as good as new.
+    os.utime(outer, (now, now - 6 * 24 * 3600))
+    os.utime(folder / "last_cleaned", (now, now - 2 * 24 * 3600))
+    assert run(small_package) == (16.0, 0)
+    assert {"old.f-0-0.nbc", "old.f-0-1.nbcabc"} & set(os.listdir(folder)) == set()
+    assert (folder / "recent.f-0-0.nbc").is_file()
+    assert time.time() - outer.stat().st_mtime < 3600
 
 
 @pytest.mark.exhaustive

@@ -4,6 +4,7 @@ import pytest
 from geometry_msgs.msg import PointStamped, Twist
 from sensor_msgs.msg import JointState, PointCloud2
 
+from softrobot_twin.ros.device_node import DeviceNode
 
 OK, WARN, ERROR = b"\x00", b"\x01", b"\x02"
 
@@ -51,3 +52,14 @@ def test_two_twins_of_one_name_are_reported_by_both(world, make_twin, diagnostic
     world.until(lambda: not all(twin.loop.is_enabled for twin in twins))
     # Only one of them received the request; twins without a device are always enabled.
     world.until(lambda: "2 nodes are called /twin" in world.enable().message)
+
+
+def test_two_devices_on_one_topic_are_reported_by_both(world, make_twin, small_scene_file):
+    twin = make_twin(use_device=True)
+    devices = [world.add(DeviceNode, device_scene_file=str(small_scene_file)) for _ in range(2)]
+    world.until(lambda: all("name" in {clash.key for clash in device.clashes}
+                            and "/twin/measured_cables" in {clash.key for clash in device.clashes}
+                            for device in devices))
+    world.until(lambda: twin.loop.device.setpoints is not None)
+    answer = world.enable()
+    assert not answer.success and "2 publishers on /twin/measured_cables" in answer.message

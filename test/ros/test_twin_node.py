@@ -1,15 +1,20 @@
 """The twin as a node: real rclpy, the real simulation on the small mesh."""
 
 import math
+import time
+from collections import Counter
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import PointStamped, Twist, Vector3
+from geometry_msgs.msg import PointStamped, PoseStamped, Twist, Vector3
+from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import Header
 
 from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.control.loop_timing import TickClock
+from softrobot_twin.ros import message_bytes, twin_node
+from softrobot_twin.ros.audience import PERIOD
 from softrobot_twin.ros.messages import markers_message
 
 RATE = 50.0
@@ -81,6 +86,27 @@ def test_a_target_100_mm_away_obeys_the_rate_limits_in_every_tick(world, make_tw
     steps = np.abs(np.diff(lengths_of(cables), axis=0))
     assert steps.max() <= CABLE_RATE / RATE + 1e-9
     assert steps.max() > 1e-4
+
+
+@pytest.mark.parametrize(
+    ("position", "header", "refusal"),
+    [
+        ((math.nan, 0.0, 0.13), {}, Refusal.NOT_FINITE),
+        ((0.02, 0.0, 0.14), {"seconds_ago": 5.0}, Refusal.STALE),
+        ((0.02, 0.0, 0.14), {"seconds_ago": -5.0}, Refusal.FROM_THE_FUTURE),
+        ((0.02, 0.0, 0.14), {"frame_id": "map"}, Refusal.WRONG_FRAME),
+    ],
+)
+def test_a_bad_target_is_refused_and_moves_nothing(world, make_twin, position, header, refusal):
+    twin = make_twin()
+    cables = world.hear(JointState, "/twin/cables")
+    targets = world.speaker(PointStamped, "/twin/target/tip")
+    targets.publish(world.target_message(position, **header))
+    world.until(lambda: twin.loop.targets.refusals.of(refusal) == 1)
+    world.until(lambda: len(cables) > 5)
+    assert lengths_of(cables) == pytest.approx(
+        np.tile(twin.loop.simulation.rest_setpoints, (len(cables), 1)), abs=1e-6
+    )
 
 
 def test_measured_markers_give_the_misfit_and_a_hidden_one_is_omitted(world, make_twin):
@@ -176,3 +202,37 @@ def test_the_path_of_a_slack_cable_is_shorter_than_its_length_and_is_given_to_wh
     assert slack[1] > 0.001 and slack[3] > 0.001
     told = next(one for one in cables if one.header.stamp == paths[-1].header.stamp)
     assert told.effort[1] == told.effort[3] == 0.0 < told.effort[0]
+
+
+@pytest.mark.exhaustive
+def test_a_tick_asks_once_a_second_who_listens_and_makes_no_message_anew(
+    world, make_twin, posed_scene_file, monkeypatch
+):
+    def refuse(*_, **__):
+        raise AssertionError("a message is made")
+
+    twin = make_twin(scene_file=str(posed_scene_file), rate=100.0)
+    heard = [world.hear(JointState, "/twin/cables", 100),
+             world.hear(PointStamped, "/twin/effectors/tip", 100),
+             world.hear(PoseStamped, "/twin/effector_poses/tip", 100)]
+    world.until(lambda: all(heard))
+    ask, asked = Publisher.get_subscription_count, Counter()
+    monkeypatch.setattr(
+        Publisher, "get_subscription_count", lambda one: (asked.update([one.topic_name]), ask(one))[1]
+    )
+    monkeypatch.setattr(twin_node, "Header", refuse)
+    monkeypatch.setattr(message_bytes, "exact_bytes", refuse)
+    before, begin = [len(messages) for messages in heard], time.monotonic()
+    targets = world.speaker(PointStamped, "/twin/target/tip")
+    asked.clear()
+    for turn in range(100):
+        height = 1e-3 * math.sin(0.1 * turn)
+        targets.publish(world.target_message((INSIDE[0], INSIDE[1], INSIDE[2] + height)))
+        world.run(0.02)
+    seconds = time.monotonic() - begin
+    assert twin.failed_ticks == 0
+    assert all(len(messages) > count + 20 for messages, count in zip(heard, before, strict=True))
+    assert {"/twin/effectors/tip", "/twin/effector_poses/tip", "/twin/predicted_markers"} <= asked.keys()
+    assert "/twin/cables" not in asked, "commands leave in any case"
+    del asked["/twin/visualization"]  # Asked when a message is due, after a tick.
+    assert max(asked.values()) <= math.ceil(seconds / PERIOD) + 1, asked

@@ -12,9 +12,37 @@ from softrobot_twin.ros.messages import cables_message
 INSIDE = (0.008, 0.004, 0.134)
 
 
+def run_ticks(world, effectors, count):
+    """Runs until so many more positions of the effector came, one for each tick."""
+    before = len(effectors)
+    world.until(lambda: len(effectors) >= before + count)
+
+
 def measured(world, twin, lengths):
     names = twin.loop.simulation.actuator_names
     return cables_message(names, lengths, [0.0] * len(names), Header(stamp=world.stamp()))
+
+
+def test_with_a_device_nothing_is_commanded_before_it_is_enabled(world, make_twin):
+    twin = make_twin(use_device=True, device_timeout=5.0)
+    cables = world.hear(JointState, "/twin/cables", 100)
+    effectors = world.hear(PointStamped, "/twin/effectors/tip")
+    world.until(lambda: len(effectors) > 3)
+    assert not cables
+    refused = world.enable()
+    assert not refused.success and "measured setpoints" in refused.message
+    wound = twin.loop.simulation.rest_setpoints - [0.006, 0.002, 0.0, 0.004]
+    device = world.speaker(JointState, "/twin/measured_cables")
+    device.publish(measured(world, twin, wound))
+    world.until(lambda: twin.loop.device.setpoints is not None)
+    assert world.enable().success
+    world.until(lambda: cables)
+    assert list(cables[0].position) == pytest.approx(wound.tolist(), abs=1e-5)
+    assert world.enable(False).success
+    run_ticks(world, effectors, 5)
+    before = len(cables)
+    run_ticks(world, effectors, 15)
+    assert len(cables) == before
 
 
 def test_a_lost_device_makes_the_twin_hold_and_is_reported(world, make_twin, diagnostics):

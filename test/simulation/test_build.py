@@ -1,9 +1,14 @@
 """Facts of building a scene: what is warned, what is refused, what is not built."""
 
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 
+from softrobot_twin.mechanics.laws import law_named
+from softrobot_twin.simulation import Hold
+from test.places import ROOT
 
 
 def test_a_cable_point_just_outside_is_snapped_to_the_surface_with_a_warning(diamond):
@@ -53,3 +58,46 @@ def test_a_body_of_a_few_micrometres_may_be_scaled_without_need(simulate):
             "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0},
             "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [0, 1, 1]}}]}
     assert any("then leave out scale: 0.001" in note for note in simulate(body=tiny).notes)
+
+
+def test_a_scene_builds_only_the_terms_it_names(diamond):
+    def weightless(mapping):
+        mapping["gravity"] = [0, 0, 0]
+        for key in ("cables", "effectors", "markers"):
+            mapping.pop(key)
+
+    full, bare = diamond(), diamond(weightless)
+    assert [t.name for t in full.terms] == [
+        "corotational elements", "gravity", "cables", "effectors",
+    ]  # fmt: skip
+    assert [t.name for t in bare.terms] == ["corotational elements"]
+    assert "optimise" in full.stages and "optimise" not in bare.stages
+    assert bare.step(Hold()).report.residual == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.sampled
+@pytest.mark.parametrize("element, node_count", [("linear", 4), ("quadratic", 10)])
+@pytest.mark.parametrize("law", ["corotational", "linear"])
+def test_only_the_named_law_and_element_are_built(diamond, element, node_count, law):
+    model = diamond({"body.element": element, "body.material.law": law}).model
+    (elastic,) = (term for term in model.forces if term.name != "gravity")
+    assert elastic.name == f"{law} elements"
+    assert type(elastic.law) is law_named(law).parameters
+    assert elastic.stencils().shape[1] == node_count
+    mesh = model.bodies[0].mesh
+    assert (mesh.node_count > mesh.corner_mesh.node_count) == (element == "quadratic")
+
+
+@pytest.mark.exhaustive
+def test_building_and_stepping_load_no_viewer_no_ros_and_no_mesher():
+    scene = ROOT / "config" / "scenes" / "diamond.yaml"
+    code = (
+        "import sys; from softrobot_twin.simulation import Simulation, Hold; "
+        f"Simulation.from_scene_file({str(scene)!r}).step(Hold()); print(*sys.modules)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
+    )
+    modules = set(done.stdout.split())
+    assert "softrobot_twin.simulation" in modules
+    assert not {"rerun", "rclpy", "matplotlib", "gmsh", "softrobot_twin.view"} & modules

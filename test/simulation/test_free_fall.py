@@ -1,6 +1,7 @@
 """Bodies that nothing holds fall as backward Euler says: z_n = -g h² n (n + 1) / 2."""
 
 import numpy as np
+import pytest
 
 from softrobot_twin.simulation import Hold
 
@@ -17,6 +18,17 @@ def fallen(simulation, time_step, count):
 def closed_form(time_step, count):
     n = np.arange(1, count + 1)
     return -0.5 * G * time_step**2 * n * (n + 1)
+
+
+@pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
+@pytest.mark.parametrize("mass", ["lumped", "consistent"])
+def test_a_soft_body_falls_undeformed(simulate, body_of, block, element, mass):
+    mesh = block(size=(0.04, 0.04, 0.06), cells=(2, 2, 3))
+    soft = simulate(body=body_of(mesh, element=element, mass=mass), integration="dynamic")
+    moves = fallen(soft, 0.01, 10)
+    expected = np.zeros_like(moves)
+    expected[:, :, 2] = closed_form(0.01, 10)[:, None]
+    np.testing.assert_allclose(moves, expected, atol=1e-11)
 
 
 def test_a_rigid_body_falls_without_rotation(simulate):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.constraints.contact import Contacts
+from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold
 from softrobot_twin.simulation.step.contact_solvers import ContactSolvers
 from test.builder import builder
@@ -26,15 +27,18 @@ EFFECTS = {
         "obstacles": [FLOOR], "contact": {"between": [{"pair": ["bar", "floor"]}]}}),
     "obstacle": (set(), {"obstacles": [FLOOR]}),
 }  # fmt: skip
-BAR = {"name": "bar", "size": (0.04, 0.02, 0.02), "cells": (2, 1, 1),
-       "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [-0.019, 1, 1]}}]}
 
 
 @builder
-def bar(simulate, soft_block, /, effect):
+def bar(simulate, write_block, /, effect):
     """Makes a held bar with one effect besides."""
     damping = {"damping": {"mass": 5.0}} if effect == "first_order" else {}
-    return simulate(body=soft_block(**BAR, **damping), **EFFECTS[effect][1])
+    return simulate(body={
+        "name": "bar", "mesh": {"file": write_block((0.04, 0.02, 0.02), (2, 1, 1))},
+        "element": "linear",
+        "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0},
+        "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [-0.019, 1, 1]}}], **damping,
+    }, **EFFECTS[effect][1])  # fmt: skip
 
 
 @pytest.mark.parametrize("effect", EFFECTS)
@@ -51,6 +55,27 @@ def test_an_effect_alone_adds_only_its_own_terms_and_stages(bar, effect):
     assert model.slides is None and not model.actuators.count and not model.effectors.effectors
 
 
+def test_the_diamond_stores_no_contacts_frames_or_velocities(diamond):
+    simulation = diamond()
+    model, rows = simulation.model, simulation.model.rows
+    assert model.contacts is None and model.slides is None and "detect" not in simulation.stages
+    assert model.rigid == () and model.guides is None and model.nodes.kinds == ()
+    assert model.nodes.carried is None and model.beginners == ()
+    assert type(rows) is RowStack
+    assert rows.row_capacity == rows.row_count == model.actuators.row_count + model.effectors.row_count
+    assert simulation.state.velocities.shape == (0, 3)
+    result = simulation.step(Hold())
+    assert "detect" not in result.report.stage_times and "optimise" in simulation.stages
+    assert set(result.report.stage_times) <= set(simulation.stages)
+    assert result.contacts is None
+    assert result.report.contact_count == 0 and result.report.contact_sweeps == 0
+    assert result.report.contact_residual == 0.0
+    assert result.report.contact_force_residual == 0.0
+    simulation.step(CommandSetpoints(simulation.rest_setpoints - 0.002, 0.02))
+    result = simulation.step(FollowTargets(simulation.effector_positions(), 0.02))
+    assert "detect" not in result.report.stage_times and result.report.contact_count == 0
+
+
 CABLE = {
     "name": "cable", "pull_point": [-0.04, 0.0, 0.0],
     "points": [[-0.019, 0.0, 0.0], [0.019, 0.0, 0.0]], "tension": [0.0, 5.0],
@@ -60,9 +85,14 @@ PULLED = {"cables": [CABLE], "effectors": [TIP]}
 
 
 @builder
-def built(simulate, soft_block, /, more):
+def built(simulate, write_block, /, more):
     """Makes the held bar with further effects."""
-    return simulate(body=soft_block(**BAR), **more)
+    return simulate(body={
+        "name": "bar", "mesh": {"file": write_block((0.04, 0.02, 0.02), (2, 1, 1))},
+        "element": "linear",
+        "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0},
+        "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [-0.019, 1, 1]}}],
+    }, **more)  # fmt: skip
 
 
 def above(height):

@@ -1,10 +1,14 @@
 """Optional effects around a step: `Fatigue` is one from outside of the
 package, and has all that the package's have."""
 
+import io
+import tokenize
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import softrobot_twin
 from softrobot_twin.errors import CommandError, SceneError
 from softrobot_twin.simulation import CommandSetpoints, Hold
 
@@ -54,3 +58,22 @@ def test_states_with_another_memory_and_unknown_measurements_are_refused(
         without.restore(with_it.state)
     with pytest.raises(CommandError, match="nothing in this scene"):
         without.step(Hold(1.0), measured=3.0)
+
+
+EFFECTS = (
+    "touch", "guide", "stiffness_targets", "wanted_stiffness", "friction",
+    "rubs", "slip", "explor", "strain", "vertebra", "superelement", "reduc", "sampled", "hinge",
+    "motor", "cable", "cavit", "beam",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("path", ["simulation.py", "step/newton.py"])
+def test_the_step_names_no_effect(path):
+    """By words of the code; comments may give examples."""
+    source = (Path(softrobot_twin.__file__).parent / "simulation" / path).read_text()
+    names = {
+        token.string for token in tokenize.generate_tokens(io.StringIO(source).readline)
+        if token.type == tokenize.NAME
+    }  # fmt: skip
+    named = {name for name in names if any(effect in name.lower() for effect in EFFECTS)}
+    assert not named

@@ -101,6 +101,24 @@ def test_a_viewer_that_connects_late_receives_the_stage_and_past_frames(
         make_frame(10).drawn["/robot/surface/body"].points, abs=1e-8)
 
 
+def test_a_frozen_viewer_of_an_ordinary_robot_has_no_effect(tmp_path, join):
+    stage, make = heavy_stage_and_frames(node_count=1000)
+    frames = iter(range(10**9))
+    with RerunMirror(stage, serve=True, port=0, memory_limit="16MiB") as mirror:
+
+        def offer():
+            mirror.offer(make(next(frames)))
+            time.sleep(0.005)
+
+        viewer = join(mirror.address, tmp_path / "frozen.rrd")
+        until(lambda: size(tmp_path / "frozen.rrd") > 10_000, meanwhile=offer)
+        viewer.send_signal(signal.SIGSTOP)
+        logged, memory = mirror.frames_logged, resident_memory()
+        until(lambda: mirror.frames_logged > logged + 300, meanwhile=offer)
+        assert resident_memory() - memory < 150 * MEBIBYTE
+        assert mirror.failure is None
+
+
 @pytest.mark.exhaustive
 def test_a_frozen_viewer_blocks_large_frames_but_nothing_else(tmp_path, join, read_recording):
     stage, make = heavy_stage_and_frames(node_count=100_000)

@@ -120,8 +120,7 @@ class PassedPlaces:
 
     def go_back(self) -> bool:
         """Go back to `nearest`; gives whether the robot is to stay there."""
-        is_over = self.is_over
-        self.returns += 1
+        is_over, self.returns = self.is_over, self.returns + 1
         self._stable_before.append(self._stable)
         self._stable = NOWHERE
         if is_over:

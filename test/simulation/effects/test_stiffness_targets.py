@@ -10,6 +10,7 @@ from softrobot_twin.errors import CommandError
 from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Status, Touched
 from softrobot_twin.simulation.apparent_compliance import apparent_compliance
+from softrobot_twin.simulation.effects.stiffness_targets import StiffnessTargets
 from test.scene_changes import built, changed, repeat_step
 
 FILE = Path(__file__).resolve().parents[3] / "config" / "scenes" / "stifface.yaml"
@@ -158,6 +159,23 @@ def test_without_weight_nothing_is_computed_and_nothing_changes():
     assert other.effector_stiffness is None and other.stiffness_errors is None
     assert "stiffness" not in other.report.stage_times
     assert unweighed.stages == plain.stages
+
+
+def test_without_a_target_nothing_is_computed(pad):
+    result = pad.follow(np.nan, steps=1)[0]
+    assert "stiffness" not in result.report.stage_times and result.effector_stiffness is None
+    assert "stiffness" in pad.follow(250.0, steps=1)[0].report.stage_times
+
+
+def test_warming_up_runs_what_a_message_may_ask_for(pad, monkeypatch):
+    asked, rows = [], StiffnessTargets.rows_of
+    monkeypatch.setattr(
+        StiffnessTargets, "rows_of", lambda *given: asked.append(given[2]) or rows(*given)
+    )
+    before = pad.state
+    pad.warm_up()
+    assert len(asked) >= 2 and np.isfinite(asked[0]).all()
+    assert pad.state is before
 
 
 def test_while_a_finger_holds_a_point_no_stiffness_is_looked_for():
