@@ -10,6 +10,7 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import NamedTuple
 
+import pytest
 
 from test.places import PACKAGE, ROOT
 
@@ -170,6 +171,12 @@ def test_rooms_inside_the_simulation_are_imported_one_way():
     assert rooms == set(STEP_ROOMS)
 
 
+def test_nobody_imports_the_room_for_users_but_the_entrance_of_the_package():
+    def broken(path, found):
+        return room_of(found.module) == "scripting" and place_of(path) not in ("", "scripting")
+    assert violations(broken) == []
+
+
 def module_name(path: Path) -> str:
     """Dotted name of a file; that of the folder for an ``__init__.py``."""
     parts = path.relative_to(ROOT).with_suffix("").parts
@@ -212,30 +219,62 @@ def test_a_library_stays_in_its_room():
     assert violations(broken) == []
 
 
-def loaded_with(modules: set[str]) -> set[str]:
-    """Libraries and modules of ours that importing these modules runs, by imports at their tops."""
-    files, found, left = {module_name(path): path for path in MODULES}, set(), list(modules)
-    while left:
-        module = left.pop()
-        if module and module not in found:
-            found.add(module)
-            left.append(module.rpartition(".")[0])  # a module runs the folders that it is in
-            if module in files:
-                left += [item.module for item in read_imports(files[module]) if not item.lazy]
-    return found
+IMPORTS = """
+import importlib, os, sys
+
+def load(names):
+    for name in names.split():
+        importlib.import_module(name)
+
+load({both!r})
+child = os.fork()
+if child == 0:
+    load({without_ros!r})
+    print(*sys.modules)
+    sys.exit()
+if os.waitpid(child, 0)[1]:
+    sys.exit("the modules without ROS cannot be imported")
+load({without_view!r})
+print(*sys.modules)
+"""
 
 
-def test_only_an_open_view_loads_rerun_and_only_a_picture_matplotlib():
-    loaded = loaded_with({module_name(path) for path in MODULES if place_of(path) != "view"})
-    assert {"softrobot_twin.simulation", "softrobot_twin.study", "rclpy"} <= loaded
+@pytest.fixture(scope="module")
+def loaded_modules() -> tuple[set[str], set[str]]:
+    """All modules that a fresh interpreter has once it has imported all of ours but the nodes and
+    the commands that start them, and all but the view.
+
+    What both import is imported once, before the interpreter becomes two.
+    """
+    def names(wanted: Callable[[Path], bool]) -> str:
+        return " ".join(module_name(path) for path in MODULES
+                        if path.name != "__init__.py" and wanted(path))
+
+    def has_no_ros(path):
+        return place_of(path) not in ("ros", "command_line") and path.name != "__main__.py"
+
+    def has_no_view(path):
+        return place_of(path) != "view"
+    code = IMPORTS.format(both=names(lambda path: has_no_ros(path) and has_no_view(path)),
+                          without_ros=names(has_no_ros), without_view=names(has_no_view))
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    without_ros, without_view = done.stdout.splitlines()
+    return set(without_ros.split()), set(without_view.split())
+
+
+@pytest.mark.libraries
+def test_only_an_open_view_loads_rerun_and_only_a_picture_matplotlib(loaded_modules):
+    _, loaded = loaded_modules
+    assert {"softrobot_twin.simulation", "softrobot_twin.study", "softrobot_twin.ros"} <= loaded
     assert not loaded & {"rerun", "matplotlib", "gmsh", "trimesh", "manifold3d"}
 
 
-def test_only_nodes_and_the_commands_that_start_them_load_ros():
-    loaded = loaded_with({module_name(path) for path in MODULES
-                          if place_of(path) not in ("ros", "command_line") and path.name != "__main__.py"})
+def test_only_nodes_and_the_commands_that_start_them_load_ros(loaded_modules):
+    loaded, _ = loaded_modules
     assert {"softrobot_twin.simulation", "softrobot_twin.study"} <= loaded
-    assert not {name for name in loaded if is_ros(name) or name.startswith("softrobot_twin.ros")}
+    assert not {name for name in loaded if is_ros(name.split(".")[0])}
+    assert "softrobot_twin.ros" not in loaded
 
 
 # What a load with its first step imports: libraries, and rooms of scipy. Some come with another one:

@@ -1,11 +1,14 @@
 """Facts of the estimate of the mesh's error beside a running twin."""
 
 import copy
+import os
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from softrobot_twin.control import idle_process
 from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandSetpoints, Simulation
@@ -79,3 +82,40 @@ def test_a_dead_process_is_reported_and_receives_no_more_requests(diamond, watch
     assert watch.cause == "its process has ended"
     watch.offer(simulation, False, time.monotonic())
     assert np.isnan(watch.newest)
+
+
+def test_the_process_has_the_lowest_priority_and_ends_with_its_watch(diamond, watch_of):
+    simulation = diamond()
+    watch = watch_of(simulation, yields=True)
+    offer_until(
+        watch, simulation, lambda: os.sched_getscheduler(watch.process.pid) == os.SCHED_IDLE
+    )
+    watch.close()
+    assert watch.process.returncode is not None
+
+
+def resident(process) -> int:
+    """Memory of a process [MB]."""
+    status = Path(f"/proc/{process.pid}/status").read_text()
+    return int(status.split("VmRSS:")[1].split()[0]) // 1024
+
+
+@pytest.mark.exhaustive
+def test_a_state_is_asked_about_once_and_then_the_process_gives_its_memory_back(
+    diamond, watch_of, monkeypatch
+):
+    program = idle_process.PROGRAM.replace("run(", "idle_process.LINGER = 0.2; run(")
+    monkeypatch.setattr(
+        idle_process, "PROGRAM", "from softrobot_twin.control import idle_process; " + program
+    )
+    simulation = diamond()
+    simulation.step(CommandSetpoints(simulation.rest_setpoints - [0.006, 0.003, 0.0, 0.0], 1.0))
+    watch = watch_of(simulation)
+    offer_until(watch, simulation, lambda: watch.answers == 1)
+    at_rest = watch.at_rest
+    offer_until(watch, simulation, lambda: resident(watch.process) < 40)
+    assert watch.answers == 1 and not watch.cause
+    simulation.step(CommandSetpoints(simulation.rest_setpoints - [0.009, 0.003, 0.0, 0.0], 1.0))
+    offer_until(watch, simulation, lambda: watch.answers == 2)
+    assert watch.newest == pytest.approx(discretization_error(simulation), rel=1e-9)
+    assert watch.at_rest is at_rest

@@ -5,7 +5,7 @@ import pytest
 from numpy.linalg import norm
 
 from softrobot_twin.control import force_observer
-from softrobot_twin.control.force_observer import estimate, square_by_deviations
+from softrobot_twin.control.force_observer import BALANCES, LOOKS, estimate, square_by_deviations
 from softrobot_twin.control.target_correction import TargetCorrection
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandSetpoints, Simulation, Touched
@@ -205,6 +205,19 @@ def test_no_measurement_makes_the_estimate_singular(seed):
             np.zeros(n), root @ root.T, y, G, R, (rng.random(count) < 0.8).astype(float))
         assert np.isfinite(found).all() and np.isfinite(spread).all() and np.isfinite(weights).all()
         assert np.isfinite(square_by_deviations(found, spread))
+
+
+def test_a_tick_with_an_observer_takes_a_fixed_number_of_steps(observing, real, seed, monkeypatch):
+    robot, steps = Robot(observing, real, seed), []
+    robot.lie = lambda markers: markers + robot.rng.normal(0.0, 0.02, markers.shape)
+    step = Simulation.step
+    monkeypatch.setattr(Simulation, "step", lambda self, *rest, **more: (
+        steps.append(1) if self is observing else None, step(self, *rest, **more))[1])  # fmt: skip
+    for k in range(40):
+        robot.force = np.array([1.0, 0.0, 0.0]) * (k > 20)
+        steps.clear()
+        robot.tick(TARGET)
+        assert len(steps) <= 1 + LOOKS + BALANCES
 
 
 def test_where_the_compliance_has_no_finite_solution_the_observer_is_blind(observing, monkeypatch):

@@ -109,6 +109,22 @@ def test_impossible_lengths_are_reported_with_actuator_value_and_limits(diamond)
     assert level == ERROR and "device lost, north measures 1e+06 m" in message
 
 
+@pytest.mark.parametrize("late, cause", [(0, "rate limit: "), (5, "late: 5 of 6 ticks")])
+def test_a_large_tracking_error_is_a_warning_with_its_cause(diamond, late, cause):
+    watched = Watched(diamond)
+    watched.tick()
+    watched.account("target")
+    watched.loop.targets.accept_point(0, (0.02, 0.0, 0.134), watched.arrival)
+    watched.tick()
+    watched.clock.skipped += late
+    level, message = watched.account("target")
+    assert level == WARN and f" mm: {cause}" in message
+    watched.tick(60)
+    watched.account("target")
+    watched.tick()
+    assert watched.account("target") == (OK, "following")
+
+
 class Judged(NamedTuple):
     """What a `ReductionErrorWatch` has received."""
 

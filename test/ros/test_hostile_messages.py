@@ -578,3 +578,13 @@ def test_requests_that_rclpy_cannot_handle_are_refused_and_the_twin_continues(wo
     assert_no_tick_failed(twin)
     assert twin.refused_requests > 0
     assert twin.loop.settings == settings
+
+
+def test_an_unsafe_command_fails_the_hostile_runs(world, parameters):
+    twin = begin(world, parameters, "diamond", use_device=False)
+    witness = Witness(twin)
+    witness.tick()
+    assert witness.count == 1
+    witness._last = witness._last + 1.0  # No rate allows the next command after this one.
+    with pytest.raises(AssertionError, match="AssertionError: "):
+        witness.tick()

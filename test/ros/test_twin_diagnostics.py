@@ -170,6 +170,14 @@ def test_an_invalid_setting_is_rejected_with_its_message(make_twin, set_paramete
         assert twin.loop.settings == before, name
 
 
+def test_a_new_rate_is_kept_from_the_next_tick_on(world, make_twin, set_parameter, diagnostics):
+    twin = make_twin(rate=1.0)
+    assert set_parameter("rate", 100.0).successful
+    assert twin.loop.settings.period == twin.tick_clock.period == 0.01
+    before = twin.tick_clock.ticks
+    world.until(lambda: twin.tick_clock.ticks > before + 30, timeout=20.0)
+
+
 def test_a_rate_that_is_changed_again_and_again_does_not_stop_the_ticks(world, make_twin, set_parameter):
     """A timer that restarts at every change never fires when changes are more frequent than
     ticks.

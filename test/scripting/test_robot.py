@@ -3,6 +3,8 @@
 import copy
 import inspect
 import pickle
+import subprocess
+import sys
 import warnings
 
 import meshio
@@ -238,6 +240,15 @@ def test_a_view_shows_targets_and_is_replaced_by_the_next(held, tmp_path):
     assert not first.is_open and second.is_open
     second.close()
     assert first.failure is None and second.failure is None
+
+
+@pytest.mark.exhaustive
+def test_names_of_the_package_are_imported_when_they_are_used():
+    code = ("import sys, softrobot_twin as st; assert 'numpy' not in sys.modules; "
+            "assert {name for name in dir(st) if name[0] != '_'} == set(st.__all__); "
+            "st.load; assert 'numba' in sys.modules; "
+            "assert 'rerun' not in sys.modules and 'matplotlib' not in sys.modules")
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_an_unknown_name_of_the_package_is_an_attribute_error():

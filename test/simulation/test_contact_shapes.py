@@ -135,6 +135,19 @@ def test_a_scene_names_a_shape_only_while_it_is_registered(pressed):
         pressed({"ellipsoid": {"semi_axes": list(ROUND)}})
 
 
+def test_its_distance_and_its_gradient_are_those_of_its_surface(drawn_rng):
+    shape = Ellipsoid(centre=(0.1, -0.2, 0.3), semi_axes=(0.3, 0.2, 0.1))
+    points = shape.centre + drawn_rng.uniform(-0.4, 0.4, (200, 3))
+    distances, gradients = shape.signed_distances(points)
+    np.testing.assert_allclose(np.linalg.norm(gradients, axis=1), 1.0)
+    feet = (points - distances[:, None] * gradients - shape.centre) / shape.semi_axes
+    np.testing.assert_allclose(np.square(feet).sum(axis=1), 1.0, rtol=1e-9)
+    normals = feet / shape.semi_axes
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    np.testing.assert_allclose(normals, gradients, atol=1e-9)
+    assert (distances < 0.0).any() and (distances > 0.0).any()
+
+
 def test_a_round_one_presses_a_soft_body_as_a_sphere_does(ellipsoids, pressed):
     sphere = pressed({"sphere": {"radius": 0.02}})
     assert sphere[2] > 0.1

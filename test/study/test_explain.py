@@ -22,6 +22,13 @@ def grasper():
     return Simulation.from_scene_file(SCENES / "grasper.yaml")
 
 
+def test_mass_of_all_is_that_of_bodies_and_free_rigid_bodies_once(grasper):
+    told = dict(sizes(grasper))
+    fingers = 3.0 * grasper.model.bodies[0].mass
+    assert float(told["mass of all"].removesuffix(" kg")) == pytest.approx(fingers + 0.03, rel=1e-5)
+    assert told["mass of cube"] == "0.03 kg"
+
+
 def test_nodes_and_beams_that_a_rigid_body_bears_are_not_counted_twice():
     flexo = Simulation.from_scene_file(SCENES / "flexo.yaml")
     told, model = dict(sizes(flexo)), flexo.model

@@ -15,6 +15,10 @@ def no_display(monkeypatch):
         monkeypatch.delenv(name, raising=False)
 
 
+def test_without_a_display_no_viewer_is_opened(no_display):
+    assert open_viewer(ADDRESS) is None
+
+
 @pytest.mark.parametrize("name", ["DISPLAY", "WAYLAND_DISPLAY"])
 def test_with_a_display_the_viewer_of_this_environment_is_opened(no_display, name, monkeypatch, tmp_path):
     told = tmp_path / "arguments"

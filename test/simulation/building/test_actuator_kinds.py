@@ -33,6 +33,7 @@ from softrobot_twin.simulation.building.actuator_kinds import (
 )
 from softrobot_twin.simulation.runs.input_tables import TableFileError, read_targets
 from softrobot_twin.simulation.runs.run_columns import RunColumns, actuator_cells
+from softrobot_twin.study.explain import effects
 from test.builder import builder
 from test.registrations import taken_back
 from test.scene_changes import change_scene, changed, solved
@@ -229,6 +230,52 @@ def test_it_stands_among_the_actuators_with_its_units(inflated):
     assert set(simulation.actuator_paths()) == {"east", "north", "west", "south"}
 
 
+def test_its_rows_are_the_derivative_of_its_volume(inflated):
+    simulation = inflated()
+    term = simulation.actuators.terms[1]
+    random = np.random.default_rng(3)
+    x = simulation.model.nodes.rest_positions.copy()
+    x += 1e-3 * random.standard_normal(x.shape)
+    blocks, values = np.empty((term.entry_capacity, 3)), np.empty(2)
+    term.evaluate(x, blocks, values)
+    free = simulation.model.nodes.free_nodes
+    move = np.zeros_like(x)
+    move[free] = random.standard_normal((len(free), 3))
+    by_rows = np.zeros(2)
+    np.add.at(by_rows, term.entry_rows, np.sum(blocks * move[free][term.entry_nodes], axis=1))
+    h = 1e-6
+    slopes = (term.volumes(x + h * move) - term.volumes(x - h * move)) / (2.0 * h)
+    np.testing.assert_allclose(by_rows, slopes, rtol=1e-7)
+
+
+def test_its_geometric_stiffness_is_the_derivative_of_its_rows(inflated):
+    simulation = inflated()
+    term, factorization = simulation.actuators.terms[1], simulation.model.factorization
+    nodes, random = simulation.model.nodes, np.random.default_rng(3)
+    x = nodes.rest_positions + 1e-3 * random.standard_normal(nodes.rest_positions.shape)
+    move = np.zeros_like(x)
+    move[nodes.free_nodes] = random.standard_normal((nodes.free_node_count, 3))
+    pressures = np.array([100.0, -300.0])
+
+    def forces(at):
+        blocks, found = np.empty((term.entry_capacity, 3)), np.zeros((nodes.free_node_count, 3))
+        term.evaluate(at, blocks, np.empty(2))
+        np.add.at(found, term.entry_nodes, blocks * pressures[term.entry_rows, None])
+        return found
+
+    # With a large diagonal, A⁻¹ of what the stiffness alone does to the move is known.
+    h, large = 1e-7, 1e3
+    change = (forces(x + h * move) - forces(x - h * move)) / (2.0 * h)
+    factorization.clear()
+    diagonal, strides = factorization.slots(*[np.arange(nodes.free_node_count)] * 2)
+    for i in range(3):
+        factorization.storage[diagonal + i * (1 + strides)] += large
+    term.add_stiffness(x, pressures, factorization.storage)
+    assert factorization.factor()
+    solved = factorization.solve(large * move[nodes.free_nodes] - change)
+    np.testing.assert_allclose(solved, move[nodes.free_nodes], atol=1e-9)
+
+
 def test_it_reaches_a_volume_and_the_same_pressure_holds_it_there(inflated, settle):
     simulation = inflated()
     volumes = simulation.rest_setpoints.copy()
@@ -289,3 +336,13 @@ def test_a_file_of_targets_drives_it_by_volume_or_pressure(inflated, tmp_path):
     path.write_text("time_s,left_volume_m3,right_volume_m3\n0,2e-6,-1e-6\n")
     with pytest.raises(TableFileError, match="right_volume_m3 = -1e-06 m3"):
         read_targets(path, simulation)
+
+
+def test_explain_lists_it_with_its_units(inflated):
+    simulation = inflated()
+    told = {effect.entry: (effect.content, effect.result) for effect in effects(simulation)}
+    asked, made = told["chambers: left"]
+    assert asked == ("a chamber on a patch, expansion [-2, 4] cm³, "
+                     "pressure [-20, 20] kPa, rate 100 cm³/s")  # fmt: skip
+    assert made == "term chambers"
+    assert "shortening [0, 20] mm, tension [0, 40] N" in told["cables: east"][0]

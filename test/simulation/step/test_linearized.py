@@ -9,11 +9,13 @@ from contact_growth import rubbing_scene
 from specimens import column_mesh
 
 from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.simulation import CommandEfforts, Hold, Simulation
+from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Hold, Simulation
 from softrobot_twin.simulation.step import linearized
 from softrobot_twin.simulation.step.contact_solvers import ContactSolvers
 from softrobot_twin.simulation.step.linearized import Linearized
+from softrobot_twin.simulation.step.time_budget import StageClock
 from softrobot_twin.solvers.contact_gauss_seidel import ContactGaussSeidel
+from softrobot_twin.solvers.factorization import NodeRows
 from softrobot_twin.study.accuracy_study import write_mesh
 
 STEP, ROUND = 0.01, 40
@@ -212,3 +214,61 @@ def test_the_path_of_a_pulled_cable_is_that_of_the_whole_linearization(
     assert seen and result.status.is_success
     np.testing.assert_allclose(result.efforts, tension, rtol=1e-12)
     assert result.report.contact_residual <= TOLERANCE
+
+
+def linearized_now(simulation):
+    """The linearization at a simulation's state."""
+    state = simulation.state
+    clock = StageClock()
+    return simulation.newton.linearize(state.positions.copy(), state.efforts, clock)
+
+
+def of_stacked_rows(simulation):
+    """W = H A⁻¹ Hᵀ and δ_free of all stacked rows, by one solve for each row."""
+    model, forces = simulation.model, simulation.newton.balance.forces
+    rows, solve = model.rows, model.factorization.solve
+    H = NodeRows(rows.row_index, rows.node_index, rows.blocks, rows.row_count)
+    columns = H.transposed(len(forces))
+    W = columns.T @ solve(columns)
+    return W, rows.values + columns.T @ solve(forces).ravel()
+
+
+def test_without_contact_its_groups_are_actuators_and_effectors(diamond):
+    simulation = diamond()
+    simulation.step(CommandSetpoints(simulation.rest_setpoints - 0.005, 1.0))
+    linear = linearized_now(simulation)
+    W, free = of_stacked_rows(simulation)
+    assert linear.contact_row_count == 0 and linear.rows is None
+    assert linear.groups == (slice(0, 4), slice(4, 7), slice(7, 7))
+    np.testing.assert_allclose(linear.W_aa, W[:4, :4], rtol=0, atol=1e-12 * W.max())
+    np.testing.assert_allclose(linear.W_ea, W[4:, :4], rtol=0, atol=1e-12 * W.max())
+    np.testing.assert_allclose(linear.actuators, free[:4], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(linear.effectors, free[4:], rtol=0, atol=1e-12)
+    now = simulation.effector_positions().ravel()
+    np.testing.assert_allclose(linear.effectors_now, now, rtol=0, atol=1e-15)
+    assert linear.move_count == 0
+
+
+def test_values_of_the_state_are_constant_during_the_step(diamond):
+    simulation = diamond()
+    linear = linearized_now(simulation)
+    before = linear.effectors_now.copy()
+    simulation.step(CommandSetpoints(simulation.rest_setpoints - 0.005, 1.0))
+    np.testing.assert_array_equal(linear.effectors_now, before)
+
+
+def test_contacts_are_a_group_of_rows_below_the_others(pulled, monkeypatch):
+    monkeypatch.setattr(linearized, "worth_leaving_out", lambda *_: False)
+    simulation = Simulation(pulled)
+    rub(simulation, 0, STEPS)
+    linear = linearized_now(simulation)
+    W, free = of_stacked_rows(simulation)
+    contacts = linear.groups.contacts
+    assert linear.groups[:2] == (slice(0, 1), slice(1, 4)) and contacts.start == 4
+    assert contacts.stop - contacts.start == linear.contact_row_count > 0
+    np.testing.assert_allclose(linear.W, W, rtol=0, atol=1e-10 * W.max())
+    np.testing.assert_allclose(linear.violation, free, rtol=0, atol=1e-10)
+    compliance, violation = linear.of_actuators_and_contacts(np.empty(0))
+    kept = np.r_[0, contacts.start : contacts.stop]
+    np.testing.assert_array_equal(compliance.W, linear.W[np.ix_(kept, kept)])
+    np.testing.assert_array_equal(violation, linear.violation[kept])

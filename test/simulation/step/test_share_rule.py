@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.simulation import CommandSetpoints, Hold, State
+from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, State
 from softrobot_twin.simulation.step.share_rule import Move, ShareRule
 
 WOUND = np.array([0.012, 0.0, 0.0, 0.006])
@@ -27,6 +27,13 @@ def begun(monkeypatch):
 
 def wind(simulation, wound, steps=10):
     return [simulation.step(CommandSetpoints(simulation.rest_setpoints - wound, 0.02)) for _ in range(steps)]
+
+
+def test_good_moves_are_made_without_a_search(beam, shares):
+    simulation = beam()
+    for share in np.arange(1, 11) / 10:
+        wind(simulation, 0.5 * share * WOUND, 2)
+    assert set(shares) == {1.0}
 
 
 def test_without_a_search_results_are_the_same_bits_as_without_the_rule(beam, rod, shares):
@@ -62,3 +69,19 @@ def test_a_move_that_is_too_long_ends_where_forces_hardly_work_along_it(beam, ro
     share = rule.settle(positions, 1.0, False, False, False)
     left, along = rule.work(), [work_at(part * share) for part in np.linspace(0.0, 1.0, 200)]
     assert 0.0 < share < 1.0 and abs(left) <= 0.5 * too_long * slope and np.mean(along) > 0.0
+
+
+def test_a_second_try_is_judged_by_the_forces_where_it_begins(beam, monkeypatch):
+    simulation = beam()
+    newton, slopes, begin, settle = simulation.newton, [], ShareRule.begin, simulation.newton.settle
+
+    def noted(rule, actuation, slope, is_judged):
+        begin(rule, actuation, slope, is_judged)
+        newton.residual(newton.move.start, actuation)
+        slopes.append((slope, rule.work()))
+
+    monkeypatch.setattr(ShareRule, "begin", noted)
+    monkeypatch.setattr(newton, "settle", lambda *given: settle(*given) if len(slopes) == 2 else 0.0)
+    simulation.step(FollowTargets(simulation.effector_positions() + [0.006, 0.0, -0.003], 1.0))
+    for slope, again in slopes[:2]:
+        assert slope == pytest.approx(again, rel=1e-9)
