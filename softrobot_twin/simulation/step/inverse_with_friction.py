@@ -419,12 +419,13 @@ class Grips(NamedTuple):
         return yields[:, None] * rows, yields * least
 
     def tied_rows(
-        self, tied: Linearized, contacts: Contacts, forces: np.ndarray
+        self, linear: Linearized, tied: Linearized, contacts: Contacts, forces: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """See `rows`; by the multipliers of a system by what contacts do.
 
         Args:
-            tied: That system.
+            linear: The condensed system.
+            tied: That system by what contacts do.
             contacts: The contact term.
             forces: λ of the solution [N], shape (contact_row_count,).
 
@@ -432,7 +433,7 @@ class Grips(NamedTuple):
             Distances by its multipliers [m/N], shape (count, n), and the least ones [m], shape (count,).
         """
         (a, _, c), (ties, offset) = tied.groups, tied.ties
-        by_force, least = self.rows(tied, contacts, forces)
+        by_force, least = self.rows(linear, contacts, forces)
         rows = np.delete(by_force @ ties[c.start :], np.arange(a.stop, c.start), axis=1)
         return rows, least - by_force @ offset[c.start :]
 
@@ -662,7 +663,7 @@ class InverseWithFriction(Follower):
 
         if not self._grips.names:
             return asked(task.extra, errors, weights)
-        grip, least = self._grips.tied_rows(tied, self._contacts, at.contact.multipliers)
+        grip, least = self._grips.tied_rows(task.linear, tied, self._contacts, at.contact.multipliers)
         weight, extra = FORCES_FIRST * weights.max(initial=0.0), task.extra
         extra = np.zeros((0, tied.groups.actuators.stop)) if extra is None else extra
         extra = np.pad(extra, ((0, 0), (0, grip.shape[1] - extra.shape[1])))
