@@ -20,6 +20,7 @@ class ContactSearch:
 
     Attributes:
         solver: Finds it from the last active set.
+        touching: Whether each contact pressed in the last solution, by its key; None before the first.
     """
 
     def __init__(self, tolerance: float, is_exact: bool = True):
@@ -35,25 +36,17 @@ class ContactSearch:
     def reset(self) -> None:
         """Forget the last solution, and the contacts that bore it."""
         self.solver.reset()
-        self._touching: dict[tuple[int, int], bool] | None = None
+        self.touching: dict[tuple[int, int], bool] | None = None
         self._wait = self._next_wait = 0
 
     @property
     def memory(self) -> tuple:
         """All that the next solution begins from."""
-        return self.solver.active, self._touching, self._wait, self._next_wait
+        return self.solver.active, self.touching, self._wait, self._next_wait
 
     @memory.setter
     def memory(self, memory: tuple) -> None:
-        self.solver.active, self._touching, self._wait, self._next_wait = memory
-
-    def remember(self, active: np.ndarray | None) -> None:
-        """Take a solution in which nothing touches.
-
-        Args:
-            active: Its active set.
-        """
-        self.solver.active, self._touching = active, {}
+        self.solver.active, self.touching, self._wait, self._next_wait = memory
 
     def solve(
         self, problem: QPCC, held: np.ndarray, taut: np.ndarray, forces: np.ndarray,
@@ -74,8 +67,8 @@ class ContactSearch:
         """
         touching = np.concatenate([taut, forces]) > 0.0
         last = None
-        if self._touching is not None and len(keys) == len(forces):
-            before = [self._touching.get(key, False) for key in keys]
+        if self.touching is not None and len(keys) == len(forces):
+            before = [self.touching.get(key, False) for key in keys]
             last = np.concatenate([taut > 0.0, np.array(before, dtype=bool)])
         missing: np.ndarray | None = None
 
@@ -95,7 +88,7 @@ class ContactSearch:
             is_in_vain = solution.unknowns is missing
             self._next_wait = min(2 * self._next_wait + 1, LONGEST_WAIT) if is_in_vain else 0
             self._wait = self._next_wait
-        self._touching = dict(zip(keys, solution.touching[len(taut) :].tolist(), strict=True))
+        self.touching = dict(zip(keys, solution.touching[len(taut) :].tolist(), strict=True))
         return solution
 
     def _begins_again(self, missed: float) -> bool:

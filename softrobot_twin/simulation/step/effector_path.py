@@ -21,7 +21,9 @@ class EffectorPath:
     """Places of effectors on the way to the same targets.
 
     Attributes:
+        places: Places on the way [m], each of shape (effector_row_count,), at most `MOST_PLACES`.
         has_turned: Whether effectors are led back along it, or were.
+        back: Places that are left on the way back [m], each of shape (effector_row_count,), the next one last.
     """
 
     def __init__(self, asking: slice, position_row_count: int, longest: float):
@@ -35,21 +37,12 @@ class EffectorPath:
         self._asking, self._positions = asking, slice(position_row_count)
         self._apart, self._ones = APART * longest, np.ones(position_row_count)
         self._asked, self._since, self.has_turned = b"", 0, False
-        self._places: deque[np.ndarray] = deque(maxlen=MOST_PLACES)
-        self._back: deque[np.ndarray] = deque()
-
-    @property
-    def leads_back(self) -> bool:
-        """Whether effectors are led back along it."""
-        return bool(self._back)
+        self.places: deque[np.ndarray] = deque(maxlen=MOST_PLACES)
+        self.back: deque[np.ndarray] = deque()
 
     def turn(self) -> None:
         """Lead effectors back from now on."""
-        self._back, self._places, self.has_turned = self._places, deque(maxlen=MOST_PLACES), True
-
-    def clear(self) -> None:
-        """Forget the places on the way."""
-        self._places.clear()
+        self.back, self.places, self.has_turned = self.places, deque(maxlen=MOST_PLACES), True
 
     def follow(self, now: np.ndarray, target_rows: np.ndarray) -> None:
         """Note where effectors are on their way; or go on to the place before, where they are led back.
@@ -61,12 +54,13 @@ class EffectorPath:
         asked = target_rows[self._asking].tobytes()
         if asked != self._asked:
             self._asked, self.has_turned = asked, False
-            self._back.clear()
-        path, positions, missed = self._back or self._places, self._positions, np.inf
+            if self.back:
+                self.back.clear()
+        path, positions, missed = self.back or self.places, self._positions, np.inf
         if path:
             missed = longest_move(now[positions], path[-1][positions], self._ones)
         is_near = missed <= self._apart
-        if not self._back:
+        if not self.back:
             if not is_near:
                 place = now.copy()
                 place[positions.stop :] = np.nan
@@ -76,11 +70,3 @@ class EffectorPath:
         if is_near or self._since >= STEPS_TO_A_PLACE:
             path.pop()
             self._since = 0
-
-    def rows(self, target_rows: np.ndarray) -> np.ndarray:
-        """Where effectors are led: to the place before, or to their targets [m], shape (effector_row_count,).
-
-        Args:
-            target_rows: The targets [m], same shape.
-        """
-        return self._back[-1] if self._back else target_rows

@@ -52,7 +52,7 @@ from softrobot_twin.simulation.step.inverse_actuation import (
     with_contacts_closed,
 )
 from softrobot_twin.simulation.step.linearized import Linearized
-from softrobot_twin.simulation.step.passed_places import MUCH_NEARER, PROGRESS, PassedPlaces
+from softrobot_twin.simulation.step.passed_places import MUCH_NEARER, PROGRESS, PassedPlaces, Place
 from softrobot_twin.simulation.step.situation import Situation, half_squares, longest_move
 from softrobot_twin.solvers.inverse_problem import Bounds
 
@@ -174,7 +174,8 @@ class Follower(InverseActuation):
         """See `InverseActuation`; leads effectors back along their path where they were caught."""
         if self._learns and self._begins:
             self._path.follow(linear.effectors_now, target_rows)
-        return super().solve(linear, self._path.rows(target_rows), held, bounds, stiffness)
+        rows = self._path.back[-1] if self._path.back else target_rows
+        return super().solve(linear, rows, held, bounds, stiffness)
 
     def _begin(self, situation: Situation, linear: Linearized, held: Actuation) -> None:
         situation = self._with_forces(situation, linear, held)
@@ -183,7 +184,8 @@ class Follower(InverseActuation):
             self._begin_anew(situation)
         last, self._situation = self._situation, situation
         self._now, self._reached = now, 0.5 * greatest * self._tolerance**2
-        self._passed.begin(situation, now)
+        if not self._passed.balanced:
+            self._passed.balanced.append(Place(situation.displacements, now))
         # Coordinates of orientations change while their targets stay.
         places = self._positions
         self._stays = (
@@ -191,8 +193,8 @@ class Follower(InverseActuation):
             and half_squares(self._ones, last.targets[places], situation.targets[places]) == 0.0
             and np.array_equal(last.guided, situation.guided)
         )
-        if now <= self._reached and not self._path.leads_back:
-            self._path.clear()
+        if now <= self._reached and not self._path.back:
+            self._path.places.clear()
             self._greatest = GREATEST
         # Without misses there is no curvature, and it would hold what targets leave open.
         if self._curvature.last is not None and not (is_same and now > self._reached):
@@ -453,7 +455,7 @@ class Follower(InverseActuation):
 
     def _promised(self, asked: Asked, found: Actuation) -> float:
         """Decrease of T that an actuation promises [m²]."""
-        rows = self._in_branch(asked.stiffness, self._branch)
+        rows = asked.stiffness and self._in_branch(asked.stiffness, self._branch)
         promised = self._now - self._situation.tracking(self._places(asked.linear, found, rows))
         return promised - self._rise(asked, found) if self._curvature.is_used else promised
 
@@ -504,7 +506,7 @@ class Follower(InverseActuation):
         steps, weights = self._steps.asked(asked.target_rows, linear.effectors_now)
         if not self._proves:
             self._energy_now = self._weight_of_energy(linear, steps)
-        rows = self._in_branch(asked.stiffness, branch)
+        rows = asked.stiffness and self._in_branch(asked.stiffness, branch)
         errors, weights, extra = rows_to_track(linear, steps, weights, rows)
         bounds = self._bearing(rows, branch, self._within_radius(asked))
         if self._curvature.is_used and rows is None and branch is None:
@@ -566,7 +568,7 @@ class Follower(InverseActuation):
         is_settled = self._situation.is_balanced and self._situation.is_stable
         here_too = [self._branch] if is_settled and radius < GREATEST else []
         for branch in (*here_too, *self._branches(asked)):
-            rows = self._in_branch(asked.stiffness, branch)
+            rows = asked.stiffness and self._in_branch(asked.stiffness, branch)
             if rows is not None and not (rows.gradient.compliance > 0.0).all():
                 continue
             found = self._best(asked, branch)
@@ -601,11 +603,9 @@ class Follower(InverseActuation):
             branch[cable] = not branch[cable]
             yield branch
 
-    def _in_branch(
-        self, stiffness: StiffnessRows | None, branch: np.ndarray | None
-    ) -> StiffnessRows | None:
+    def _in_branch(self, stiffness: StiffnessRows, branch: np.ndarray | None) -> StiffnessRows:
         """The rows of wanted stiffnesses with just these cables slack."""
-        if stiffness is None or branch is None:
+        if branch is None:
             return stiffness
         holds = stiffness.gradient.holds
         bears = np.where(self._may_hang, ~branch, holds.any(axis=0))

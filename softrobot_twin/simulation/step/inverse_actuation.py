@@ -648,7 +648,7 @@ class InverseActuation:
         )  # fmt: skip
         if not proved:
             return None
-        self._search.remember(active)
+        self.solver.active, self._search.touching = active, {}
         self._direct.remember(efforts)
         return Actuation(efforts, within, True, WARM_START, ContactLoads(NO_FORCES, sweeps=1))
 

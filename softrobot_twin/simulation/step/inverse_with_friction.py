@@ -548,7 +548,7 @@ class InverseWithFriction(Follower):
         self._detours = Detours(self._learns)
         # Where contacts go on as they do, there is none among the unknowns.
         self._search_as_is = ContactSearch(self._tolerance)
-        self._search_as_is.remember(None)
+        self._search_as_is.touching = {}
         self._targets = self._moved = None
         self._has_come, self._tried_length = False, GREATEST
         # Least forces and margins that lacked in the last optimum.

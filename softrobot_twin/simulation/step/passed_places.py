@@ -47,6 +47,7 @@ class PassedPlaces:
     """The places of one way.
 
     Attributes:
+        balanced: Where it began, then places in stable balance, each nearer than the one before.
         since: Steps since T was least.
         returns: How often the robot went back since it came much nearer.
     """
@@ -54,26 +55,15 @@ class PassedPlaces:
     def __init__(self) -> None:
         """Nothing is passed yet."""
         self.since = self.returns = self._rises = 0
-        # Where it began, then places in stable balance, each nearer than the one before.
-        self._balanced: deque[Place] = deque(maxlen=MOST_PLACES)
+        self.balanced: deque[Place] = deque(maxlen=MOST_PLACES)
         # The nearest place with a stable tangent, and those of the tries before.
         self._stable, self._stable_before = NOWHERE, list[Place]()
         self._least = self._judged = self._last = np.inf
 
-    def begin(self, situation: Situation, now: float) -> None:
-        """Take the place where the way begins; later ones change nothing.
-
-        Args:
-            situation: What a step begins with.
-            now: T there [m²].
-        """
-        if not self._balanced:
-            self._balanced.append(Place(situation.displacements, now))
-
     @property
     def nearest(self) -> Place:
         """The nearest place in stable balance."""
-        return self._balanced[-1]
+        return self.balanced[-1]
 
     @property
     def is_over(self) -> bool:
@@ -92,11 +82,11 @@ class PassedPlaces:
         Returns:
             Whether the robot is to go back.
         """
-        here, is_balanced, is_stable = Place(situation.displacements, now), situation.is_balanced, situation.is_stable
-        if is_balanced and is_stable and now < self.nearest.now:
-            self._balanced.append(here)
+        is_balanced, is_stable = situation.is_balanced, situation.is_stable
+        if is_balanced and is_stable and now < self.balanced[-1].now:
+            self.balanced.append(Place(situation.displacements, now))
         elif is_stable and now < self._stable.now:
-            self._stable = here
+            self._stable = Place(situation.displacements, now)
         # Where a body is not stable, its linearization does not tell where it goes.
         self._rises = self._rises + 1 if is_stable and now > self._last else 0
         self._last = now
@@ -126,7 +116,7 @@ class PassedPlaces:
         if is_over:
             for place in sorted(self._stable_before, key=attrgetter("now"), reverse=True):
                 if place.now < self.nearest.now:
-                    self._balanced.append(place)
+                    self.balanced.append(place)
             self._stable_before.clear()
         return is_over
 
@@ -138,8 +128,8 @@ class PassedPlaces:
             scales: Their scales, same shape.
             share: How far is beside, as a share of these.
         """
-        while len(self._balanced) > 1 and longest_move(self.nearest.drives, drives, scales) <= share:
-            self._balanced.pop()
+        while len(self.balanced) > 1 and longest_move(self.nearest.drives, drives, scales) <= share:
+            self.balanced.pop()
 
     def drop_lost(self, now: float, reached: float, stays: bool) -> bool:
         """Drop the nearest place where it is none: no balance, or the body has not come back from another one.
@@ -152,7 +142,7 @@ class PassedPlaces:
         Returns:
             Whether it is dropped; where the robot began is kept.
         """
-        places = self._balanced
+        places = self.balanced
         is_lost = len(places) > 1 and (self.has_snapped(now, reached) or (stays and now > places[-2].now))
         if is_lost:
             places.pop()

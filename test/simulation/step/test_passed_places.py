@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation.step.effector_path import STEPS_TO_A_PLACE, EffectorPath
-from softrobot_twin.simulation.step.passed_places import MOST_RETURNS, PATIENCE, RISES, SNAPPED, PassedPlaces
+from softrobot_twin.simulation.step.passed_places import MOST_RETURNS, PATIENCE, RISES, SNAPPED, PassedPlaces, Place
 from softrobot_twin.simulation.step.situation import Situation
 
 REACHED = 1.0e-3
@@ -15,7 +15,8 @@ def pass_by(places, now, drive=0.0, *, is_balanced=True, is_stable=True, settles
     """Whether the robot is to go back, when a step begins at T = `now` with its actuator at `drive`."""
     none = np.empty(0)
     situation = Situation(none, none, none, np.array([drive]), none, is_balanced, is_stable=is_stable)
-    places.begin(situation, now)
+    if not places.balanced:
+        places.balanced.append(Place(situation.displacements, now))
     return places.pass_by(situation, now, REACHED, settles)
 
 
@@ -57,15 +58,14 @@ def test_effectors_are_led_back_through_the_places_where_they_were():
     here = np.array([0.0, 0.0, 0.0, 0.2])
     for x in (0.0, 0.01, 0.1, 0.2):
         path.follow(here + [x, 0.0, 0.0, 0.0], targets)
-        assert path.rows(targets) is targets
     path.turn()
     led = []
-    while path.leads_back:
-        led.append(path.rows(targets)[0])
+    while path.back:
+        led.append(path.back[-1][0])
         # Their orientations are free on the way back.
-        assert np.isnan(path.rows(targets)[3])
+        assert np.isnan(path.back[-1][3])
         for _ in range(STEPS_TO_A_PLACE):
             path.follow(here + [9.0, 0.0, 0.0, 0.0], targets)
-    assert led == [0.2, 0.1, 0.0] and path.has_turned and path.rows(targets) is targets
+    assert led == [0.2, 0.1, 0.0] and path.has_turned
     path.follow(here, 2.0 * targets)
     assert not path.has_turned
