@@ -19,7 +19,7 @@ pytestmark = pytest.mark.skipif(not CAN_SERVE, reason="this rerun cannot serve s
 MEBIBYTE = 2**20
 
 
-def until(condition, timeout=60.0, meanwhile=lambda: time.sleep(0.02)):
+def until(condition, timeout=120.0, meanwhile=lambda: time.sleep(0.02)):
     deadline = time.monotonic() + timeout
     while not condition():
         assert time.monotonic() < deadline, "waited in vain"
