@@ -465,8 +465,7 @@ class Simulation(Readouts):
         tangent, stays = self.newton.tangent, (self.state, self.kept)
         self.state, self.kept, tangent.factor_age = state, None, factor_age
         try:
-            result = self.step(command, budget, measured)
-            return result, self.state, tangent.factor_age
+            return self.step(command, budget, measured), self.state, tangent.factor_age
         except Exception:
             self.forget_solvers()
             raise
@@ -718,7 +717,8 @@ class Simulation(Readouts):
         """
         newton, size = self.newton, self.model.nodes.size
         if not residual <= self.model.scene.solver.residual_tolerance:
-            return newton.last_move <= ROUND_OFF * size and newton.longest_left() <= ROUND_OFF * size
+            round_off = ROUND_OFF * self.model.nodes.finite_size
+            return newton.last_move <= round_off and newton.longest_left() <= round_off
         return self._is_small(actuation, residual, TELLING_LOAD) or newton.longest_left() <= TELLING_MOVE * size
 
     def _is_small(self, actuation: Actuation, residual: float, share: float) -> bool:
