@@ -34,8 +34,9 @@ from softrobot_twin.ros.demo import (
 )
 from softrobot_twin.shared_files import ScenePath
 from softrobot_twin.simulation import Simulation
+from softrobot_twin.simulation.building.table_columns import TIME
 from softrobot_twin.study.calibration_demo import poses_of_device
-from softrobot_twin.study.demo_table import write_demo_table
+from softrobot_twin.study.demo_table import demo_columns, write_demo_table
 from softrobot_twin.study.touch_report import draw_presses, touch_report, untouched
 from softrobot_twin.study.tracking import (
     TimedValues,
@@ -54,7 +55,7 @@ CALIBRATED = "calibrated"
 GLUED = 2.0e-4
 """How well the places of markers are known [m]: fitted freely they take what the tip is off."""
 _FEWEST_SAMPLES = 10
-"""A run with fewer samples is left out of the report."""
+"""A run with fewer commands at whose time all else is known is left out of the report."""
 _STOPPED = 130
 _SETTLING = 2.0
 """Presses count from so many transitions onto a path on."""
@@ -158,8 +159,12 @@ def _print_start(plan: DemoPlan, domain: str) -> None:
 def _report(plan: DemoPlan, outcome: DemoOutcome) -> tuple[int, dict[str, TrackingRecord]]:
     """Writes the results and prints the summary; see `_shown`."""
     simulation = Simulation.from_scene_file(plan.scene_file)
-    records = {run: record for run in outcome.starts
-               if (record := _record(outcome, run, simulation.actuators.kind_of)) is not None}
+    kinds = simulation.actuators.kind_of
+    every = {run: _record(outcome, run, kinds) for run in outcome.starts}
+    records = {run: record for run, record in every.items()
+               if len(demo_columns(record, plan.effector, kinds)[TIME]) >= _FEWEST_SAMPLES}
+    for run in every.keys() - records.keys():
+        print(f"softrobot_twin: {run}: too few samples to compare; left out", file=sys.stderr)
     if records:
         mesh = {"nodes": simulation.node_count, "tets": simulation.tet_count, "dof": simulation.dof_count}
         report = tracking_report(plan.robot, records, {**_loop_figures(plan, outcome), "mesh": mesh})
@@ -171,7 +176,6 @@ def _report(plan: DemoPlan, outcome: DemoOutcome) -> tuple[int, dict[str, Tracki
         _print_table(plan, report)
         write_report(plan.folder / "report.json", report)
         for run, record in records.items():
-            kinds = simulation.actuators.kind_of
             write_demo_table(plan.folder / f"{run}.csv", record, plan.effector, kinds)
         draw_tracking(plan.robot, records, plan.folder / "tracking.png")
     unclean = {name: code for name, code in outcome.exit_codes.items() if code != 0}
@@ -199,8 +203,8 @@ def _touches(plan: DemoPlan, outcome: DemoOutcome) -> dict | None:
     return report
 
 
-def _record(outcome: DemoOutcome, run: str, kinds: dict) -> TrackingRecord | None:
-    """Samples recorded during a run, or None when there are too few."""
+def _record(outcome: DemoOutcome, run: str, kinds: dict) -> TrackingRecord:
+    """Samples recorded during a run."""
     recorder, span = outcome.recorder, outcome.span(run)
     target, twin, device, setpoints, efforts = (
         TimedValues(*samples.between(*span))
@@ -208,9 +212,6 @@ def _record(outcome: DemoOutcome, run: str, kinds: dict) -> TrackingRecord | Non
                         recorder.setpoints, recorder.efforts))
     # What a fingertip displaces is no error of tracking.
     device = untouched(device, TimedValues(*recorder.device_touch.between(*span)))
-    reference = twin if recorder.is_direct else target
-    if min(len(reference.times), len(device.times)) < _FEWEST_SAMPLES:
-        return None
     names = recorder.actuator_names
     return TrackingRecord(
         None if recorder.is_direct else target, twin, device, names,

@@ -127,8 +127,8 @@ def tracking_report(robot: str, runs: dict[str, TrackingRecord], figures_of_twin
 
     Args:
         robot: Name of the robot.
-        runs: Records under ``open_loop`` and ``closed_loop``, of which the second is missing after
-            an interrupted demo, under ``direct``, or ``quasi_static`` and ``dynamic``.
+        runs: Records under ``open_loop`` and ``closed_loop``, under ``direct``, or under ``dynamic`` and
+            ``quasi_static``, without those of runs that did not begin or cannot be compared.
         figures_of_twin: Timing of the twin's loop, and the size of its mesh.
 
     Raises:
@@ -140,7 +140,7 @@ def tracking_report(robot: str, runs: dict[str, TrackingRecord], figures_of_twin
         ratio = figures["closed_loop"]["mean_error_mm"] / figures["open_loop"]["mean_error_mm"]
     return {
         "robot": robot,
-        **{name: None for name in ("open_loop", "closed_loop", "direct")}, **figures,
+        **{name: None for name in ("open_loop", "closed_loop", "direct", "dynamic", "quasi_static")}, **figures,
         "closed_to_open_ratio": ratio,
         "published_open_loop_error_mm": PUBLISHED_ERRORS_MM.get(robot),
         **figures_of_twin,

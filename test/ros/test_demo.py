@@ -370,8 +370,9 @@ FAILURES = {"inverted", "refused", "unsolved", "diverged"}
 BUSY = 0.5
 """With a smaller share of the ticks, errors say something of the machine, not of the robot."""
 DISTURBED = 0.9
-"""So they do with this share while other programs use more than a tenth of the processor: alone,
-every robot has 0.99 of its ticks, and others use 0.04."""
+"""So they do with this share while other programs use more than a tenth of the processor, or where a
+node came so late that a run could not be compared: alone, every robot has 0.99 of its ticks, and
+others use 0.04."""
 
 
 def distances_to_recent(reference_times, reference, times, points):
@@ -433,11 +434,13 @@ def test_the_demo_leads_the_robot(led, robot):
     assert steps.get("not_converged", 0) <= MOST_NOT_CONVERGED * count, steps
     done = report["ticks"] / (report["ticks"] + report["skipped_ticks"])
     others = report["processor_share_of_others"] or 0.0
-    is_busy = done < BUSY or (done < DISTURBED and others > 0.1)
+    plan = plan_demo(robot, folder, SECONDS[robot], view=False)
+    runs = [run for run in plan.runs if report[run]]
+    is_busy = done < (DISTURBED if others > 0.1 or len(runs) < len(plan.runs) else BUSY)
     load = (f"{100 * done:.0f} % of the ticks took place, other programs used "
             f"{100 * others:.0f} % of the processor")
-    plan = plan_demo(robot, folder, SECONDS[robot], view=False)
-    for run in plan.runs:
+    assert is_busy or runs == list(plan.runs), load
+    for run in runs:
         series = read_series(folder / f"{run}.csv")
         twin, device, target = (
             np.column_stack([series.numbers.get(name, series.at) for name in position_columns(thing)])
@@ -446,10 +449,8 @@ def test_the_demo_leads_the_robot(led, robot):
         travel = np.linalg.norm(twin - twin[0], axis=1).max()
         print(f"{robot}, {run}: mean {1e3 * apart.mean():.2f} mm of {1e3 * travel:.0f} mm; "
               f"{steps}; {load}")
-        if is_busy:
-            continue
-        assert LED[robot] is not TRAVEL or travel > LEAST_TRAVEL, load
-        assert apart.mean() < LARGEST_ERROR * (LED[robot] or travel), load
+        assert is_busy or LED[robot] is not TRAVEL or travel > LEAST_TRAVEL, load
+        assert is_busy or apart.mean() < LARGEST_ERROR * (LED[robot] or travel), load
     if is_busy:
         pytest.skip(f"the machine was too busy to judge the errors: {load}")
 
