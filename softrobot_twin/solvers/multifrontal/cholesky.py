@@ -7,7 +7,7 @@ from copy import copy
 import numpy as np
 
 from softrobot_twin.kernels.traced_stage import TracedStages, clear
-from softrobot_twin.kernels.worker_threads import Team, team_of
+from softrobot_twin.kernels.worker_threads import Team, run_alone, team_of
 from softrobot_twin.solvers.factorization import (
     BLOCK,
     Condensed,
@@ -18,11 +18,6 @@ from softrobot_twin.solvers.factorization import (
 from softrobot_twin.solvers.multifrontal import condensation
 from softrobot_twin.solvers.multifrontal.condensation import ConstraintColumns
 from softrobot_twin.solvers.multifrontal.dense_kernels import WIDE
-from softrobot_twin.solvers.multifrontal.forward_tasks import (
-    ForwardTasks,
-    forward_by_tasks,
-    plan_forward,
-)
 from softrobot_twin.solvers.multifrontal.front_tasks import (
     TaskList,
     factorize_by_tasks,
@@ -37,8 +32,6 @@ from softrobot_twin.solvers.multifrontal.vector_code import STRIP
 
 # W is given by its factor where its rank is at most this share of its rows.
 LOW_RANK = 0.5
-# What fronts of many rows H keep for several threads takes at most so many times the memory of L.
-MOST_KEPT = 2
 
 
 class Multifrontal:
@@ -95,8 +88,6 @@ class Multifrontal:
         self._triangles = aligned(self.layout.triangles_size)
         self._tasks: TaskList | None = None
         self.team: Team | None = None
-        self._forward: ForwardTasks | None = None
-        self._kept = self._kept_rows = aligned(0)
         self._tallest = STRIP * int(self.layout.fronts["strips"].max(initial=1))
         self._nowhere = np.full(node_count, NONE)
         self._take_no_rows(True)
@@ -149,12 +140,8 @@ class Multifrontal:
             fronts["update"], size = plan_updates(update_sizes(fronts), fronts, children, begins)
             self.layout = self.layout._replace(updates_size=size)
             self._updates = aligned(size)
-        self._forward = None
         if tasks is not None:
             self.team = team_of(tasks.thread_count)
-            self._forward = plan_forward(self.elimination, self.layout, self.thread_count)
-        if self._forward is not None:
-            self._kept = aligned(3 * len(self.layout.rows))
             # A stage that is traced runs on one thread.
             self.stages = TracedStages(False, self._condense, self._is_placed)
 
@@ -264,23 +251,14 @@ class Multifrontal:
         )  # fmt: skip
         b = np.ascontiguousarray(b, dtype=np.float64).reshape(self._node_count, 3)
         condensation.by_rank(self.elimination_rank, b, self._y)
-        widest, forward = columns.work_size, self._forward
-        kept_size = 3 * len(layout.rows) * widest
-        if forward is None or kept_size > MOST_KEPT * layout.panels_size:
-            condensation.forward(
-                layout.fronts, layout.rows, self._panels, self._triangles, columns.places,
-                columns.tree, columns.trees, columns.strips, self._y, self.Y, self.work,
-            )  # fmt: skip
-            return
-        if kept_size > len(self._kept_rows):
-            self._kept_rows = aligned(kept_size)
-        tasks = forward.tasks
-        self.team.run(
-            len(tasks.tasks), forward_by_tasks, tasks.tasks, tasks.waits, layout.fronts, layout.rows,
-            forward.segments, forward.segment_start, self._panels, self._triangles,
-            columns.places, columns.tree, columns.trees, columns.strips, self._y, self.Y,
-            self._kept, self._kept_rows, widest, self._tallest,
+        arguments = (
+            layout.fronts, layout.rows, self._panels, self._triangles, columns.places,
+            columns.tree, columns.trees, columns.strips, self._y, self.Y, self.work,
         )  # fmt: skip
+        if self.team is None or columns.work_size <= STRIP:
+            run_alone(condensation.forward, *arguments)
+        else:
+            self.team.run(self.team.count, condensation.forward, *arguments)
 
     def expand(self, multipliers: np.ndarray) -> np.ndarray:
         """See `Factorization.expand`; the result is overwritten by the next call.
@@ -314,8 +292,8 @@ class Multifrontal:
     def _solve_one(self, b: np.ndarray) -> np.ndarray:
         layout = self.layout
         condensation.by_rank(self.elimination_rank, np.ascontiguousarray(b), self._x)
-        condensation.forward(
-            layout.fronts, layout.rows, self._panels, self._triangles,
+        run_alone(
+            condensation.forward, layout.fronts, layout.rows, self._panels, self._triangles,
             self._nowhere, self._columns.tree, self._columns.trees, self._columns.strips,
             self._x, self.Y, self.work,
         )  # fmt: skip

@@ -42,6 +42,7 @@ from __future__ import annotations
 import numpy as np
 
 from softrobot_twin.kernels.compilation import INNER, KERNEL, ONCE, njit
+from softrobot_twin.kernels.worker_threads import finish, take, wait_for
 from softrobot_twin.solvers.multifrontal.dense_kernels import (
     NARROW,
     TRIANGLE,
@@ -521,10 +522,19 @@ def by_node(rank, values, result):
 
 
 @njit(**KERNEL)
-def forward(fronts, rows, panels, triangles, places, tree, trees, ranges, y, Y, work):
-    """y ← L⁻¹ y and Y ← L⁻¹ Y, in place.
+def forward(
+    waits_for_all, state, done, fronts, rows, panels, triangles, places, tree, trees, ranges, y, Y,
+    work,
+):  # fmt: skip
+    """y ← L⁻¹ y and Y ← L⁻¹ Y, in place, by all threads that call this.
+
+    Strips of Y never meet, so each thread takes a group of each tree's strips. Trees begin with
+    different groups: where each has one strip, threads share the trees.
 
     Args:
+        waits_for_all: Whether to return when all groups are done, or when none is left to begin.
+        state: State of the list of groups; empty without threads.
+        done: Whether each group is done, shape (group_count,); likewise.
         fronts: Layout of the fronts.
         rows: Ranks of the nodes below the fronts' own.
         panels: L.
@@ -535,29 +545,58 @@ def forward(fronts, rows, panels, triangles, places, tree, trees, ranges, y, Y, 
         ranges: Strips with rows of each front, see `ConstraintColumns.strips`.
         y: b by rank, shape (dof_count,); where a front is reached Y takes it over.
         Y: Hᵀ, as `spread_rows` leaves it.
-        work: Buffer, shape (most rows of a front × widest tree,).
+        work: Buffer of the first group, shape (most rows of a front × widest tree,).
     """
+    group_count = max(1, len(done))
+    group = take(state) if len(done) else 0
+    while group < group_count:
+        own = work if group == 0 else np.empty(len(work))
+        _forward_group(
+            group, group_count, fronts, rows, panels, triangles, places, tree, trees, ranges, y, Y, own
+        )
+        if not len(done):
+            return
+        finish(group, done)
+        group = take(state)
+    if waits_for_all:
+        for other in range(group_count):
+            if not wait_for(other, state, done):
+                return
+
+
+@njit(**ONCE)
+def _forward_group(
+    group, group_count, fronts, rows, panels, triangles, places, tree, trees, ranges, y, Y, work
+):
+    """One group of strips of each tree; that of b does the fronts that are not reached."""
     for s in range(len(fronts)):
         front = fronts[s]
         panel = address(panels) + 8 * front.panel
         triangle = address(triangles) + 8 * front.triangles
         place = places[front.first_rank]
-        if place < 0:
-            _forward_single(front, rows, panel, triangle, address(y), work)
-            continue
         part = trees[tree[s]]
-        take_over(front, part, place, y, Y)
+        last, turn = part.row_count // STRIP, (group + tree[s]) % group_count
+        low, high = (last + 1) * turn // group_count, (last + 1) * (turn + 1) // group_count
+        has_b = low < high and high == last + 1
+        if place < 0:
+            if has_b:
+                _forward_single(front, rows, panel, triangle, address(y), work)
+            continue
+        if has_b:
+            take_over(front, part, place, y, Y)
         at, work_at, stride = address(Y) + 8 * part.start, address(work), part.stride
-        strip, end, last = ranges[s, 0], ranges[s, 1], part.row_count // STRIP
+        strip, end = ranges[s, 0], ranges[s, 1]
         if end >= last:
             end = last + 1
-        else:  # b stands apart
+        elif has_b:  # b stands apart
             _forward_columns(
                 front, rows, panel, triangle, places, at, stride, place, last, last + 1, work_at
             )
-        _forward_columns(
-            front, rows, panel, triangle, places, at, stride, place, strip, end, work_at
-        )
+        strip, end = max(strip, low), min(end, high)
+        if strip < end:
+            _forward_columns(
+                front, rows, panel, triangle, places, at, stride, place, strip, end, work_at
+            )
 
 
 @njit(**INNER)

@@ -61,8 +61,9 @@ WAKE, OVERHEAD = 1.2e5, 1.0e3
 # Share of the time by one thread that threads must save, and fewest cycles of it.
 LEAST_GAIN, LEAST_COST = 0.2, 1.0e6
 # A task of subtrees costs at most one of so many parts of what a thread does, or so many cycles;
-# fronts that cost more are cut. Coarse tasks keep what they compute in their own cache.
-PARTS, GRAIN = 6, 1.5e5
+# fronts that cost more are cut. Coarse tasks keep what they compute in their own cache, but where the
+# large fronts stand one above the other, only fine ones let threads share them.
+PARTS, GRAIN = (6, 12), 1.5e5
 # Columns of a block column: a multiple of a bar and of a strip.
 BLOCK = 48
 FRONTS, FILL, DIAGONAL, TILE, UPDATE = range(5)
@@ -110,7 +111,8 @@ def plan_tasks(elimination: Elimination, layout: Layout, thread_count: int) -> T
         for columns, rows in zip(fronts["columns"], fronts["rows"])
     ])  # fmt: skip
     lists = (
-        _scheduled(own, elimination, layout, count, True) for count in range(2, thread_count + 1)
+        _scheduled(own, elimination, layout, count, parts)
+        for count in range(2, thread_count + 1) for parts in PARTS
     )
     best = min(lists, key=lambda one: one.cost)
     return best if best.cost < (1.0 - LEAST_GAIN) * elimination.cost else None
@@ -124,29 +126,11 @@ def task_begins(tasks: TaskList, front_count: int) -> np.ndarray:
     return begins
 
 
-def plan_whole_fronts(
-    costs: np.ndarray, elimination: Elimination, layout: Layout, thread_count: int
-) -> TaskList | None:
-    """Tasks of work on fronts that is not cut, children before parents.
-
-    Args:
-        costs: What the work on each front costs [cycles], shape (front_count,).
-        elimination: The fronts.
-        layout: Where they lie in memory.
-        thread_count: How many threads.
-
-    Returns:
-        The tasks; None where one thread is as good.
-    """
-    found = _scheduled(costs, elimination, layout, thread_count, False)
-    return found if found.cost < (1.0 - LEAST_GAIN) * costs.sum() else None
-
-
 def _scheduled(
-    own: np.ndarray, elimination: Elimination, layout: Layout, count: int, cuts_fronts: bool
+    own: np.ndarray, elimination: Elimination, layout: Layout, count: int, parts: int
 ) -> TaskList:
     """Tasks in the order in which so many threads take them, and what they cost."""
-    tasks, waits, costs = _cut(own, elimination, layout, count, cuts_fronts)
+    tasks, waits, costs = _cut(own, elimination, layout, parts * count)
     order, length = list_schedule(costs, waits, count)
     place = np.empty(len(order), np.int64)
     place[order] = np.arange(len(order))
@@ -199,7 +183,7 @@ def list_schedule(
 
 
 def _cut(
-    own: np.ndarray, elimination: Elimination, layout: Layout, thread_count: int, cuts_fronts: bool
+    own: np.ndarray, elimination: Elimination, layout: Layout, part_count: int
 ) -> tuple[list[tuple], list[list[int]], list[float]]:
     """Tasks, which earlier ones each waits for, and their costs."""
     fronts, parent, children = layout.fronts, elimination.parent, layout.children
@@ -208,7 +192,7 @@ def _cut(
         if above != NONE:
             whole[above] += whole[s]
             sizes[above] += sizes[s]
-    grain = max(GRAIN if cuts_fronts else 0.0, own.sum() / (PARTS * thread_count))
+    grain = max(GRAIN, own.sum() / part_count)
     tasks: list[tuple] = []
     waits: list[list[int]] = []
     costs: list[float] = []
@@ -242,7 +226,7 @@ def _cut(
         begin, gathered = s + 1, 0.0
         below = children[fronts[s]["child_start"] : fronts[s]["child_end"]]
         waited = sorted({task for child in below for task in ends[child]})
-        if own[s] <= grain or not cuts_fronts:
+        if own[s] <= grain:
             ends[s] = [add(FRONTS, s, s, s + 1, own[s], waited)]
         else:
             ends[s] = _cut_front(s, fronts[s], layout.block_places, waited, add)
