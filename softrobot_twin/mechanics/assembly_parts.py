@@ -31,9 +31,9 @@ LEAST_NODES = 700
 """Nodes of a body that is cut into parts: the factors of smaller ones, too, run on one thread."""
 PART_COUNT = 16
 """Parts of a body: with four threads the last ones to end leave few idle for long."""
-# A batch longer than so many parts, of rings with so many nodes that there are few, would touch nearly
-# all parts: such ones are one part, the last.
-_WIDE = 2.0
+# A batch so many times as long as others, of rings with so many nodes that there are few, would touch
+# nearly all parts: such batches are one part, the last.
+_LONG = 3.0
 
 
 class AssemblyParts(NamedTuple):
@@ -111,11 +111,11 @@ def parts_of(batches: ElementBatches, node_positions: np.ndarray) -> AssemblyPar
     along, sizes = _along(node_positions, nodes), is_own.sum(axis=(1, 2))
     places = np.where(is_own, along[batches.cells], np.nan)
     lengths = np.nanmax(places, axis=(1, 2)) - np.nanmin(places, axis=(1, 2))
-    is_wide = lengths > _WIDE / PART_COUNT * np.ptp(along[nodes])
-    order = np.argsort(np.where(is_wide, np.inf, np.nanmean(places, axis=(1, 2))), kind="stable")
-    work = np.cumsum(np.where(is_wide, 0, sizes**2)[order])
+    is_long = lengths > _LONG * np.median(lengths)
+    order = np.argsort(np.where(is_long, np.inf, np.nanmean(places, axis=(1, 2))), kind="stable")
+    work = np.cumsum(np.where(is_long, 0, sizes**2)[order])
     cuts = np.searchsorted(work, work[-1] * np.arange(1, PART_COUNT) / PART_COUNT)
-    cuts = np.append(cuts, len(order) - is_wide.sum())
+    cuts = np.append(cuts, len(order) - is_long.sum())
     parts = [np.sort(part) for part in np.split(order, cuts) if len(part)]
     touches = np.zeros((len(parts), batches.free.max() + 2), np.float32)
     for part, row in zip(parts, touches, strict=True):

@@ -18,7 +18,7 @@ from test.solvers.multifrontal.conftest import PATTERNS, System
 @pytest.fixture
 def threads_pay(monkeypatch):
     """Small systems are cut into small tasks."""
-    for name, value in (("LEAST_COST", 0.0), ("LEAST_GAIN", -10.0), ("GRAIN", 2e3), ("PARTS", 64),
+    for name, value in (("LEAST_COST", 0.0), ("LEAST_GAIN", -10.0), ("GRAIN", 2e3), ("PARTS", (64,)),
                         ("WAKE", 0.0), ("BLOCK", 24)):  # fmt: skip
         monkeypatch.setattr(front_tasks, name, value)
 
