@@ -17,6 +17,8 @@ Arguments of the kernels here, and of those that work on parts:
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -24,8 +26,7 @@ import numpy as np
 from softrobot_twin.geometry.cell_mesh import SomeCells, node_counts_of, points_of
 from softrobot_twin.geometry.smoothed_mesh import EdgeRings
 from softrobot_twin.kernels.compilation import INNER, njit
-from softrobot_twin.kernels.worker_threads import finish, take, wait_for
-from softrobot_twin.mechanics.element_batches import ElementBatches
+from softrobot_twin.kernels.worker_threads import Team, finish, run_alone, take, wait_for
 
 LEAST_NODES = 700
 """Nodes of a body that is cut into parts: the factors of smaller ones, too, run on one thread."""
@@ -50,6 +51,27 @@ class AssemblyParts(NamedTuple):
     begins: np.ndarray
     waits: np.ndarray
     wait_begins: np.ndarray
+
+
+class InParts:
+    """What assembles the parts of a body, by threads where that gains time.
+
+    Attributes:
+        parts: The parts; a small body is one part.
+    """
+
+    parts: AssemblyParts
+    _run_list = staticmethod(run_alone)
+
+    def use_threads(self, team: Team) -> None:
+        """See `ForceTerm.use_threads`; an assembly in threads is not traced."""
+        part_count = len(self.parts.begins) - 1
+        if part_count > 1:
+            self._run_list, self.is_traceable = partial(team.run, part_count), False
+
+    def run_parts(self, kernel: Callable, *arguments):
+        """Run a kernel for all parts of the body."""
+        return self._run_list(kernel, self.parts, *arguments)
 
 
 @njit(**INNER)
@@ -80,10 +102,9 @@ def sorted_along(mesh):
     Args:
         mesh: The cells at rest, as far as elements need them.
     """
-    nodes = np.unique(mesh.cells)
-    if len(nodes) < LEAST_NODES:
+    places = _along(mesh.node_positions, mesh.cells)
+    if places is None:
         return mesh
-    places = _along(mesh.node_positions, nodes)
     counts = node_counts_of(mesh)
     order = np.lexsort((places[mesh.cells].mean(axis=1), counts))
     cells, points = mesh.cells[order], points_of(mesh, order)
@@ -92,24 +113,43 @@ def sorted_along(mesh):
     return SomeCells(mesh.node_positions, cells, mesh.shape_functions, points)
 
 
-def _along(node_positions: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-    """Coordinate of all nodes along the longest side of a body [m], of which some are."""
+def _along(node_positions: np.ndarray, cells: np.ndarray) -> np.ndarray | None:
+    """Coordinate of all nodes along the longest side of a large body [m]; None for a small one."""
+    nodes = np.unique(cells[cells >= 0])
+    if len(nodes) < LEAST_NODES:
+        return None
     return node_positions[:, np.ptp(node_positions[nodes], axis=0).argmax()]
 
 
-def parts_of(batches: ElementBatches, node_positions: np.ndarray) -> AssemblyParts:
+def groups_along(mesh, groups: np.ndarray) -> np.ndarray:
+    """Groups of the cells of a large body numbered along its longest side; those of a small one as they are.
+
+    Args:
+        mesh: The cells at rest, as far as elements need them.
+        groups: Number of each cell's group, from 0, shape (cell_count,).
+    """
+    along = _along(mesh.node_positions, mesh.cells)
+    if along is None:
+        return groups
+    sums = np.bincount(groups, along[mesh.cells].mean(axis=1))
+    order = np.argsort(sums / np.bincount(groups), kind="stable")
+    return np.argsort(order)[groups]
+
+
+def parts_of(cells: np.ndarray, free: np.ndarray, node_positions: np.ndarray) -> AssemblyParts:
     """Cut a large body into parts; a small one is one part.
 
     Args:
-        batches: Its elements, sorted by `sorted_along`.
+        cells: Nodes of its batches of elements, sorted by `sorted_along`, or of groups of them by
+            `groups_along`; -1 for none, shape (batch_count, width, BATCH).
+        free: Their unknowns, -1 where there are none, same shape.
         node_positions: At rest [m], shape (node_count, 3).
     """
-    is_own = batches.cells >= 0
-    nodes = np.unique(batches.cells[is_own])
-    if len(nodes) < LEAST_NODES:
-        return _listed([np.arange(len(batches.cells))], [[]])
-    along, sizes = _along(node_positions, nodes), is_own.sum(axis=(1, 2))
-    places = np.where(is_own, along[batches.cells], np.nan)
+    along, is_own = _along(node_positions, cells), cells >= 0
+    if along is None:
+        return _listed([np.arange(len(cells))], [[]])
+    sizes = is_own.sum(axis=(1, 2))
+    places = np.where(is_own, along[cells], np.nan)
     lengths = np.nanmax(places, axis=(1, 2)) - np.nanmin(places, axis=(1, 2))
     is_long = lengths > _LONG * np.median(lengths)
     order = np.argsort(np.where(is_long, np.inf, np.nanmean(places, axis=(1, 2))), kind="stable")
@@ -117,9 +157,9 @@ def parts_of(batches: ElementBatches, node_positions: np.ndarray) -> AssemblyPar
     cuts = np.searchsorted(work, work[-1] * np.arange(1, PART_COUNT) / PART_COUNT)
     cuts = np.append(cuts, len(order) - is_long.sum())
     parts = [np.sort(part) for part in np.split(order, cuts) if len(part)]
-    touches = np.zeros((len(parts), batches.free.max() + 2), np.float32)
+    touches = np.zeros((len(parts), free.max() + 2), np.float32)
     for part, row in zip(parts, touches, strict=True):
-        row[batches.free[part]] = 1.0
+        row[free[part]] = 1.0
     touches[:, -1] = 0.0  # Where there is no unknown.
     meets = touches @ touches.T > 0.0
     turns: list[int] = []

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
-
 import numpy as np
 
 from softrobot_twin.geometry.cell_mesh import node_counts_of, points_of
@@ -19,8 +16,7 @@ from softrobot_twin.geometry.vector_arrays import (
     write_differences,
 )
 from softrobot_twin.kernels.traced_stage import clear
-from softrobot_twin.kernels.worker_threads import Team, run_alone
-from softrobot_twin.mechanics.assembly_parts import parts_of, sorted_along
+from softrobot_twin.mechanics.assembly_parts import InParts, parts_of, sorted_along
 from softrobot_twin.mechanics.block_addition import are_contiguous
 from softrobot_twin.mechanics.compression_watch import CompressionWatch, coarseness
 from softrobot_twin.mechanics.element_assembly import assembly_of, deform_all
@@ -50,7 +46,7 @@ SMALL_STRETCH = 1.0e-4
 CURVATURE_STEP = 2.0e-5
 
 
-class Elements(ForceTerm):
+class Elements(InParts, ForceTerm):
     """Force term of elements of one shape with one law.
 
     The forces of the last state are stored, with the deformation and rotation of each point, and
@@ -63,7 +59,6 @@ class Elements(ForceTerm):
         compression_watch: Watches the compression of hexahedra; else None.
         has_energy: Whether it is elastic: what it does follows from the state alone.
         hourglass: What resists the motions of hexahedra that their points do not see; else None.
-        parts: Parts of a large body that threads assemble; a small one is one part.
     """
 
     strain_watch: StrainWatch | None = None
@@ -121,8 +116,7 @@ class Elements(ForceTerm):
         self._cells, self._free, self._gradients, self._weights = batches[:4]
         self._offsets, self._strides = batches.offsets, batches.strides
         self._are_contiguous = are_contiguous(batches.offsets, batches.strides)
-        self.parts = parts_of(batches, self.mesh.node_positions)
-        self._run_list = run_alone
+        self.parts = parts_of(batches.cells, batches.free, self.mesh.node_positions)
         batch_count, point_count = self._weights.shape[:2]
         self.deformations = np.zeros((batch_count, point_count, 9 * BATCH))
         entries = 9 if law_of(self.law).turns else 0
@@ -146,16 +140,6 @@ class Elements(ForceTerm):
             )  # fmt: skip
         if law_of(self.law).is_linear:
             self._constant_stiffness = self._sum_stiffness_once()
-
-    def use_threads(self, team: Team) -> None:
-        """See `ForceTerm.use_threads`; an assembly in threads is not traced."""
-        part_count = len(self.parts.begins) - 1
-        if part_count > 1:
-            self._run_list, self.is_traceable = partial(team.run, part_count), False
-
-    def run_parts(self, kernel: Callable, *arguments):
-        """Run a kernel for all parts of the body."""
-        return self._run_list(kernel, self.parts, *arguments)
 
     def _add_fold_forces(self) -> None:
         """Add the forces of the barrier between points to those of the state that is known."""

@@ -28,6 +28,7 @@ Arguments of the kernels here; those of one element or patch have no first axis:
     moves, x: Moves and positions of the nodes [m], shape (node_count, 3).
     places: Nodes among those of the patch, shape (element_count, nodes).
     t: A vector, three numbers.
+    waits_for_all, state, done, parts: See `assembly_parts.py`.
 """
 
 from __future__ import annotations
@@ -49,6 +50,7 @@ from softrobot_twin.geometry.smoothed_mesh import EdgeRings
 from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, row, scaled, set_row
 from softrobot_twin.geometry.vector_arrays import write_differences
 from softrobot_twin.kernels.compilation import INLINED, INNER, KERNEL, ONCE, njit
+from softrobot_twin.mechanics.assembly_parts import InParts, groups_along, next_part, parts_of
 from softrobot_twin.mechanics.block_addition import (
     add_blocks,
     add_contiguous_blocks,
@@ -239,8 +241,8 @@ def write_gradients(k, x, moves, cells, places, first, gradients, weights, g, cu
 
 
 @njit(**KERNEL)
-def add_patch_forces(bulk_modulus, rest_volumes, x, moves, cells, places, first, gradients, weights,
-                     free, forces):  # fmt: skip
+def add_patch_forces(waits_for_all, state, done, parts, bulk_modulus, rest_volumes, x, moves, cells,
+                     places, first, gradients, weights, free, forces):  # fmt: skip
     """Subtract p g of all patches from the forces on the unknowns.
 
     Args:
@@ -251,11 +253,15 @@ def add_patch_forces(bulk_modulus, rest_volumes, x, moves, cells, places, first,
         forces: Forces on the unknowns [N], shape (free_node_count, 3); added to.
     """
     g, none = np.empty((free.shape[1], 3)), np.empty((0, 0, 3))
-    for k in range(len(free)):
-        g[:] = 0.0
-        volume = write_gradients(k, x, moves, cells, places, first, gradients, weights, g, none)
-        pressure = bulk_modulus * volumetric(volume / rest_volumes[k])[1]
-        _subtract_pressure(pressure, g, free[k], forces)
+    part = next_part(-1, parts, waits_for_all, state, done)
+    while part < len(parts.begins) - 1:
+        for batch in parts.batches[parts.begins[part] : parts.begins[part + 1]]:
+            for k in range(batch * BATCH, min((batch + 1) * BATCH, len(free))):
+                g[:] = 0.0
+                volume = write_gradients(k, x, moves, cells, places, first, gradients, weights, g, none)
+                pressure = bulk_modulus * volumetric(volume / rest_volumes[k])[1]
+                _subtract_pressure(pressure, g, free[k], forces)
+        part = next_part(part, parts, waits_for_all, state, done)
 
 
 @njit(**INLINED)
@@ -288,9 +294,9 @@ def write_block(stiffness, pressures, of_a, of_b, turns, K):
 
 
 @njit(**KERNEL)
-def add_patch_stiffness(bulk_modulus, projected, rest_volumes, x, moves, cells, places, first,
-                        gradients, weights, free, offsets, strides, are_contiguous, forces,
-                        storage):  # fmt: skip
+def add_patch_stiffness(waits_for_all, state, done, parts, bulk_modulus, projected, rest_volumes, x,
+                        moves, cells, places, first, gradients, weights, free, offsets, strides,
+                        are_contiguous, forces, storage):  # fmt: skip
     """Subtract p g of all patches from the forces, and add their stiffness.
 
     Args:
@@ -307,35 +313,38 @@ def add_patch_stiffness(bulk_modulus, projected, rest_volumes, x, moves, cells, 
     K, stiffness, pressures = scratch(9), scratch(1), scratch(1)
     g, curvature = np.zeros((width, 3, BATCH)), np.zeros((width, width, 3, BATCH))
     own, turns = np.empty((width, 3)), np.empty((width, width, 3))
-    for k in range(len(offsets)):
-        for e in range(min(BATCH, len(free) - k * BATCH)):
-            n = k * BATCH + e
-            own[:] = 0.0
-            turns[:] = 0.0
-            volume = write_gradients(
-                n, x, moves, cells, places, first, gradients, weights, own, turns
-            )
-            for a in range(width):
-                for i in range(3):
-                    g[a, i, e] = own[a, i]
-                    for b in range(a):
-                        curvature[a, b, i, e] = turns[a, b, i]
-            _, slope, second = volumetric(volume / rest_volumes[n])
-            stiffness[e] = bulk_modulus * second / rest_volumes[n]
-            pressures[e] = 0.0 if projected else bulk_modulus * slope
-            _subtract_pressure(bulk_modulus * slope, own, free[n], forces)
-        pair = 0
-        for b in range(width):
-            for a in range(b, width):
-                write_block(stiffness, pressures, g[a], g[b], curvature[a, b], K)
-                if are_contiguous:
-                    add_contiguous_blocks(offsets[k, pair], K, storage)
-                else:
-                    add_blocks(offsets[k, pair], strides[k, pair], K, storage)
-                pair += 1
+    part = next_part(-1, parts, waits_for_all, state, done)
+    while part < len(parts.begins) - 1:
+        for k in parts.batches[parts.begins[part] : parts.begins[part + 1]]:
+            for e in range(min(BATCH, len(free) - k * BATCH)):
+                n = k * BATCH + e
+                own[:] = 0.0
+                turns[:] = 0.0
+                volume = write_gradients(
+                    n, x, moves, cells, places, first, gradients, weights, own, turns
+                )
+                for a in range(width):
+                    for i in range(3):
+                        g[a, i, e] = own[a, i]
+                        for b in range(a):
+                            curvature[a, b, i, e] = turns[a, b, i]
+                _, slope, second = volumetric(volume / rest_volumes[n])
+                stiffness[e] = bulk_modulus * second / rest_volumes[n]
+                pressures[e] = 0.0 if projected else bulk_modulus * slope
+                _subtract_pressure(bulk_modulus * slope, own, free[n], forces)
+            pair = 0
+            for b in range(width):
+                for a in range(b, width):
+                    write_block(stiffness, pressures, g[a], g[b], curvature[a, b], K)
+                    if are_contiguous:
+                        add_contiguous_blocks(offsets[k, pair], K, storage)
+                    else:
+                        add_blocks(offsets[k, pair], strides[k, pair], K, storage)
+                    pair += 1
+        part = next_part(part, parts, waits_for_all, state, done)
 
 
-class PatchVolumes(ForceTerm):
+class PatchVolumes(InParts, ForceTerm):
     """Force term of the volumes of all patches of a material.
 
     Attributes:
@@ -357,6 +366,7 @@ class PatchVolumes(ForceTerm):
         """
         self.bulk_modulus = float(bulk_modulus)
         self.patch_count = int(patches.max()) + 1
+        patches = groups_along(mesh, patches)
         order = np.argsort(patches, kind="stable")
         points, numbers = points_of(mesh), patches[order]
         self._cells = np.ascontiguousarray(mesh.cells[order], np.int64)
@@ -391,19 +401,20 @@ class PatchVolumes(ForceTerm):
         self._places = np.ascontiguousarray(moved[patch[:, None], self._places])
         self._are_contiguous = are_contiguous(bound.offsets, bound.strides)
         self._offsets, self._strides = in_batches(bound.offsets, -1), in_batches(bound.strides, 0)
+        self.parts = parts_of(in_batches(self._nodes, -1), in_batches(self._stencils, -1), self._reference)
 
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
         """Add -∂E/∂q [N]; see `ForceTerm.add_forces`. Elements count what is flat."""
-        add_patch_forces(
-            self.bulk_modulus, self._rest_volumes, positions, self._moved(positions), self._cells, self._places, self._first, self._gradients,
+        self.run_parts(
+            add_patch_forces, self.bulk_modulus, self._rest_volumes, positions, self._moved(positions), self._cells, self._places, self._first, self._gradients,
             self._weights, self._stencils, forces,
         )  # fmt: skip
         return 0
 
     def add(self, positions, forces, storage, projected: bool) -> None:
         """Add forces and stiffness; see `ForceTerm.add`."""
-        add_patch_stiffness(
-            self.bulk_modulus, projected, self._rest_volumes, positions,
+        self.run_parts(
+            add_patch_stiffness, self.bulk_modulus, projected, self._rest_volumes, positions,
             self._moved(positions), self._cells, self._places, self._first, self._gradients,
             self._weights, self._stencils, self._offsets, self._strides, self._are_contiguous, forces,
             storage,

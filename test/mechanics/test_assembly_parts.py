@@ -8,18 +8,19 @@ from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.geometry.smoothed_mesh import smooth
 from softrobot_twin.kernels.worker_threads import team_of
 from softrobot_twin.mechanics import assembly_parts
+from softrobot_twin.mechanics.patch_volumes import PatchVolumes, patched_cells
 
 SIZE = (0.02, 0.02, 0.1)
 KINDS = {
     "linear": lambda mesh: mesh,
-    "quadratic": add_mid_edge_nodes,
+    "quadratic": lambda _: add_mid_edge_nodes(read_box(SIZE, (2, 2, 10)).mesh),
     "smoothed": smooth,
     "hexahedral": lambda _: read_box(SIZE, (3, 3, 14), of_hexahedra=True).mesh,
 }
 
 
 def _bar(kind):
-    return KINDS[kind](read_box(SIZE, (2, 2, 10)).mesh)
+    return KINDS[kind](read_box(SIZE, (3, 3, 14)).mesh)
 
 
 @pytest.fixture
@@ -28,8 +29,13 @@ def cut(monkeypatch):
     monkeypatch.setattr(assembly_parts, "LEAST_NODES", 0)
 
 
+def patches(mesh, free, _):
+    mesh = getattr(mesh, "tets", mesh)
+    return PatchVolumes(mesh, free, 1.0e5, patched_cells(mesh).patches)
+
+
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("law", ["corotational", "neo_hookean"])
+@pytest.mark.parametrize("law", ["corotational", "neo_hookean", patches])
 def test_parts_give_the_sums_of_the_whole_and_the_same_bits_for_any_number_of_threads(
     kind, law, bind, drawn_rng, monkeypatch
 ):

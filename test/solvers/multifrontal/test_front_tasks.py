@@ -78,12 +78,6 @@ def test_an_indefinite_matrix_is_found_by_all_threads(seed, threads_pay):
     assert system.solver.factor()
 
 
-def test_small_systems_take_one_thread():
-    system = System(PATTERNS["grid"])
-    system.solver.use_threads(4)
-    assert system.solver.thread_count == 1
-
-
 def test_thick_bodies_gain_what_is_asked_for():
     """Of 5,616 unknowns, by the estimated costs; the bar of a step is 1.6 on two and 2.5 on four."""
     # All pairs of a cell, as elements couple them.
