@@ -15,7 +15,7 @@ from softrobot_twin.solvers.factorization import (
     NodeRows,
     block_slots,
 )
-from softrobot_twin.solvers.multifrontal import condensation
+from softrobot_twin.solvers.multifrontal import condensation, front_tasks
 from softrobot_twin.solvers.multifrontal.condensation import ConstraintColumns
 from softrobot_twin.solvers.multifrontal.dense_kernels import WIDE
 from softrobot_twin.solvers.multifrontal.front_tasks import (
@@ -88,6 +88,7 @@ class Multifrontal:
         self._triangles = aligned(self.layout.triangles_size)
         self._tasks: TaskList | None = None
         self.team: Team | None = None
+        self._shares_strips = False
         self._tallest = STRIP * int(self.layout.fronts["strips"].max(initial=1))
         self._nowhere = np.full(node_count, NONE)
         self._take_no_rows(True)
@@ -142,6 +143,9 @@ class Multifrontal:
             self._updates = aligned(size)
         if tasks is not None:
             self.team = team_of(tasks.thread_count)
+        # A right-hand side reads each entry of L once, about one a cycle.
+        self._shares_strips = tasks is not None and self.layout.panels_size >= front_tasks.LEAST_COST
+        if self._shares_strips:
             # A stage that is traced runs on one thread.
             self.stages = TracedStages(False, self._condense, self._is_placed)
 
@@ -255,7 +259,7 @@ class Multifrontal:
             layout.fronts, layout.rows, self._panels, self._triangles, columns.places,
             columns.tree, columns.trees, columns.strips, self._y, self.Y, self.work,
         )  # fmt: skip
-        if self.team is None or columns.work_size <= STRIP:
+        if not self._shares_strips or columns.work_size <= STRIP:
             run_alone(condensation.forward, *arguments)
         else:
             self.team.run(self.team.count, condensation.forward, *arguments)
