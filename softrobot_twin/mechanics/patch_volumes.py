@@ -362,7 +362,8 @@ class PatchVolumes(InParts, ForceTerm):
             mesh: The elements at rest, as `Elements` takes them.
             free_index: Unknown of each node, -1 where it is fixed, shape (node_count,).
             bulk_modulus: κ [Pa].
-            patches: Number of each element's patch, from 0, shape (element_count,).
+            patches: Number of each element's patch, from 0, shape (element_count,). Here they are
+                numbered as `groups_along` does.
         """
         self.bulk_modulus = float(bulk_modulus)
         self.patch_count = int(patches.max()) + 1

@@ -529,7 +529,7 @@ def forward(
     """y ← L⁻¹ y and Y ← L⁻¹ Y, in place, by all threads that call this.
 
     Strips of Y never meet, so each thread takes a group of each tree's strips. Trees begin with
-    different groups: where each has one strip, threads share the trees.
+    different groups: those of fewer strips than threads are shared out.
 
     Args:
         waits_for_all: Whether to return when all groups are done, or when none is left to begin.
