@@ -353,6 +353,7 @@ class Replay:
             ):
                 found.add(difference)
             found.ticks += 1
+            self.loop.simulation.plan()
             take(outcome, content["ros_time"], found.seconds)
         return found
 

@@ -635,8 +635,8 @@ class TwinNode(TickingNode):
         return str(self._values["frame_id"])
 
     def after_work(self, now: float) -> None:
-        """Publishes markers and the status when they are due and diagnostics once a second, and
-        logs problems of the last tick.
+        """Publishes markers and the status when they are due and diagnostics once a second, logs
+        problems of the last tick, and looks for nearer poses.
 
         Args:
             now: Time on the monotonic clock [s].
@@ -649,6 +649,8 @@ class TwinNode(TickingNode):
                 self.last_command.keep(*newest.command, newest.guided_poses)
             self.status.offer(newest, now)
             self._warn_of(newest, now)
+        if self.has_worked:
+            self.loop.simulation.plan()
         if now < self._diagnostics_due:
             return
         self._diagnostics_due = now + DIAGNOSTICS_PERIOD

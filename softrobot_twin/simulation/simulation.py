@@ -339,6 +339,7 @@ class Simulation(Readouts):
         self.newton.balance.folds(before.positions, before.positions + np.spacing(1.0))
         run_every_path(self)
         self.direct.warm_up()
+        self._planner.warm_up(self)
         self.restore(before)
         self._time_budget = TimeBudget()
 
@@ -394,9 +395,10 @@ class Simulation(Readouts):
         clock = StageClock(self.now)
         self._make_result()
         measured = _each(measured)
-        in_place = self._planner.step_in_place(self, command, budget, measured)
-        if in_place is not None:
-            return in_place
+        staying = self._planner.staying(self, command, measured)
+        if staying is not None:
+            self.plan()
+            return self._stay_by(command, staying)
         command, has_other_stiffness = self._begin_parts(command, measured)
         goal = self._goals.read(command, self.state)
         positions, efforts = self._positions, self.state.efforts
@@ -447,32 +449,6 @@ class Simulation(Readouts):
         )  # fmt: skip
         return self._succeeded(goal, outcome, clock)
 
-    def step_aside(
-        self, state: State, factor_age: int | None, command: Command, budget: float | None, measured: list
-    ) -> tuple[StepResult, State, int | None]:
-        """Try a step from another state: the robot stays where it is.
-
-        Args:
-            state: The other state.
-            factor_age: Age of the factor there; see `Tangent`.
-            command: See `step`.
-            budget: See `step`.
-            measured: See `step`.
-
-        Returns:
-            The result, the state where the try stands, and the age of the factor there.
-        """
-        tangent, stays = self.newton.tangent, (self.state, self.kept)
-        self.state, self.kept, tangent.factor_age = state, None, factor_age
-        try:
-            return self.step(command, budget, measured), self.state, tangent.factor_age
-        except Exception:
-            self.forget_solvers()
-            raise
-        finally:
-            # The factor is that of the other state.
-            (self.state, self.kept), tangent.factor_age = stays, None
-
     def finish_result(self) -> None:
         """Make the result of the last step, if somebody keeps it, before the model changes.
 
@@ -502,24 +478,29 @@ class Simulation(Readouts):
         Returns:
             The result, at which `report.is_resting`; None where the step must be made.
         """
-        kept = self.kept
+        kept, measured = self.kept, _each(measured)
         if kept is None or kept.result is None or not self.asks_as(kept.command, command):
             return None
-        if any(one.is_any for one in _each(measured)):
+        if any(one.is_any for one in measured):
             return None
-        if self._planner.is_stepping:
-            return None
-        return self.stay_by(command, kept.result)
+        return self._stay_by(command, self._planner.staying(self, command, measured) or kept.result)
 
-    def stay_by(self, command: Command, rest: StepResult) -> StepResult:
-        """A result at rest, after the time of one more step.
-
-        Args:
-            command: What is asked.
-            rest: The result of a step that kept the state.
-        """
+    def _stay_by(self, command: Command, rest: StepResult) -> StepResult:
+        """A result at rest, after the time of one more step."""
         self.state = self.state.kept_through(command.time_step)
         return made(StepResult, rest.__dict__, state=self.state)
+
+    def plan(self) -> None:
+        """Look on for a nearer pose, where the robot rests and its scene asks for `solver.exploration`.
+
+        It takes about as long as a step, and changes no state: between the steps of `stay`, whoever calls
+        these does this while nobody waits. A `step` in place of `stay` does it itself.
+        """
+        goal = self._planner.plan(self)
+        if goal is not None:
+            self.kept = None
+            self.forget_solvers()
+            self.inverse.depart(goal)
 
     def asks_as(self, before: Command, command: Command) -> bool:
         """Whether a command asks for the same as one before, of a state that is kept.

@@ -40,7 +40,9 @@ class Clocked:
         self.now += period
         if not self._rests:
             self.loop.wake()
-        return self.loop.tick(self.now, round(1e9 * self.now))
+        outcome = self.loop.tick(self.now, round(1e9 * self.now))
+        self.simulation.plan()
+        return outcome
 
     def until_repeating(self, most=400):
         for _ in range(most):

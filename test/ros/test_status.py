@@ -97,7 +97,11 @@ def test_a_command_that_is_kept_back_is_an_error(twin):
     assert values_of(message)["kept_back"] == "north.tension_max"
 
 
-def test_a_twin_that_looks_for_a_nearer_pose_says_so(twin):
+def test_a_twin_looks_for_nearer_poses_after_its_work_and_says_so(twin, monkeypatch):
+    looks = []
+    monkeypatch.setattr(twin.loop.simulation, "plan", lambda: looks.append(twin.has_worked))
+    twin.tick()
+    assert looks == [True]
     outcome = twin.window.newest
     report = replace(outcome.result.report, is_exploring=True)
     outcome = outcome._replace(cause="", result=replace(outcome.result, report=report))

@@ -3,8 +3,8 @@
 The inverse problem follows its linearization downhill, so it may rest where a nearer pose exists that no
 small move leads to. From there the simulation goes on while the robot stays: one actuator, or all, go by a
 share of their scales, and from where that leads the targets are followed as always. Where the body comes
-to rest nearer to them, the robot goes the same way. What is tried is taken back by restoring the state. It
-costs time only: in place of each step of the robot, which would change nothing, it is one of these.
+to rest nearer to them, the robot goes the same way. Trials are made on a copy of the simulation, between
+the steps of the robot, which change nothing: they cost time and memory only.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ import numpy as np
 from softrobot_twin.simulation.building.actuators import Actuators
 from softrobot_twin.simulation.command import Command, FollowTargets
 from softrobot_twin.simulation.result import Status, StepResult
-from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.step.step_part import Planner, Steppable, StepPart
 
 # Moves of one actuator, as shares of its scale, in the order in which they are tried; a move that
@@ -40,13 +39,10 @@ class Exploration:
 
     Attributes:
         command: The command to follow the targets.
-        result: What tells that the robot rests.
         misses: Distances from the targets where it stays, times the roots of their weights [m], shape (n,).
         trial: Where the actuators go in the present trial before they follow the targets: displacements, or
             efforts of what is driven by them, shape (actuator_count,); None where all were in vain.
         is_found: Whether the present trial leads nearer, so that the robot itself goes this way.
-        state: Where the present trial stands.
-        factor_age: Age of its factor; see `Newton`.
     """
 
     def __init__(self, command: FollowTargets, result: StepResult, misses: np.ndarray, actuators: Actuators):
@@ -58,7 +54,9 @@ class Exploration:
             misses: See `misses`.
             actuators: The actuators.
         """
-        self.command, self.result, self.misses = command, result, misses
+        report = replace(result.report, is_exploring=True, is_resting=False)
+        self._at_rest, self._exploring = result, replace(result, report=report)
+        self.command, self.misses = command, misses
         self._is_free = np.ones(actuators.count, dtype=bool)
         if command.commanded is not None:
             self._is_free = np.isnan(command.commanded)
@@ -71,11 +69,14 @@ class Exploration:
         """Weighted sum of squared distances where the robot stays [m²]."""
         return float(self.misses @ self.misses)
 
+    @property
+    def result(self) -> StepResult:
+        """What steps of the robot give while it stays."""
+        return self._at_rest if self.trial is None else self._exploring
+
     def next_trial(self) -> None:
         """Begin the next trial where the robot stays, or end."""
         self.trial = next(self._trials, None)
-        self.state: State = self.result.state
-        self.factor_age: int | None = None
         self._best, self._count, self._since, self._calm_count = np.inf, 0, 0, 0
 
     def end(self, result: StepResult) -> None:
@@ -84,7 +85,7 @@ class Exploration:
         Args:
             result: The result.
         """
-        self.trial, self.is_found, self.result = None, False, result
+        self.trial, self.is_found, self._at_rest = None, False, result
 
     def judge(self, misses: np.ndarray, has_gone: bool, is_stable: bool, is_calm: bool) -> None:
         """Judge a step of the trial, and begin the next trial where it is over.
@@ -122,22 +123,22 @@ class Exploration:
 
 
 class Explorer(StepPart, Planner):
-    """Lets a robot at rest away from its targets explore in place of steps that change nothing."""
+    """Explores on a copy of the simulation while a robot rests away from its targets."""
 
     name = "exploration"
 
     def __init__(self) -> None:
         """Nothing is explored yet."""
         self._exploration: Exploration | None = None
+        self._copy: Steppable | None = None
 
     def forget(self) -> None:
         """See `Planner`."""
         self._exploration = None
 
-    @property
-    def is_stepping(self) -> bool:
-        """Whether something is tried."""
-        return self._exploration is not None and self._exploration.trial is not None
+    def warm_up(self, simulation: Steppable) -> None:
+        """Build and warm up the copy. See `Planner`."""
+        self._copied(simulation).warm_up()
 
     def steps_until_rest(self, command: FollowTargets, result: StepResult) -> int:
         """More where an exploration would follow."""
@@ -159,53 +160,47 @@ class Explorer(StepPart, Planner):
         elif before is not None:
             before.end(result)
 
-    def step_in_place(
-        self, simulation: Steppable, command: Command, budget: float | None, measured: list
-    ) -> StepResult | None:
-        """A step of a trial; None where the robot steps itself. See `Planner`."""
+    def staying(self, simulation: Steppable, command: Command, measured: list) -> StepResult | None:
+        """The result of a robot that explores, or has explored in vain. See `Planner`."""
         exploration = self._exploration
         if exploration is None:
             return None
         if any(one.is_any for one in measured) or not simulation.asks_as(exploration.command, command):
-            if not exploration.is_found:
-                simulation.forget_solvers()
             self._exploration = None
             return None
-        if exploration.trial is None:
-            return simulation.stay_by(command, exploration.result)
-        if exploration.is_found:
+        return None if exploration.is_found else exploration.result
+
+    def plan(self, simulation: Steppable) -> np.ndarray | None:
+        """Make a step of a trial. See `Planner`."""
+        exploration = self._exploration
+        if exploration is None or exploration.is_found or exploration.trial is None:
             return None
-        return self._try(simulation, exploration, command, budget, measured)
-
-    def _begin_trial(self, simulation: Steppable) -> None:
-        simulation.forget_solvers()
-        if self._exploration.trial is not None:
-            simulation.inverse.depart(self._exploration.trial)
-
-    def _try(
-        self, simulation: Steppable, exploration: Exploration, command: Command,
-        budget: float | None, measured: list,
-    ) -> StepResult:  # fmt: skip
-        """Make a step of a trial in place of one of the robot, which would keep its state."""
-        before, inverse, self._exploration = exploration.state, simulation.inverse, None
-        tried, exploration.state, exploration.factor_age = simulation.step_aside(
-            before, exploration.factor_age, command, budget, measured
-        )
-        self._exploration, moved = exploration, np.abs(exploration.state.setpoints - before.setpoints)
-        is_stable = simulation.is_balanced and not simulation.newton.tangent.is_projected
-        is_calm = bool((moved <= CALM * simulation.limits.drive_scale).all())
-        trial = exploration.trial
+        # A trial that raises ends the exploration.
+        copy, self._exploration = self._copied(simulation), None
+        before, trial = copy.state.setpoints, exploration.trial
+        tried = copy.step(exploration.command)
+        is_stable = copy.is_balanced and not copy.newton.tangent.is_projected
+        is_calm = (np.abs(copy.state.setpoints - before) <= CALM * copy.limits.drive_scale).all()
         if tried.status.is_failure:
             exploration.next_trial()
         else:
-            exploration.judge(inverse.misses, not inverse.is_departing, is_stable, is_calm)
-        if exploration.is_found or exploration.trial is not trial:
+            exploration.judge(copy.inverse.misses, not copy.inverse.is_departing, is_stable, bool(is_calm))
+        self._exploration = exploration
+        if exploration.is_found:
+            return trial
+        if exploration.trial is not trial:
             self._begin_trial(simulation)
-        simulation.state = simulation.state.kept_through(command.time_step)
-        report = replace(
-            exploration.result.report, stage_times=tried.report.stage_times,
-            compute_time=tried.report.compute_time, iterations=tried.report.iterations,
-            factor_age=tried.report.factor_age, is_late=tried.report.is_late, is_exploring=True,
-            is_resting=False,
-        )  # fmt: skip
-        return replace(exploration.result, state=simulation.state, report=report)
+        return None
+
+    def _copied(self, simulation: Steppable) -> Steppable:
+        """The copy; it is built once."""
+        if self._copy is None:
+            scene = simulation.scene.changed(solver={"exploration": False})
+            self._copy = type(simulation)(scene, with_warnings=False, mounted=simulation.mounted)
+        return self._copy
+
+    def _begin_trial(self, simulation: Steppable) -> None:
+        if self._exploration.trial is not None:
+            copy = self._copied(simulation)
+            copy.take_over(simulation)
+            copy.inverse.depart(self._exploration.trial)

@@ -169,16 +169,17 @@ class StepPart:
 
 
 class Planner:
-    """Takes the place of steps of a robot at rest that would change nothing; this one of none.
-
-    Attributes:
-        is_stepping: Whether a robot at rest has steps to make.
-    """
-
-    is_stepping = False
+    """Looks for better places while a robot rests, beside its steps; this one for none."""
 
     def forget(self) -> None:
         """Forget the steps before; the state tells all that the next one depends on."""
+
+    def warm_up(self, simulation: Steppable) -> None:
+        """Build and compile what `plan` needs.
+
+        Args:
+            simulation: The simulation.
+        """
 
     def steps_until_rest(self, command: FollowTargets, result: StepResult) -> int:
         """Steps towards targets that must keep the state before further ones need not be made.
@@ -198,19 +199,28 @@ class Planner:
             result: The result that they would have.
         """
 
-    def step_in_place(
-        self, simulation: Steppable, command: Command, budget: float | None, measured: list
-    ) -> StepResult | None:
-        """Take the place of a step.
+    def staying(self, simulation: Steppable, command: Command, measured: list) -> StepResult | None:
+        """The result of a step that is not made, since the robot stays.
 
         Args:
             simulation: The simulation, before the step.
             command: What is asked.
-            budget: Time for the step [s], or None.
             measured: All that is measured; see `Simulation.step`.
 
         Returns:
-            Its result; None where the step is to be made as usual.
+            The result; None where the step is to be made as usual.
+        """
+        return None
+
+    def plan(self, simulation: Steppable) -> np.ndarray | None:
+        """Look on, about as long as one step takes.
+
+        Args:
+            simulation: The simulation, between two steps; it stays as it is.
+
+        Returns:
+            Where the actuators shall go first, displacements, or efforts of what is driven by them, shape
+            (actuator_count,); None to stay, or where nothing is looked for.
         """
         return None
 
@@ -333,7 +343,11 @@ class Steppable(Protocol):
     now: Callable[[], float]
     is_balanced: bool
 
-    def __init__(self, scene: Scene, now: Callable[[], float] = ..., *, with_warnings: bool): ...
+    mounted: Any
+
+    def __init__(
+        self, scene: Scene, now: Callable[[], float] = ..., *, with_warnings: bool, mounted: Any = None
+    ): ...
 
     @property
     def scene(self) -> Scene: ...
@@ -345,23 +359,17 @@ class Steppable(Protocol):
         self, command: Command, budget: float | None = None, measured: object | None = None
     ) -> StepResult: ...
 
-    def step_aside(
-        self, state: State, factor_age: int | None, command: Command, budget: float | None, measured: list
-    ) -> tuple[StepResult, State, int | None]: ...
-
-    def stay_by(self, command: Command, rest: StepResult) -> StepResult: ...
-
     def asks_as(self, before: Command, command: Command) -> bool: ...
 
     def come_near(
         self, positions: np.ndarray, efforts: np.ndarray, time_step: float, clock: StageClock
     ) -> np.ndarray | None: ...
 
-    def forget_solvers(self) -> None: ...
-
     def reset(self) -> None: ...
 
     def restore(self, state: State) -> None: ...
+
+    def take_over(self, other: Steppable) -> None: ...
 
     def warm_up(self) -> None: ...
 

@@ -7,6 +7,7 @@ import pytest
 import softrobot_twin as st
 from softrobot_twin.simulation import FollowTargets
 from softrobot_twin.simulation.effects.exploration import NEARER, RANDOM_MOVES, Exploration
+from softrobot_twin.simulation.step.newton import Newton
 from test.control.conftest import coarse
 from test.scene_changes import repeat_step
 
@@ -61,22 +62,13 @@ def test_while_it_explores_a_robot_stays_to_the_bit(limited):
     assert count > 5
 
 
-@pytest.mark.exhaustive
-def test_a_robot_that_shall_not_explore_rests_where_it_is(limited):
-    twin, asked = limited(exploration=False)
-    for _ in range(MOST // 2):
-        result = twin.step(asked)
-        assert not result.outcome.report.is_exploring
-    nearer = until(*limited(), lambda report: report.is_resting)
-    assert missed(limited.robot, nearer) < 0.5 * missed(limited.robot, result)
-
-
-def test_another_command_ends_an_exploration_and_begins_from_the_robots_state(limited):
+def test_another_command_ends_an_exploration_which_left_no_trace(limited):
     twin, asked = limited()
     until(twin, asked, lambda report: report.is_exploring)
+    fresh, _ = limited(exploration=False)
+    for _ in range(twin.simulation.state.step_count):
+        assert not fresh.step(asked).outcome.report.is_exploring
     repeat_step(twin, asked, 7)
-    fresh, _ = limited()
-    fresh.state = twin.state
     home = st.setpoints({f"{name}_shortening_m": 0.0 for name in ("c0", "c1", "c2", "c3", "c4")})
     for _ in range(3):
         one, other = twin.step(home), fresh.step(home)
@@ -95,13 +87,13 @@ def test_a_touch_ends_an_exploration():
 def test_a_trial_that_raises_leaves_the_robot_where_it_is(limited, monkeypatch):
     twin, asked = limited()
     until(twin, asked, lambda report: report.is_exploring)
-    state, correct = twin.state, twin.simulation.newton.correct
+    state, correct = twin.state, Newton.correct
 
     def broken(*arguments):
         correct(*arguments)
         raise ArithmeticError("in a trial")
 
-    monkeypatch.setattr(twin.simulation.newton, "correct", broken)
+    monkeypatch.setattr(Newton, "correct", broken)
     with pytest.raises(ArithmeticError):
         twin.step(asked)
     assert twin.state is state
