@@ -23,6 +23,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.harness.equilibrium import bring_to_rest
 from softrobot_twin.harness.sampled_axes import shifted_sobol
 from softrobot_twin.harness.terminal import console, table, tracked, warn
 from softrobot_twin.reduction.superelement_fit import (
@@ -37,7 +38,7 @@ from softrobot_twin.reduction.superelement_fit import (
 from softrobot_twin.reduction.training_options import TEST_STATES
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.scene.scene_changes import full_scene, without_vertebrae
-from softrobot_twin.simulation import CommandSetpoints, Simulation
+from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.building.reduced_body import ModelFileError
 from softrobot_twin.simulation.building.scene_layout import lay_out, walls_on, whole_layout
 from softrobot_twin.simulation.building.vertebrae import (
@@ -108,18 +109,14 @@ def setpoints_within(simulation: Simulation, count: int, seed: int) -> np.ndarra
 
 
 def brought_to(simulation: Simulation, setpoints: np.ndarray) -> bool:
-    """Bring a simulation from rest to setpoints; False where it does not converge.
+    """Bring a simulation from its rest shape to rest at setpoints; False where it gets to none.
 
     Args:
         simulation: The simulation; is moved.
         setpoints: Setpoints of the actuators, in their units, shape (actuator_count,).
     """
     simulation.reset()
-    rest = simulation.rest_setpoints
-    for share in np.linspace(1.0 / WAY, 1.0, WAY):
-        result = simulation.step(CommandSetpoints(rest + share * (setpoints - rest), 1.0))
-    tolerance = simulation.scene.solver.residual_tolerance
-    return not result.status.is_failure and result.report.residual <= tolerance
+    return bring_to_rest(simulation, setpoints, WAY).is_reached
 
 
 def _rigid_pose(points: np.ndarray, at_rest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
