@@ -3,7 +3,7 @@
     python tools/compile_kernels.py
     python tools/compile_kernels.py --ship [SCENE...]
 
-Combinations are those of elements, laws and ways to move in time. Kernels that are kept on disk are
+Combinations are those of elements, laws and ways to move in time, and a robot with an observer. Kernels that are kept on disk are
 only read, and where nothing changed since the last time, nothing is done. With `--ship`, for a
 release, also those of the Python of the README; then all entries that Python calls are put into the
 package as `kernels.zip`, and what the scenes called as the list by which processes compile ahead.
@@ -53,6 +53,7 @@ def jobs(names: Sequence[str]) -> list[Job]:
     scenes = sorted((path.stem for path in SCENES.glob("*.yaml")), key=lambda name: name not in FIRST)
     found: list[Job] = [(name, ()) for name in names or scenes]
     if not names:
+        found += [("diamond", ("observer={}",))]
         found += [
             (scene, (f"body.element={element}", f"integration={motion}",
                      f"body.material={{law: {law}, {constants}, poisson_ratio: 0.45, density: 1070.0}}"))

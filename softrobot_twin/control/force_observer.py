@@ -169,6 +169,13 @@ class ForceObserver:
         # When a change was followed by steps, and when forces began anew; one may be sure since.
         self._followed = self._begun = -math.inf
 
+    def warm_up(self) -> None:
+        """Compiles what measurements will need, and forgets all forces."""
+        self.look()
+        none, each = np.zeros(3 * self.quantity_count), np.ones(self.quantity_count)
+        _estimate(self._loads, self._prior, none, self.by_loads, each, each)
+        self.reset()
+
     def look(self) -> None:
         """Finds what forces do to the quantities where the last step ended. Called after each step."""
         found = self._compliance.at_state(self.found.points, may_be_slow=False)

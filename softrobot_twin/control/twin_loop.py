@@ -391,7 +391,10 @@ class TwinLoop:
             self._of_sensors = SensorCorrection(simulation.model.sensors.lengths)
         limits = simulation.limits
         self._base_seen, self._base_frame, self._followed = -math.inf, "", -math.inf
-        self.observer = None if simulation.scene.observer is None else ForceObserver(simulation)
+        self.observer = None
+        if simulation.scene.observer is not None:
+            self.observer = ForceObserver(simulation)
+            self.observer.warm_up()
         self.dynamic: DynamicControl | None = None
         if simulation.scene.control is not None and mode is Mode.INVERSE:
             self.dynamic = DynamicControl(simulation, settings.period, settings.prediction)

@@ -334,10 +334,10 @@ class Simulation(Readouts):
     def warm_up(self) -> None:
         """Run every path once, so that nothing is compiled or set up later; state unchanged."""
         before = self.state
-        # No move of a warm-up folds elements, and most scenes never see one that does.
-        # It ends beside the state, of which elements know their deformation already.
-        self.newton.balance.folds(before.positions, before.positions + np.spacing(1.0))
+        self.newton.balance.warm_up(before.positions)
         run_every_path(self)
+        # What follows a step in balance, which those were not in every scene.
+        self._goals.read(Hold(1.0), before).keeps(before, before, True)
         self.direct.warm_up()
         self._planner.warm_up(self)
         self.restore(before)

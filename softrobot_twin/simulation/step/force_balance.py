@@ -14,6 +14,7 @@ import numpy as np
 
 from softrobot_twin.kernels.traced_stage import TracedStages, clear
 from softrobot_twin.mechanics.force_term import ForceTerm
+from softrobot_twin.mechanics.volume_barrier import BARRIER_VOLUME
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.step.actuation import Actuation
 from softrobot_twin.solvers.dense_stiffness import without_rows
@@ -142,6 +143,17 @@ class ForceBalance:
             self._memory_count = self._model.factorization.memory_count
             self._move_stages.forget()
         return self._move_stages.run(MOVE, positions)
+
+    def warm_up(self, positions: np.ndarray) -> None:
+        """Run what a body needs only where it folds, or is nearly flat: no move of a warm-up does that.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
+        # It ends beside the state, of which elements know their deformation already.
+        self.folds(positions, positions + np.spacing(1.0))
+        flat = positions * [1.0, 1.0, 0.5 * BARRIER_VOLUME]
+        self._assemble(flat, np.zeros(self._model.rows.row_count))
 
     def folds(self, start: np.ndarray, positions: np.ndarray) -> bool:
         """Whether elements fold on the way between two states, or are folded at its end.

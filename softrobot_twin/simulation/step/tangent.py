@@ -143,15 +143,11 @@ class Tangent:
         holds = is_held[augmented.stiffness[: len(is_held)] != 0.0].all()
         return augmented if holds and not has_own else None
 
-    def take_augmented_tangent(self) -> bool:
-        """Let the next linearization augment its tangent, where held actuators bear.
-
-        Returns:
-            Whether that tangent has kernels of its own, for which a body that becomes unstable would
-            wait if nothing had compiled them.
+    def take_augmented_tangent(self) -> None:
+        """Let the next linearization augment its tangent where held actuators bear, if kernels are
+        compiled for that alone: a body that becomes unstable would wait for them.
         """
-        self.is_indefinite = self._augmented is not None
-        return self.is_indefinite and self._augmented.has_kernels
+        self.is_indefinite = self._augmented is not None and self._augmented.has_kernels
 
     def prepare(
         self, positions: np.ndarray, efforts: np.ndarray, clock: StageClock,
