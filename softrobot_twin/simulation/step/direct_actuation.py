@@ -353,7 +353,7 @@ class DirectActuation:
             found = self.solvers.solve(
                 problem, guess[chosen], expected[chosen], contacts.margin
             )
-            if linear.chosen is None:
+            if linear.is_whole:
                 return found
             sweeps, rounds = sweeps + found.sweeps, rounds + 1
             multipliers = np.zeros(len(guess))
@@ -374,18 +374,16 @@ class DirectActuation:
         contacts = self._contacts
         compliance, violation = linear.of_actuators_and_contacts(moves)
         violation[: len(displacements)] -= displacements
-        friction = contacts.friction
         problem = ContactProblem(
             None if compliance.Yt is not None else compliance.W, violation, lower, upper,
-            friction if linear.chosen is None else friction[linear.chosen],
-            3 if contacts.rubs else 1, compliance.Yt,
+            contacts.friction[linear.chosen], 3 if contacts.rubs else 1, compliance.Yt,
         )  # fmt: skip
         return with_frictionless_contacts(problem) if self._mixes else problem
 
     @staticmethod
     def _places(linear: Linearized) -> np.ndarray | slice:
         """Indices of the condensed rows among the multipliers of actuators and contacts."""
-        if linear.chosen is None:
+        if linear.is_whole:
             return slice(None)
         count = linear.groups.actuators.stop
         return np.concatenate([np.arange(count), count + linear.contact_rows])

@@ -234,11 +234,10 @@ class Follower(InverseActuation):
             # Wanted stiffnesses are no places, and curve in other ways.
             return
         W, _ = with_contacts_closed(linear, forces)
-        efforts, augmentation = linear.efforts(held.efforts, forces), linear.augmentation
+        efforts = linear.efforts(held.efforts, forces)
         bears = ~self._one_sided | (efforts > NO_EFFORT * efforts.max(initial=0.0))
         jacobian = jacobian_by_drives(
-            W, linear.groups.effectors, bears & ~self._by_effort, bears,
-            self._none if augmentation is None else augmentation.stiffness,
+            W, linear.groups.effectors, bears & ~self._by_effort, bears, linear.augmentation.stiffness,
         )  # fmt: skip
         pull = situation.weights * (situation.places - situation.targets)
         presses = [key for key, force in zip(self._contact_keys(linear), forces, strict=True) if force > 0.0]

@@ -634,9 +634,7 @@ class InverseActuation:
             bounds: Bounds of efforts and displacements.
         """
         active, count = self.solver.guess, len(self._none)
-        stiffness = reference = self._none
-        if linear.augmentation is not None:
-            stiffness, reference, _ = linear.augmentation
+        stiffness, reference, *_ = linear.augmentation
         if not self._proves or active is None or len(active) < 2 * count:
             return None
         proved, efforts, within, active = guessed_actuation(
@@ -744,9 +742,9 @@ class InverseActuation:
         linear: Linearized, problem: QPCC, system: InverseSystem, own: np.ndarray | slice
     ) -> QPCC:
         """The problem as it is where the tangent is augmented."""
-        if linear.augmentation is None:
-            return problem
         found = linear.augmentation
+        if not found.acts:
+            return problem
         return with_effort_rows(
             problem, found.stiffness[own], found.reference[own], system.actuators
         )
@@ -807,7 +805,7 @@ class InverseActuation:
         self, linear: Linearized, efforts: np.ndarray, contact: ContactLoads, bounds: Bounds
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, bool]:
         """Efforts and displacements found, these within their bounds, and whether all are."""
-        if linear.augmentation is None:
+        if not linear.augmentation.acts:
             efforts = np.minimum(np.maximum(efforts, bounds.effort_min), bounds.effort_max)
         path = linear.actuator_displacements(efforts, contact.multipliers)
         within = np.empty(len(path))

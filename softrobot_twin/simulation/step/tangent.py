@@ -11,7 +11,11 @@ import numpy as np
 from softrobot_twin.geometry.vector_arrays import copy_vectors
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.step.actuation import Actuation
-from softrobot_twin.simulation.step.augmented_tangent import HeldActuators, augmented_tangent_of
+from softrobot_twin.simulation.step.augmented_tangent import (
+    Augmentation,
+    HeldActuators,
+    augmented_tangent_of,
+)
 from softrobot_twin.simulation.step.force_balance import ForceBalance
 from softrobot_twin.simulation.step.linearized import (
     NO_MOVES,
@@ -65,6 +69,8 @@ class Tangent:
         self._leaves_out = model.rubs and model.slides is None and self._conserves
         self.is_projected = self.is_augmented = False
         self._augmented, self._held = augmented_tangent_of(model), None
+        count = model.actuators.count
+        self._plain = Augmentation(*np.zeros((2, count)), np.ones(count), acts=False)
         self.projects_in_part = (
             any(term.is_slender for term in model.forces) and self._conserves
             and not (isinstance(model.factorization, DenseStiffness) or model.is_dynamic)
@@ -316,14 +322,13 @@ class Tangent:
         if model.slides is not None:
             columns = model.slides.columns(rows, self._effector_columns, model.contacts)
             moves = PrescribedMoves(-model.slides.positions(positions), columns)
-        solver, augmentation, shift = model.factorization, None, np.zeros(rows.row_count)
+        solver, augmentation, shift = model.factorization, self._plain, np.zeros(rows.row_count)
         if self.is_augmented:
             held, solver, (a, _, c) = self._held, self._augmented, rows.groups
             reference = model.actuators.limits.drives_within(held.drives, held.bounds)
             augmentation = solver.augmentation(reference)
             shift[a] = augmentation.efforts(np.zeros(a.stop), rows.values[a])
-            if augmentation.share is not None:
-                shift[a] *= augmentation.share
+            shift[a] *= augmentation.share
             shift[c] = solver.contact_shift(rows.values[c])
         self._condensed_forces = self._balance.forces
         if self.is_augmented or rows.told is not None:
