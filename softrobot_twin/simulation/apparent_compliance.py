@@ -198,7 +198,7 @@ class HeldTangent:
             np.concatenate([rows.blocks[kept], effectors.blocks]), count + effectors.row_count,
         )  # fmt: skip
         slides, G = self._model.slides, np.empty((H.row_count, 0))
-        if slides is not None:
+        if slides:
             G = np.zeros((H.row_count, slides.count))
             for points, own in effectors.constant_terms:
                 # Nothing asks how slides move what sensors show.

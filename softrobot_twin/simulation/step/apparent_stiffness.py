@@ -342,7 +342,7 @@ def why_no_stiffness(model: Model) -> str:
         return "rigid bodies, beams or vertebrae"
     if rows.varies:
         return "contact"
-    if model.slides is not None:
+    if model.slides:
         return "slides"
     if not model.actuators.conserves:
         return model.actuators.losses

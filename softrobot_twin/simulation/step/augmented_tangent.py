@@ -157,7 +157,8 @@ class AugmentedTangent:
         self._may_be_held, self._contacts = may_be_held, contacts
         self._take(own)
         self.stiffness, self.contact_stiffness = np.zeros(len(may_be_held)), np.empty(0)
-        self.dense_rows, self._share = NO_DENSE_ROWS, np.ones(len(may_be_held))
+        self.dense_rows = NO_DENSE_ROWS
+        self._share, self._stretch = np.ones(len(may_be_held)), np.zeros(len(may_be_held))
         self._whole = self._with_own_rows()
 
     def _with_own_rows(self) -> Factorization:
@@ -250,7 +251,6 @@ class AugmentedTangent:
         Raises:
             numpy.linalg.LinAlgError: The augmented tangent is not positive definite.
         """
-        # Contacts and effectors keep their rows.
         of_row = np.ones(H.row_count)
         of_row[: len(self._share)] = self._share
         return self._whole.condense(H._replace(blocks=H.blocks * of_row[H.row_index, None]), b)
@@ -271,7 +271,8 @@ class AugmentedTangent:
         """
         reference = displacements[: len(self.stiffness)]
         # The compliance may have changed since the tangent was augmented by ρ s.
-        self._share = 1.0 - self.stiffness * self._rows.stretch_compliance()
+        self._stretch = self._rows.stretch_compliance()
+        self._share = 1.0 - self.stiffness * self._stretch
         return Augmentation(self.stiffness / self._share, reference, self._share)
 
     def contact_shift(self, gaps: np.ndarray) -> np.ndarray:
@@ -304,9 +305,8 @@ class AugmentedTangent:
         count = len(self._share)
         of_row = np.ones(len(W))
         of_row[:count] = self._share
-        # The caller keeps its W.
         W = W.copy()
-        W.ravel()[: count * (len(W) + 1) : len(W) + 1] -= self._share * self._rows.stretch_compliance()
+        W.ravel()[: count * (len(W) + 1) : len(W) + 1] -= self._share * self._stretch
         W /= np.outer(of_row, of_row)
         return not is_below(W, rows, root, 1.0 - self.margin)
 

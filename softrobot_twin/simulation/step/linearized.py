@@ -135,11 +135,11 @@ class Linearized:
         move_count: Number of slides, the last of the actuators; their multipliers are their
             displacements from the state.
         stored: W of the energy of the multipliers, where it is not `W`; else None.
-        ties: T and t of a system whose multipliers follow from fewer; else None.
+        ties: T and t of a system whose multipliers follow from fewer; else empty.
     """
 
     stored: np.ndarray | None = None
-    ties: tuple[np.ndarray, np.ndarray] | None = None
+    ties: tuple[np.ndarray, ...] = ()
 
     def __init__(
         self, factorization: Factorization, stack: RowStack, forces: np.ndarray,

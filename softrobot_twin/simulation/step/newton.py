@@ -189,7 +189,7 @@ class Newton:
         Returns:
             The condensed system, or None when the tangent cannot be factorized.
         """
-        if self.tangent.ahead is None:
+        if not self.tangent.ahead:
             self._look(positions, clock, held)
         return self.tangent.linearize(positions, efforts, clock, with_stale_factor, held)
 

@@ -61,12 +61,11 @@ class Tangent:
         """
         self._model, self._rows, self._balance = model, model.rows, balance
         self._condensed_forces, self._loaded_forces = balance.forces, np.empty_like(balance.forces)
-        self._effector_columns = None
-        if model.slides is not None:
+        if model.slides:
             self._effector_columns = model.slides.effector_columns(model.effectors)
         self._conserves, self._follows = model.actuators.conserves, False
         # In an inverse problem all contacts have a part, and so they have where slides move them.
-        self._leaves_out = model.rubs and model.slides is None and self._conserves
+        self._leaves_out = model.rubs and not model.slides and self._conserves
         self.is_projected = self.is_augmented = False
         self._augmented, self._held = augmented_tangent_of(model), None
         count = model.actuators.count
@@ -76,10 +75,9 @@ class Tangent:
             and not (isinstance(model.factorization, DenseStiffness) or model.is_dynamic)
         )
         self.forget()
-        if self.projects_in_part and self._augmented is not None:
-            # Later, slender parts would take the rest shape for where their last move began.
-            if not self._measure_stiffness(StageClock()):
-                self._augmented = None
+        # Later, slender parts would take the rest shape for where their last move began.
+        if self.projects_in_part and self._augmented and not self._measure_stiffness(StageClock()):
+            self._augmented = None
 
     def forget(self) -> None:
         """Forget what earlier states taught: the next linearization starts from nothing."""
@@ -90,12 +88,12 @@ class Tangent:
         self._projection = 1.0
         # Where the exact tangent was indefinite, it is tried again when the augmented one tells
         # that it is definite.
-        self.is_indefinite = self._augmented is not None and self._augmented.comes_first
+        self.is_indefinite = bool(self._augmented) and self._augmented.comes_first
 
     @property
     def asks_for_held(self) -> bool:
         """Whether a linearization depends on what holds the actuators."""
-        return self._augmented is not None or self._rows.varies
+        return bool(self._augmented) or self._rows.varies
 
     @property
     def may_keep_factor(self) -> bool:
@@ -156,7 +154,7 @@ class Tangent:
             Whether that tangent has kernels of its own, for which a body that becomes unstable would
             wait if nothing had compiled them.
         """
-        self.is_indefinite = self._augmented is not None
+        self.is_indefinite = bool(self._augmented)
         return self.is_indefinite and self._augmented.has_kernels
 
     def prepare(
@@ -168,8 +166,8 @@ class Tangent:
         self.is_augmented = False
         self._rows.limit_stiffness(False)
         self.ahead = self._factored(positions, self._rows.multipliers(efforts), clock)
-        self.factor_age = None if self.ahead is None else 0
-        return self.ahead is not None
+        self.factor_age = 0 if self.ahead else None
+        return bool(self.ahead)
 
     def linearize(
         self, positions: np.ndarray, efforts: np.ndarray, clock: StageClock,
@@ -186,9 +184,9 @@ class Tangent:
         else:
             linear = self._factor_and_condense(positions, efforts, held, clock)
             self.is_worn = False
-            self.factor_age = None if linear is None else 0
+            self.factor_age = 0 if linear else None
         clock.mark("condense")
-        if linear is not None:
+        if linear:
             self.linear = linear
         return linear
 
@@ -206,7 +204,7 @@ class Tangent:
         if not (self.is_indefinite and may_augment):
             self._rows.limit_stiffness(False)
             linear = self._factored(positions, multipliers, clock)
-            if linear is not None:
+            if linear:
                 self.is_indefinite = (
                     is_inverse and may_augment and self._augmented.is_near(linear.W)
                     and self._augmented.choose(efforts, held)
@@ -221,7 +219,7 @@ class Tangent:
             for is_limited in (False, True) if self._rows.may_be_negative else (True,):
                 self._rows.limit_stiffness(is_limited)
                 linear = self._factored(positions, multipliers, clock)
-                if linear is not None:
+                if linear:
                     self.is_indefinite = self._augmented.is_needed(
                         linear.W, linear.groups.contacts.start
                     )
@@ -229,7 +227,7 @@ class Tangent:
         self.is_augmented, self.is_projected, self.is_indefinite = False, True, False
         if self.projects_in_part:
             linear = self._least_projected(positions, multipliers, may_augment, clock)
-            if linear is not None:
+            if linear:
                 return linear
         return self._factored(positions, multipliers, clock)
 
@@ -237,7 +235,7 @@ class Tangent:
         self, positions: np.ndarray, multipliers: np.ndarray, clock: StageClock
     ) -> Linearized | None:
         """See the bodies by the tangent of the kind that is set; None where it is not definite."""
-        if self.ahead is not None:
+        if self.ahead:
             linear, self.ahead = self.ahead, None
             return linear
         if not self._factor(positions, multipliers, clock):
@@ -319,7 +317,7 @@ class Tangent:
             row_starts = model.contacts.row_starts
             pressing = expected_to_press(model.contacts, rows.values[rows.groups.contacts])
         moves = NO_MOVES
-        if model.slides is not None:
+        if model.slides:
             columns = model.slides.columns(rows, self._effector_columns, model.contacts)
             moves = PrescribedMoves(-model.slides.positions(positions), columns)
         solver, augmentation, shift = model.factorization, self._plain, np.zeros(rows.row_count)
@@ -346,7 +344,7 @@ class Tangent:
             actuation: What was found by the last linearization.
         """
         slides, linear = self._model.slides, self.linear
-        if not self.is_augmented and slides is None:
+        if not (self.is_augmented or slides):
             return actuation
         a, _, c = linear.groups
         efforts, forces = actuation.efforts.copy(), actuation.contact.multipliers
@@ -355,7 +353,7 @@ class Tangent:
             efforts[a] = np.clip(
                 linear.efforts(efforts[a], forces), reach.effort_min[a], reach.effort_max[a]
             )
-        if slides is not None:
+        if slides:
             own = slice(a.stop - slides.count, a.stop)
             efforts[own] = slides.loads(linear.W[c, own], forces)
         return actuation._replace(efforts=efforts)
