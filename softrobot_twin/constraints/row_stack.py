@@ -322,10 +322,10 @@ class RowStack:
             compliance[rows, rows] = term.compliance
         return compliance
 
-    def by_contacts(self) -> tuple[slice, np.ndarray] | None:
-        """Rows that show contact forces, and their change by those; see `ConstraintTerm`. None without any."""
+    def by_contacts(self) -> tuple:
+        """Rows that show contact forces, and their change by those; see `ConstraintTerm`. Empty without any."""
         if self._showing is None:
-            return None
+            return ()
         term, rows = self._showing
         own = term.contact_rows
         return slice(rows.start + own.start, rows.start + own.stop), term.by_contacts()

@@ -105,17 +105,8 @@ def may_move(command: Command) -> bool:
     Args:
         command: The command.
     """
-    return time_to_move(command) > 0.0
-
-
-def time_to_move(command: Command) -> float:
-    """Time in which the actuators may move at their rates [s].
-
-    Args:
-        command: The command; one to hold moves nothing, however long it takes.
-    """
     reach_time = getattr(command, "reach_time", LONG)
-    return command.time_step if reach_time is None else float(reach_time)
+    return (command.time_step if reach_time is None else reach_time) > 0.0
 
 
 def are_same(first: Command, second: Command, besides: tuple[str, ...] = ()) -> bool:

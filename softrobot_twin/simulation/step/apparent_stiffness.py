@@ -286,7 +286,7 @@ class ApparentStiffness:
     def _moves_of_nodes(self, positions: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Moves of all nodes by those of the unknowns, zero where they are fixed."""
         nodes, moves = self._model.nodes, x
-        if nodes.carried is not None:
+        if nodes.carried:
             moves = nodes.carried.point_moves(positions, x)
         found, moving = np.zeros_like(positions), nodes.free_index >= 0
         found[moving] = moves[nodes.free_index[moving]]

@@ -96,9 +96,6 @@ class HeldActuators(NamedTuple):
 class Augmentation(NamedTuple):
     """What turns multipliers λ̂ of an augmented system into efforts λ = λ̂ - ρ (δ - δ_ref).
 
-    Where nothing is augmented, ρ is zero, and where nothing stretches, s is one. Sums and products
-    with these change no bit, so they need no case of their own.
-
     Attributes:
         stiffness: ρ of each actuator row, zero where it is not augmented [N/m],
             shape (actuator_row_count,).
@@ -157,8 +154,8 @@ class AugmentedTangent:
         self._may_be_held, self._contacts = may_be_held, contacts
         self._take(own)
         self.stiffness, self.contact_stiffness = np.zeros(len(may_be_held)), np.empty(0)
-        self.dense_rows = NO_DENSE_ROWS
-        self._share, self._stretch = np.ones(len(may_be_held)), np.zeros(len(may_be_held))
+        self.dense_rows, self._share = NO_DENSE_ROWS, np.ones(len(may_be_held))
+        self._stretches = any(term.yields for term in rows.terms)
         self._whole = self._with_own_rows()
 
     def _with_own_rows(self) -> Factorization:
@@ -200,8 +197,8 @@ class AugmentedTangent:
         """
         inside = (efforts > held.reach.effort_min) & (efforts < held.reach.effort_max)
         self.stiffness = np.where(inside[: len(self._greatest)], self._greatest, 0.0)
-        # A cable that stretches yields beside the bodies, in series with ρ.
-        self.stiffness /= 1.0 + self.stiffness * self._rows.stretch_compliance()
+        if self._stretches:
+            self.stiffness /= 1.0 + self.stiffness * self._rows.stretch_compliance()
         self.contact_stiffness, contacts = np.empty(0), self._contacts
         if contacts is not None and contacts.count and held.is_prescribed:
             pressing = self._may_be_augmented(contacts) & (contacts.last_multipliers > 0.0)
@@ -251,9 +248,11 @@ class AugmentedTangent:
         Raises:
             numpy.linalg.LinAlgError: The augmented tangent is not positive definite.
         """
-        of_row = np.ones(H.row_count)
-        of_row[: len(self._share)] = self._share
-        return self._whole.condense(H._replace(blocks=H.blocks * of_row[H.row_index, None]), b)
+        if self._stretches:
+            of_row = np.ones(H.row_count)
+            of_row[: len(self._share)] = self._share
+            H = H._replace(blocks=H.blocks * of_row[H.row_index, None])
+        return self._whole.condense(H, b)
 
     def expand(self, multipliers: np.ndarray) -> np.ndarray:
         """The displacement for multipliers λ̂ of the condensed rows; see `Factorization`."""
@@ -270,9 +269,9 @@ class AugmentedTangent:
             displacements: δ_ref of all actuators [m], shape (actuator_count,).
         """
         reference = displacements[: len(self.stiffness)]
-        # The compliance may have changed since the tangent was augmented by ρ s.
-        self._stretch = self._rows.stretch_compliance()
-        self._share = 1.0 - self.stiffness * self._stretch
+        if self._stretches:
+            # The compliance may have changed since the tangent was augmented by ρ s.
+            self._share = 1.0 - self.stiffness * self._rows.stretch_compliance()
         return Augmentation(self.stiffness / self._share, reference, self._share)
 
     def contact_shift(self, gaps: np.ndarray) -> np.ndarray:
@@ -301,13 +300,14 @@ class AugmentedTangent:
             first_contact: First row of the contacts.
         """
         rows, root = self._augmented_rows(first_contact)
-        # Of cables that stretch, W is that of their paths: their own compliance is left out again.
-        count = len(self._share)
-        of_row = np.ones(len(W))
-        of_row[:count] = self._share
-        W = W.copy()
-        W.ravel()[: count * (len(W) + 1) : len(W) + 1] -= self._share * self._stretch
-        W /= np.outer(of_row, of_row)
+        if self._stretches:
+            # Of cables that stretch, that of their paths.
+            count = len(self._share)
+            of_row = np.ones(len(W))
+            of_row[:count] = self._share
+            W = W.copy()
+            W.ravel()[: count * (len(W) + 1) : len(W) + 1] -= self._share * self._rows.stretch_compliance()
+            W /= np.outer(of_row, of_row)
         return not is_below(W, rows, root, 1.0 - self.margin)
 
     def _augmented_rows(self, first_contact: int) -> tuple[np.ndarray, np.ndarray]:

@@ -32,7 +32,7 @@ from softrobot_twin.simulation.command import (
     CommandSetpoints,
     FollowTargets,
     Hold,
-    fitting, time_to_move,
+    fitting,
 )
 from softrobot_twin.simulation.state import State, made
 from softrobot_twin.simulation.step.actuation import NO_EFFORT, Actuation
@@ -125,7 +125,8 @@ class Goal:
 
     def _reach(self, state: State) -> Bounds:
         """Where the actuators may move in the step."""
-        limits, moving = self._limits, time_to_move(self.command)
+        command, limits = self.command, self._limits
+        moving = command.time_step if command.reach_time is None else command.reach_time
         if not (math.isfinite(moving) and moving >= 0.0):
             raise CommandError("reach_time", f"{moving} s is not a duration")
         bounds = limits.bounds(self.drives, moving)

@@ -182,7 +182,7 @@ class Linearized:
 
     def _condense_low_rank(self) -> bool:
         """Store the factor of W, if few unknowns carry all rows of contacts."""
-        if not self.contact_row_count or self._own is not None or self._shown is not None:
+        if not self.contact_row_count or self._shown or self._own is not None:
             return False
         condensed = self._factorization.condense_low_rank(self._H, self._forces)
         if condensed is None:
@@ -196,7 +196,7 @@ class Linearized:
         else:
             condensed = self._condense_with_friction()
         free = self._add_own(condensed.W, condensed.free)
-        if self._shown is not None:
+        if self._shown:
             self._show_forces(condensed.W, free)
         self._take_in(Compliance(condensed.W), free)
 

@@ -47,6 +47,7 @@ class Tangent:
         is_worn: True when a stale factor corrected too little the last time.
         ahead: A condensed system that the next linearization takes; None without.
         linear: The last condensed system.
+        asks_for_held: Whether a linearization depends on what holds the actuators.
         projects_in_part: Whether a tangent is projected by as little as makes it definite.
     """
 
@@ -78,6 +79,7 @@ class Tangent:
         # Later, slender parts would take the rest shape for where their last move began.
         if self.projects_in_part and self._augmented and not self._measure_stiffness(StageClock()):
             self._augmented = None
+        self.asks_for_held = bool(self._augmented) or model.rows.varies
 
     def forget(self) -> None:
         """Forget what earlier states taught: the next linearization starts from nothing."""
@@ -89,11 +91,6 @@ class Tangent:
         # Where the exact tangent was indefinite, it is tried again when the augmented one tells
         # that it is definite.
         self.is_indefinite = bool(self._augmented) and self._augmented.comes_first
-
-    @property
-    def asks_for_held(self) -> bool:
-        """Whether a linearization depends on what holds the actuators."""
-        return bool(self._augmented) or self._rows.varies
 
     @property
     def may_keep_factor(self) -> bool:
