@@ -207,7 +207,7 @@ class DesignModel:
         solved, efforts = self.solve(values), self.poses[index].efforts
         self._followed.take(values)
         tangent = self._followed.tangent
-        tangent.by_effort = None if efforts is None else np.isfinite(efforts)
+        tangent.by_effort = False if efforts is None else np.isfinite(efforts)
         self._followed.simulation.restore(solved.states[index])
         self._followed.keep(index, solved.states[index])
         return tangent

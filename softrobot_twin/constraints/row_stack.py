@@ -322,22 +322,21 @@ class RowStack:
             compliance[rows, rows] = term.compliance
         return compliance
 
-    def by_contacts(self) -> tuple[slice, np.ndarray] | None:
-        """Rows that show contact forces, and their change by those; see `ConstraintTerm`. None without any."""
+    def by_contacts(self) -> tuple:
+        """Rows that show contact forces, and their change by those; see `ConstraintTerm`. Empty without any."""
         if self._showing is None:
-            return None
+            return ()
         term, rows = self._showing
         own = term.contact_rows
         return slice(rows.start + own.start, rows.start + own.stop), term.by_contacts()
 
-    def stretch_compliance(self) -> np.ndarray | None:
+    def stretch_compliance(self) -> np.ndarray:
         """Compliance of each actuator row of a term that yields, zero for the others.
 
         Returns:
-            Of the state evaluated last, shape (actuator_row_count,); None without such a term.
+            Of the state evaluated last, shape (actuator_row_count,). Where no term yields, all are
+            zero, and a path does not depend on its effort.
         """
-        if not self._yielding:
-            return None
         compliance = np.zeros(self.groups.actuators.stop)
         for term, rows in self._yielding:
             compliance[rows] = term.compliance.diagonal()
@@ -352,8 +351,9 @@ class RowStack:
         Returns:
             Each in its unit, same shape.
         """
-        paths, stretch = self.values[self.groups.actuators].copy(), self.stretch_compliance()
-        return paths if stretch is None else paths + stretch * efforts
+        # What does not stretch moves as its path does.
+        stretch = self.stretch_compliance()
+        return self.values[self.groups.actuators] + stretch * efforts
 
     def stretch_ratios(self) -> np.ndarray:
         """By how much more the path of each actuator moves than its winch; see `ConstraintTerm.yields`.

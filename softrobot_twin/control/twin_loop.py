@@ -619,19 +619,19 @@ class TwinLoop:
         for one in self.wishes:
             one.reset()
 
-    def driven_by_efforts(self, outcome: TickOutcome) -> np.ndarray | None:
+    def driven_by_efforts(self, outcome: TickOutcome) -> np.ndarray | bool:
         """Actuators that a tick drove by commanded efforts, and that so hold no displacement.
 
         Args:
             outcome: The newest tick.
 
         Returns:
-            Shape (actuator_count,); None where no efforts were commanded.
+            Shape (actuator_count,); False where no efforts were commanded.
         """
         commands = self.commands
         is_commanded = outcome.activity is Activity.COMMANDED and commands.setpoints is None
         if not is_commanded or commands.efforts is None:
-            return None
+            return False
         return np.isfinite(commands.efforts)
 
     def _why_contested(self, now: float) -> str:

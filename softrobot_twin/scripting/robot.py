@@ -205,7 +205,7 @@ class Robot:
 
     def _forget(self) -> None:
         """Forgets the last command and its result."""
-        self._by_effort: np.ndarray | None = None
+        self._by_effort: np.ndarray | bool = False
         self._targets: np.ndarray | None = None
         self._contacts: ContactForces | None = None
         self._aims: dict[str, Aim] = {}
@@ -567,7 +567,7 @@ class Robot:
 
     def _remember(self, outcome: StepResult, command: Command) -> None:
         """Takes what pictures and read-outs need of a step, and shows it."""
-        self._by_effort = np.isfinite(command.efforts) if isinstance(command, CommandEfforts) else None
+        self._by_effort = np.isfinite(command.efforts) if isinstance(command, CommandEfforts) else False
         self._targets = command.targets if isinstance(command, FollowTargets) else None
         self._contacts = outcome.contacts
         if self._view is not None:

@@ -28,6 +28,7 @@ with the rows D of displacements. D is H, except in scenes with friction along c
 from __future__ import annotations
 
 from contextlib import suppress
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -126,7 +127,6 @@ class HeldTangent:
         model, effectors = self._model, simulation.model.effectors
         self._count = len(effectors.effectors)
         self.own_rows = effector_rows(effectors, model.nodes)
-        self._storage = self._own = self._lu = None
         # A free body, or a beam that only a motor holds, has a singular stiffness, of which a
         # factorization may take no notice.
         self._may_be_definite = not (
@@ -134,7 +134,22 @@ class HeldTangent:
             or not model.actuators.conserves
         )  # fmt: skip
 
-    def _holding(self, by_effort: np.ndarray | None) -> _Holding:
+    @cached_property
+    def _storage(self) -> np.ndarray:
+        """Takes A of statics, in the layout of the model's factorization."""
+        return np.zeros_like(self._model.factorization.storage)
+
+    @cached_property
+    def _alike(self) -> tuple[Factorization, np.ndarray | slice]:
+        """A factorization of its own, and the place of each of its entries in that storage."""
+        return laid_out_alike(self._model.factorization)
+
+    @cached_property
+    def _lu(self) -> tuple[Factorization, np.ndarray]:
+        """The same, which factorizes what is not definite."""
+        return laid_out_like(self._model.factorization, SuperLU)
+
+    def _holding(self, by_effort: np.ndarray | bool = False) -> _Holding:
         """Which rows hold at the state; evaluates all rows there."""
         self._simulation.finish_result()
         model, state = self._model, self._simulation.state
@@ -160,10 +175,9 @@ class HeldTangent:
         # A cable without tension that is not slack either moves the effector when it is shortened.
         touching = ~held & ~is_driven & (np.abs(path - drives) <= margin)
         touching &= efforts < limits.effort_max[a] - HOLDING_MARGIN * limits.effort_scale[a]
-        if by_effort is not None:
-            commanded = np.asarray(by_effort, bool)[a]
-            held, touching = held & ~commanded, touching & ~commanded
-            is_driven |= commanded
+        commanded = np.broadcast_to(by_effort, actuators.count)[a]
+        held, touching = held & ~commanded, touching & ~commanded
+        is_driven |= commanded
         contacts, pressing = self._contact_rows()
         own = rows.own_compliance()
         own = np.zeros((a.stop, a.stop)) if own is None else own
@@ -198,7 +212,7 @@ class HeldTangent:
             np.concatenate([rows.blocks[kept], effectors.blocks]), count + effectors.row_count,
         )  # fmt: skip
         slides, G = self._model.slides, np.empty((H.row_count, 0))
-        if slides is not None:
+        if slides:
             G = np.zeros((H.row_count, slides.count))
             for points, own in effectors.constant_terms:
                 # Nothing asks how slides move what sensors show.
@@ -213,15 +227,10 @@ class HeldTangent:
 
     def _definite(self, positions: np.ndarray) -> Factorization | None:
         """Assembles A of statics at a state, and factorizes it; None where it is not definite."""
-        model = self._model
-        if self._storage is None:
-            self._storage = np.zeros_like(model.factorization.storage)
         self._assemble(positions)
         if not self._may_be_definite:
             return None
-        if self._own is None:
-            self._own = laid_out_alike(model.factorization)
-        factorization, places = self._own
+        factorization, places = self._alike
         factorization.storage[:] = self._storage[places]
         with suppress(np.linalg.LinAlgError):
             if factorization.factor():
@@ -231,8 +240,6 @@ class HeldTangent:
     def _saddle(self, rows: _Rows, holding: _Holding) -> Saddle:
         """The equations of unknowns and multipliers together, by the A that was assembled last."""
         model = self._model
-        if self._lu is None:
-            self._lu = laid_out_like(model.factorization, SuperLU)
         lu, places = self._lu
         lu.storage[:] = self._storage[places]
         terms = (*model.forces, *model.rows.terms)
@@ -275,19 +282,19 @@ class HeldTangent:
 class EffectorCompliance(HeldTangent):
     """Computes the apparent compliance of the effectors of a simulation at its present state."""
 
-    def at_state(self, by_effort: np.ndarray | None = None) -> ApparentCompliance:
+    def at_state(self, by_effort: np.ndarray | bool = False) -> ApparentCompliance:
         """The compliance at the state where the simulation stands, exactly.
 
         Assembles the stiffness of statics there, and factorizes it.
 
         Args:
             by_effort: Actuators that were commanded by efforts although they are driven by
-                displacements, which therefore hold nothing, shape (actuator_count,); None for
-                those that the scene names.
+                displacements, which therefore hold nothing, shape (actuator_count,); False for
+                none but those that the scene names.
         """
         return self._found(by_effort, None)
 
-    def after_step(self, by_effort: np.ndarray | None = None) -> ApparentCompliance:
+    def after_step(self, by_effort: np.ndarray | bool = False) -> ApparentCompliance:
         """The same by the factorization of the last step, where it has that of statics.
 
         It belongs to the state before the last correction, so while the robot moves the result is
@@ -299,7 +306,7 @@ class EffectorCompliance(HeldTangent):
         """
         return self._found(by_effort, self._simulation.newton.tangent.static_factorization)
 
-    def _found(self, by_effort: np.ndarray | None, factorization: Factorization | None) -> ApparentCompliance:
+    def _found(self, by_effort: np.ndarray | bool, factorization: Factorization | None) -> ApparentCompliance:
         model, state = self._model, self._simulation.state
         actuator_count = model.actuators.count
         if not self._count:
@@ -308,10 +315,11 @@ class EffectorCompliance(HeldTangent):
         holding = self._holding(by_effort)
         rows = self._rows(state.positions, holding)
         try:
-            if factorization is None:
-                moves = self._solved_anew(state.positions, rows, holding)
-            else:
+            factorization = factorization or self._definite(state.positions)
+            if factorization:
                 moves = _condensed(factorization, model.nodes.free_node_count, rows, holding)
+            else:
+                moves = _solved_together(self._saddle(rows, holding), rows, holding)
         except np.linalg.LinAlgError:  # Only where a stiffness is not finite.
             moves = (np.full((3 * self._count, 3 * self._count), np.nan),
                      np.full((3 * self._count, actuator_count), np.nan))  # fmt: skip
@@ -338,17 +346,8 @@ class EffectorCompliance(HeldTangent):
             np.append(holding.is_by_effort, np.zeros(slides, bool)), holding.contact_count,
         )  # fmt: skip
 
-    def _solved_anew(
-        self, positions: np.ndarray, rows: _Rows, holding: _Holding
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Motion of the effectors by loads, by the stiffness of statics at a state."""
-        factorization = self._definite(positions)
-        if factorization is not None:
-            return _condensed(factorization, self._model.nodes.free_node_count, rows, holding)
-        return _solved_together(self._saddle(rows, holding), rows, holding)
 
-
-def apparent_compliance(simulation: Simulation, by_effort: np.ndarray | None = None) -> ApparentCompliance:
+def apparent_compliance(simulation: Simulation, by_effort: np.ndarray | bool = False) -> ApparentCompliance:
     """The compliance of the effectors and their Jacobian at the state of a simulation.
 
     Whoever asks at many states keeps one `EffectorCompliance`.

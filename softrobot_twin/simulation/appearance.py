@@ -172,7 +172,7 @@ def _skin(body: Body, scene: Scene, notes: list[str]) -> Skin:
     mesh = body.entry.mesh
     for name in ("visual", "contact_surface"):
         entry = getattr(body.entry, name)
-        if entry is not None:
+        if entry:
             points, triangles = read_surface(
                 scene.file_path(entry.file), scale=entry.scale,
                 rotation=mesh.rotation, translation=mesh.translation,

@@ -95,8 +95,7 @@ class Terms(NamedTuple):
     def constraints(self) -> list:
         """The constraint terms, in the order of their rows."""
         effectors = [self.effectors] if self.effectors.effectors else []
-        optional = self.wanted_sensors, self.contacts
-        return [*self.actuators.terms, *effectors, *(term for term in optional if term is not None)]
+        return [*self.actuators.terms, *effectors, *filter(None, (self.wanted_sensors, self.contacts))]
 
     def bind_alone(self, besides: Collection[int] = ()) -> None:
         """Bind terms of which forces and rows are asked, and no stiffness.
@@ -175,7 +174,7 @@ def _model_of(scene: Scene, factorization_type: type | None, mounted: np.ndarray
     )  # fmt: skip
     if not is_dense and isinstance(factorization, Multifrontal):
         factorization.use_threads(scene.solver.threads or default_thread_count())
-        if factorization.team is not None:
+        if factorization.team:
             for term in forces:
                 term.use_threads(factorization.team)
     # Binding sorts the terms' entries, so their rows are stacked after it.

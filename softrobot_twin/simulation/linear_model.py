@@ -186,7 +186,7 @@ class LinearModel:
 class ModalTangent(Sensitivities):
     """Computes linear models at the present state of a simulation that moves in time."""
 
-    def __init__(self, simulation: Simulation, by_effort: np.ndarray | None = None):
+    def __init__(self, simulation: Simulation, by_effort: np.ndarray | bool = False):
         """Allocate.
 
         Args:

@@ -77,18 +77,18 @@ class MarkerCompliance(HeldTangent):
         if self.rows.choose(points):
             self._take_rows()
         positions = self._simulation.state.positions
-        holding = self._holding(None)
+        holding = self._holding()
         rows = self._rows(positions, holding)
         left, apart = self._left(holding)
         factorization, is_slow = self._factorization(positions, holding), not self._may_be_definite
-        if factorization is None and not (is_slow or may_be_slow):
+        if not (factorization or is_slow or may_be_slow):
             return None
         try:
             moves = self._moves(factorization, rows, holding, left, apart)
-            if factorization is not None and np.abs(moves.lag).max() > FAR * self._model.nodes.size:
+            if factorization and np.abs(moves.lag).max() > FAR * self._model.nodes.size:
                 # So far from balance the tangent is another one than where the step began.
                 here = self._definite(positions)
-                if here is not None or may_be_slow:
+                if here or may_be_slow:
                     moves = self._moves(here, rows, holding, left, apart)
         except np.linalg.LinAlgError:
             return None
@@ -121,7 +121,7 @@ class MarkerCompliance(HeldTangent):
         count, h = len(holding.held) + len(holding.contacts), holding.places
         own, held = self.rows.row_count, np.count_nonzero(holding.held)
         driven = np.flatnonzero(holding.is_by_effort & ~holding.held)
-        if factorization is None:
+        if not factorization:
             saddle = self._saddle(rows, holding)
             H = saddle.H.toarray()
             E = H[count:]
@@ -154,7 +154,7 @@ class MarkerCompliance(HeldTangent):
     def _factorization(self, positions: np.ndarray, holding) -> Factorization | None:
         """A⁻¹ of statics while what holds holds; None where it is not definite."""
         found = self._simulation.newton.tangent.held_factorization(holding.held)
-        if found is None:
+        if not found:
             return self._definite(positions)
         if isinstance(found, Multifrontal) and found is not self._of_step:
             self._of_step, self._beside_step = found, found.with_other_rows()
@@ -170,13 +170,13 @@ class MarkerCompliance(HeldTangent):
             [m/N], shape (point_count, 3 quantity_count, 3).
         """
         positions, nodes = self._simulation.state.positions, self._model.nodes
-        holding = self._holding(None)
+        holding = self._holding()
         rows = self._rows(positions, holding)
         count, own = len(holding.held) + len(holding.contacts), self.rows.row_count
         H, h = rows.H.transposed(nodes.free_node_count), holding.places
         factorization = self._factorization(positions, holding)
-        system = (self._saddle(rows, holding) if factorization is None
-                  else CondensedHold(factorization, H[:, h].T, holding.own_of_places))
+        system = (CondensedHold(factorization, H[:, h].T, holding.own_of_places) if factorization
+                  else self._saddle(rows, holding))
         seen, _ = system.solve(H[:, count : count + own], np.zeros((len(h), own)))
         by_node = self.rows.of_quantities(seen.T).T.reshape(nodes.free_node_count, 3, -1)
         points = self.rows.places[place].points

@@ -349,7 +349,7 @@ class CubicBody:
         model, correction, count = self._model, self._correction, self._actuator_count
         clock = StageClock(perf_counter)
         linear = self._newton.linearize(state.positions.copy(), state.efforts, clock)
-        if linear is None:
+        if not linear:
             return np.full(self._rows.row_count - count, np.nan)
         forces = correction.linearize(state.positions)
         forces += correction.weight(np.array(model.scene.gravity))
@@ -381,7 +381,7 @@ def response(newton: Newton, model) -> Response:
     """
     rest = model.nodes.rest_positions.copy()
     linear = newton.linearize(rest, np.zeros(len(model.actuators.names)), StageClock(perf_counter))
-    if linear is None or newton.tangent.is_projected:
+    if not linear or newton.tangent.is_projected:
         raise MeshErrorUnknown("the body has no stable equilibrium at rest")
     count, rows = len(model.actuators.names), model.rows.row_count
     # No load but gravity, and each actuator with an effort of one beside it.

@@ -326,7 +326,7 @@ def branch_notes(simulation: Steppable) -> Iterator[str]:
     command = CommandSetpoints(rest.setpoints, LONG)
     simulation.step(command)
     compliance, rng = simulation.newton.tangent.static_factorization, np.random.default_rng(0)
-    for _ in range(DISTURBANCES if compliance is not None else 0):
+    for _ in range(DISTURBANCES if compliance else 0):
         move = compliance.solve(rng.normal(size=(nodes.free_node_count, 3))).copy()
         disturbed = rest.positions.copy()
         nodes.advance(disturbed, move, DISTURBED * nodes.size / nodes.longest(move))

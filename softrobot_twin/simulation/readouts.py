@@ -127,7 +127,7 @@ class Readouts:
         self.base_names = ("base",) if self.scene.moving_base else ()
         self.grip_names = tuple(grip.name for grip in self.scene.grips)
         self.reaction_names = tuple(reaction.name for reaction in self.scene.reactions)
-        places = () if (observed := model.force_term(ObservedLoads)) is None else observed.places
+        places = observed.places if (observed := model.force_term(ObservedLoads)) else ()
         self.observed_names = tuple(place.name for place in places)
         self.observed_with_torque = tuple(place.is_wrench for place in places)
         self.rigid_names = tuple(part.name for part in model.rigid)
@@ -234,7 +234,7 @@ class Readouts:
     def sensor_readings(self) -> np.ndarray:
         """What the sensors show, each in its unit, shape (sensor_count,)."""
         sensors = self.model.sensors
-        return np.empty(0) if sensors is None else sensors.readings(self.state.positions)
+        return sensors.readings(self.state.positions) if sensors else np.empty(0)
 
     def actuator_paths(self) -> dict[str, np.ndarray]:
         """Lines by which actuators are drawn, by their names [m], each of shape (point_count, 3).

@@ -18,6 +18,7 @@ any number of parameters by products.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -138,7 +139,7 @@ class Sensitivities(HeldTangent):
         by_effort: See `EffectorCompliance.at_state`.
     """
 
-    def __init__(self, simulation: Simulation, by_effort: np.ndarray | None = None):
+    def __init__(self, simulation: Simulation, by_effort: np.ndarray | bool = False):
         """Allocate.
 
         Args:
@@ -147,9 +148,9 @@ class Sensitivities(HeldTangent):
         """
         super().__init__(simulation)
         self.by_effort = by_effort
-        self._at: tuple[State, bytes] | None = None
+        self._at: tuple[State | None, bytes] = None, b""
         self._middle: AtState | None = None
-        self._built: dict[tuple[str | None, int], Terms] = {}
+        self._built: dict[tuple[str, int], Terms] = {}
         self._effector_rows: dict[int, RowStack] = {}
 
     def solve_sensitivity(self, forces: np.ndarray, displacements: np.ndarray | None = None) -> Answer:
@@ -265,7 +266,7 @@ class Sensitivities(HeldTangent):
         """
         self._system()
         if self._middle is None:
-            self._middle = self._evaluated(self._terms(None, 0, 0.0))
+            self._middle = self._evaluated(self._own_terms)
         value = parameter.read(self._model.scene)
         step, sides = STEP_SHARE * self._scale(parameter), dict[int, AtState]()
         for side in (1, -1, 2, -2):
@@ -314,36 +315,41 @@ class Sensitivities(HeldTangent):
     def _system(self) -> tuple[Saddle | CondensedHold, int]:
         """The factorized equations at the present state, and the number of actuators with rows."""
         state = self._simulation.state
-        by_effort = b"" if self.by_effort is None else self.by_effort.tobytes()
-        if self._at is None or self._at[0] is not state or self._at[1] != by_effort:
+        by_effort = np.asarray(self.by_effort).tobytes()
+        if self._at[0] is not state or self._at[1] != by_effort:
             held = self._held = self._holding(self.by_effort)
             rows, own = self._rows(state.positions, held), held.own_of_places
             A, self._middle = self._definite(state.positions), None
             H = rows.H.transposed(self._model.nodes.free_node_count).T
             self._actuator_rows, self._effectors = H[: len(held.held)], H[len(H) - 3 * self._count :]
-            self._solver = (self._saddle(rows, held) if A is None else CondensedHold(A, H[held.places], own))
+            self._solver = CondensedHold(A, H[held.places], own) if A else self._saddle(rows, held)
             self._at = state, by_effort
         return self._solver, len(self._held.held)
 
-    def _terms(self, parameter: Parameter | JointParameter | None, side: int, value: float) -> Terms:
-        """The terms of the scene, or of one with another number; they are built once.
+    @cached_property
+    def _own_terms(self) -> Terms:
+        """The terms of the scene itself."""
+        scene = self._model.scene
+        terms = build_terms(scene, self._simulation.mounted.positions if scene.mounting else None)
+        terms.bind_alone()
+        return terms
+
+    def _terms(self, parameter: Parameter | JointParameter, side: int, value: float) -> Terms:
+        """The terms of the scene with another number; they are built once.
 
         Raises:
             SceneError: The scene does not take the value.
         """
-        key = parameter and parameter.key, side
+        key = parameter.key, side
         if key not in self._built:
-            scene = self._model.scene
-            scene = scene if parameter is None else parameter.set(scene, value)
-            base = self._built.get((None, 0))
-            is_cable = parameter is not None and parameter.sections == {"cables"}
-            is_drawn = self._simulation.mounted is None
-            if is_cable and is_drawn and not self._simulation.has_reduced_bodies:
+            scene, base = parameter.set(self._model.scene, value), self._own_terms
+            is_plain = not (scene.mounting or self._simulation.has_reduced_bodies)
+            if is_plain and parameter.sections == {"cables"}:
                 terms = with_cables(base, scene)
                 kept = {id(term) for term in (*base.forces, *base.constraints)}
             else:
-                terms, kept = build_terms(scene, self._mounted(scene, parameter)), set()
-                if base is not None and not _is_alike(base.layout, terms.layout):
+                terms, kept = build_terms(scene, self._mounted(scene)), set()
+                if not _is_alike(base.layout, terms.layout):
                     raise SensitivityError(
                         parameter.key, "makes another mesh or holds other nodes: its structure must "
                         "stay, as that of a box with given numbers of cells")
@@ -351,12 +357,11 @@ class Sensitivities(HeldTangent):
             self._built[key] = terms
         return self._built[key]
 
-    def _mounted(self, scene: Scene, parameter: Parameter | JointParameter | None) -> np.ndarray | None:
+    def _mounted(self, scene: Scene) -> np.ndarray | None:
         """Where a scene with another number is mounted, in which case what counts from rest moves."""
-        mounted = self._simulation.mounted
-        if mounted is None or parameter is None:
-            return mounted and mounted.positions
-        return mount(scene, type(self._simulation), mounted).positions
+        if not scene.mounting:
+            return None
+        return mount(scene, type(self._simulation), self._simulation.mounted).positions
 
     def _evaluated(self, terms: Terms) -> AtState:
         """What the terms of a scene tell at the present unknowns and efforts."""
@@ -368,9 +373,11 @@ class Sensitivities(HeldTangent):
             term.load(now.loads, np.where(now.is_held[:, None], now.places, np.nan))
         positions = nodes.placed_like(own, state.positions)
         # Terms of the scene itself tell the same as before.
-        is_own = nodes is self._built[None, 0].layout.nodes and not actuators.held_forces
-        known = self._middle if is_own else None
-        passive = terms.passive_forces(positions) if known is None else known.passive
+        is_own = nodes is self._own_terms.layout.nodes and not actuators.held_forces
+        if is_own and self._middle is not None:
+            passive, places = self._middle.passive, self._middle.effectors
+        else:
+            passive, places = terms.passive_forces(positions), self._effector_places(terms, positions)
         forces = passive.copy()
         rows = RowStack(actuators.terms, nodes.carried, nodes.free_axes)
         # What a regulator is told stays; the pressure that it means may be a number of the scene.
@@ -380,13 +387,15 @@ class Sensitivities(HeldTangent):
         rows.add_forces(rows.multipliers(efforts), forces)
         a = rows.groups.actuators
         drives = np.where(actuators.is_effort_driven, 0.0, actuators.drives(state.setpoints))[a]
-        if known is None:
-            if id(terms) not in self._effector_rows:
-                self._effector_rows[id(terms)] = effector_rows(terms.effectors, nodes)
-            effectors = self._effector_rows[id(terms)]
-            effectors.evaluate(positions)
-        places = effectors.values.reshape(-1, 3) if known is None else known.effectors
         return AtState(forces, rows.actuator_paths(state.efforts[a]), drives, places, passive, terms.layout)
+
+    def _effector_places(self, terms: Terms, positions: np.ndarray) -> np.ndarray:
+        """Where the effectors of some terms are [m], shape (effector_count, 3)."""
+        if id(terms) not in self._effector_rows:
+            self._effector_rows[id(terms)] = effector_rows(terms.effectors, terms.layout.nodes)
+        rows = self._effector_rows[id(terms)]
+        rows.evaluate(positions)
+        return rows.values.reshape(-1, 3)
 
     def _check_memory(self, key: str, value: float, terms: Terms) -> None:
         """Refuses a number whose effect remembers what it did, and is not there at its value."""

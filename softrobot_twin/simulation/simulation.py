@@ -181,7 +181,7 @@ class Simulation(Readouts):
         self.inverse = build_inverse(self.model, self.direct)
         self._optimises = "optimise" in self.model.stages
         # The result of the last step, as long as somebody keeps it and nobody has read it.
-        self._unread: weakref.ref[StepResult] | None = None
+        self._unread: Callable[[], StepResult | None] = _no_result
         self._prepared: Prepared | None = None
         self._goals = Goals(self.model, self.direct, self.inverse)
         self._find_surface()
@@ -242,7 +242,7 @@ class Simulation(Readouts):
     def _part_of(self, kind: type[StepPart], name: str, reason: str) -> StepPart:
         """The part of a kind, of which something new is told: no state is kept."""
         part = next((part for part in self.parts if isinstance(part, kind)), None)
-        if part is None:
+        if not part:
             raise CommandError(name, reason)
         self.kept = None
         return part
@@ -306,7 +306,7 @@ class Simulation(Readouts):
         Raises:
             CommandError: It is of another scene or mesh.
         """
-        state = other.state if state is None else state
+        state = state or other.state
         self._check_fits(state)
         places = self.model.nodes.placed_like(other.model.nodes, state.positions)
         self.restore(replace(state, positions=places))
@@ -323,7 +323,7 @@ class Simulation(Readouts):
         self.is_balanced, self._goes_on = True, False
         self.newton.forget()
         self.direct.remember(self.state.efforts)
-        if self.inverse is not None:
+        if self.inverse:
             self.inverse.reset()
 
     @property
@@ -396,7 +396,7 @@ class Simulation(Readouts):
         self._make_result()
         measured = _each(measured)
         staying = self._planner.staying(self, command, measured)
-        if staying is not None:
+        if staying:
             self.plan()
             return self._stay_by(command, staying)
         command, has_other_stiffness = self._begin_parts(command, measured)
@@ -404,7 +404,7 @@ class Simulation(Readouts):
         positions, efforts = self._positions, self.state.efforts
         ahead = self._begin_motion(goal, has_other_stiffness)
         newton, time_budget = self.newton, self._time_budget
-        if self.inverse is not None:
+        if goal.follows:
             self._begin_inverse(positions)
         pressed = not ahead and time_budget.must_hurry(budget)
         led = self._leader.lead(self, positions, efforts, command.time_step, clock)
@@ -458,9 +458,8 @@ class Simulation(Readouts):
         self._make_result()
 
     def _make_result(self) -> None:
-        unread = None if self._unread is None else self._unread()
-        self._unread = None
-        if unread is not None:
+        unread, self._unread = self._unread(), _no_result
+        if unread:
             unread.make()
 
     def stay(self, command: Command, measured=None) -> StepResult | None:
@@ -599,7 +598,7 @@ class Simulation(Readouts):
             positions, efforts, clock, with_stale_factor,
             goal.held if self.newton.tangent.asks_for_held else None,
         )  # fmt: skip
-        if linear is None:
+        if not linear:
             return None
         still = self.direct.held(linear, goal.drives, goal.bounds, goal.needs_held)
         rows = self._rows_of_parts(positions, efforts, goal, clock)
@@ -852,6 +851,10 @@ class Simulation(Readouts):
         return self._results.of_failure(
             goal, clock, iterations, status, limits, self.state, self.effector_positions()
         )
+
+
+def _no_result() -> None:
+    """Gives the result that nobody keeps."""
 
 
 def _each(measured: object | None) -> list:

@@ -167,7 +167,7 @@ def _sides(layout: Layout, notes: list[str]) -> dict[str, Side]:
 def _surface_of(body: Body, scene: Scene, notes: list[str]):
     """The contact surface of a deformable body: that of its mesh, or one that it carries."""
     entry, mesh = body.entry.contact_surface, body.entry.mesh
-    if entry is not None:
+    if entry:
         solid = read_solid_surface(
             scene.file_path(entry.file), scale=entry.scale,
             rotation=mesh.rotation, translation=mesh.translation, notes=notes,

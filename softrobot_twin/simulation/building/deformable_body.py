@@ -284,9 +284,7 @@ def _memory(
 ) -> tuple[tuple[ViscousTerm, ...], SofteningConstants | None]:
     """What entries of viscosity and softening say, for `RememberingElements`."""
     terms = tuple(ViscousTerm(term.share, term.time) for term in viscosity)
-    if softening is None:
-        return terms, None
-    return terms, SofteningConstants(softening.r, softening.m, softening.beta)
+    return terms, SofteningConstants(softening.r, softening.m, softening.beta) if softening else None
 
 
 def _strain_range(part: ElasticEntry, base: Material) -> tuple[float, float] | None:
@@ -317,7 +315,7 @@ def claimed_cells(
     Raises:
         SceneError: There is no such cell.
     """
-    if other.region is not None:
+    if other.region:
         try:
             return parts.region(other.region)
         except MeshError as error:
@@ -903,17 +901,16 @@ def size_hint(size: float) -> str:
     return f"; it is {size:.4g} m large: is its mesh in millimetres? then give mesh.scale: 0.001"
 
 
-def holds_still(points: np.ndarray, held: np.ndarray | None = None) -> bool:
+def holds_still(points: np.ndarray, held: np.ndarray | bool = True) -> bool:
     """True where a rigid body cannot move: of held points, three or more that are not on one line.
 
     Args:
         points: The points [m], shape (count, 3).
-        held: Axes along which each is held, shape (count, 3) of bool; None for all.
+        held: Axes along which each is held, shape (count, 3) of bool; True for all.
     """
-    held = np.ones(points.shape, bool) if held is None else held
     arms = points - points.mean(axis=0) if len(points) else points
     arms = arms / max(np.abs(arms).max(initial=0.0), 1.0e-300)
-    node, axis = np.nonzero(held)
+    node, axis = np.nonzero(np.broadcast_to(held, points.shape))
     along = np.eye(3)[axis]
     motions = np.hstack([along, np.cross(arms[node], along)])
     return bool(np.linalg.matrix_rank(motions, 1.0e-9 * np.sqrt(len(points))) == 6)

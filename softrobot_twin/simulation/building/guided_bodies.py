@@ -91,8 +91,7 @@ class Guides:
         Raises:
             CommandError: There is no such body, or the pose is not finite.
         """
-        part = self._parts.get(name)
-        if part is None:
+        if name not in self._parts:
             known = ", ".join(self._parts)
             raise CommandError("pose", f"{name} is not a guided body of this scene; it has {known}")
         position = np.asarray(position, float)
@@ -139,13 +138,13 @@ class Guides:
                 nodes attached to them are moved.
             share: The share, of the whole way and of the whole turn of each body.
         """
-        relative = None if self._hinged is None else self._hinged.relative(positions)
+        relative = self._hinged.relative(positions) if self._hinged else None
         for index, (origin, rotation), there in self._ways:
             if share < 1.0:
                 turn = rotation_from_vector(share * vector_from_rotation(there[1] @ rotation.T))
                 there = (origin + share * (there[0] - origin), turn @ rotation)
             self.frames.place(positions, index, *there)
-        if relative is not None:
+        if self._hinged:
             self._hinged.follow(positions, relative)
         for nodes, mapping in self._attached:
             positions[nodes] = mapping.positions(positions)

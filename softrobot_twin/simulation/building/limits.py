@@ -77,7 +77,7 @@ class Pulleys:
                 (actuator_count,).
         """
         places = {name: index for index, name in enumerate(actuator_names)}
-        cables, motors = ((), ()) if scene is None else (scene.cables, scene.motors)
+        cables, motors = (scene.cables, scene.motors) if scene else ((), ())
         own = [(cable.name, cable.pulley, (cable.name,)) for cable in cables]
         own += [(motor.name, motor.pulley, motor.cables) for motor in motors]
         own = [one for one in own if one[1]]
@@ -169,7 +169,7 @@ def efforts_at_scale(model, term) -> np.ndarray | None:
         move with rigid ones.
     """
     nodes, factorization = model.nodes, model.factorization
-    if model.is_dynamic or model.nodes.carried is not None:
+    if model.is_dynamic or model.nodes.carried:
         return None
     forces = np.zeros((nodes.free_node_count, 3))
     factorization.clear()
@@ -468,7 +468,7 @@ class ActuatorLimits:
             self._low_efforts(bounds), self._high_efforts(bounds), found,
         ):  # fmt: skip
             return []
-        if is_slack is not None and found[:, 0].any():
+        if is_slack and found[:, 0].any():
             found[is_slack(), 0] = 0
         return [f"{self.names[i]}.{self._word(i, k, side > 0, bounds)}"
                 for i, sides in enumerate(found.tolist()) for k, side in enumerate(sides) if side]

@@ -121,7 +121,7 @@ class ReleasedSupports:
         Returns:
             Shape (support_count, 6).
         """
-        if self._touches is not None:
+        if self._touches:
             fields = "loads", "places", "is_held", "is_active"
             vars(self._touches).update({name: getattr(self._touched, name) for name in fields})
         forces, rows = np.zeros((self._nodes.free_node_count, 3)), self._rows
@@ -132,7 +132,7 @@ class ReleasedSupports:
         rows.add_forces(efforts[: rows.row_count], forces)
         at_nodes = np.zeros_like(positions)
         at_nodes[self._own] = forces[self._unknowns]
-        if self._contacts is not None:
+        if self._contacts:
             _add_contacts(self._contacts, at_nodes)
         at_nodes *= self._held
         return -np.array([self._wrench(one, positions, forces, at_nodes) for one in self.supports])

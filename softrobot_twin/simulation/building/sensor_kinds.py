@@ -161,7 +161,7 @@ def _forces(layout: Layout, entries: Keyed, notes: list[str], contacts: Contacts
 
 def _contacts(layout: Layout, entries: Keyed, notes: list[str], contacts: Contacts | None) -> SensedTerm:
     """Sums of normal forces of pairs."""
-    known = () if contacts is None else contacts.pair_names
+    known = contacts.pair_names if contacts else ()
     pairs = [next((pair for pair in known if set(pair) == set(one.contact)), None) for _, one in entries]
     for (key, one), pair in zip(entries, pairs, strict=True):
         if pair is None:
@@ -221,7 +221,7 @@ def sensor_term(layout: Layout, notes: list[str], contacts: Contacts | None, wan
     if wanted and chosen:
         reason = "slides" if scene.slides else "control" if scene.control else ""
         key, entry = next((one for one in chosen if one[1].contact), chosen[0])
-        if entry.contact and contacts is not None and contacts.rubs:
+        if entry.contact and contacts and contacts.rubs:
             reason = "friction of contacts, which decides with the force"
         if reason:
             raise scene.error(f"{key}.weight", entry.weight, f"is not built beside {reason}")
@@ -232,7 +232,7 @@ def sensor_term(layout: Layout, notes: list[str], contacts: Contacts | None, wan
             parts.append(kind.build(layout, own, notes, contacts))
     weights = [one.weight or 1.0 for _, one in chosen]
     term = Sensors(parts, np.array(weights)) if parts else None
-    for index in rows_that_move_nothing(term, layout.nodes) if term is not None and wanted else ():
+    for index in rows_that_move_nothing(term, layout.nodes) if term and wanted else ():
         key, entry = chosen[index]
         raise scene.error(f"{key}.weight", entry.weight, "lies wholly in what is fixed: no target moves it")
     return term

@@ -79,7 +79,7 @@ class ObservedRows:
         """
         self.places, self._nodes = places, model.nodes
         self._sensors = model.sensors if with_quantities else None
-        self.sensor_count = 0 if self._sensors is None else self._sensors.row_count
+        self.sensor_count = self._sensors.row_count if self._sensors else 0
         self.marker_count = model.markers.point_count if with_quantities else 0
         self.unseen = [e for e, own in enumerate(model.effector_markers) if with_quantities and not len(own)]
         self._own = [_point(model.markers, i) for i in range(self.marker_count)]
@@ -114,8 +114,7 @@ class ObservedRows:
                 mappings.append(_point(place.points, point) if place.is_found else place.points)
         effectors = tuple(EffectorPoints("", one, (0, 1, 2), 1.0) for one in mappings)
         self._chosen, self._term = chosen, Effectors(effectors, self._nodes.free_index)
-        terms = [self._term] if self._sensors is None else [self._sensors, self._term]
-        self.stack = RowStack(terms, self._nodes.carried, self._nodes.free_axes)
+        self.stack = RowStack([*filter(None, (self._sensors, self._term))], self._nodes.carried, self._nodes.free_axes)
         return True
 
     def of_quantities(self, rows: np.ndarray) -> np.ndarray:

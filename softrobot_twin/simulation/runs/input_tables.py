@@ -689,7 +689,7 @@ def _refuse_column(columns: Columns, simulation: Simulation) -> None:
     known = {"effector": simulation.effector_names, "actuator": actuators.names}
     motors = (*(motor.name for motor in simulation.scene.motors), *actuators.pulleys.names)
     kind = actuators.kind_of.get(owner) if what == "actuator" else None
-    if kind is not None and name not in [column(owner, one) for one in _commandable(kind)]:
+    if kind and name not in [column(owner, one) for one in _commandable(kind)]:
         raise columns.error(name, f"this {kind.noun} is driven by its {kind.setpoint.word}: use "
                             f"{column(owner, kind.setpoint)}")  # fmt: skip
     if what and owner in (*known[what], *(motors if what == "actuator" else ())):
@@ -887,7 +887,7 @@ def read_commands(source: Path | str | Mapping, simulation: Simulation, axes: Ax
     kind, values = _actuator_values(columns, simulation)
     poses = {
         entry.name: pose for entry in simulation.scene.rigid_bodies
-        if (pose := _pose(columns, entry.name, entry.motion == "guided", times)) is not None
+        if (pose := _pose(columns, entry.name, entry.motion == "guided", times))
     }  # fmt: skip
     base = next((_pose(columns, name, True, times) for name in simulation.base_names), None)
     touches, grips = _touches(columns, simulation), _grips(columns, simulation)

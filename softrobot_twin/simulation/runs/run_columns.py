@@ -154,7 +154,7 @@ def pair_names(simulation: Simulation) -> tuple[tuple[str, str], ...]:
     Args:
         simulation: The simulation.
     """
-    if simulation.model.contacts is None:
+    if not simulation.model.contacts:
         return ()
     return tuple(dict.fromkeys(tuple(pair.names) for pair in simulation.model.contacts.pairs))
 

@@ -198,15 +198,10 @@ class ApparentStiffness:
         linear = state.linear
         moved = self._row_motion(y)
         by_multiplier, free = moved.copy(), compliance + float(np.vdot(y, state.forces))
-        found = linear.augmentation
-        if found is None:
-            by_multiplier += by_effort
-            free -= float(by_effort @ state.efforts)
-        else:
-            # λ = λ̂ - ρ (W λ̂ + δ_free - δ_ref)
-            by_multiplier += by_effort - (by_effort * found.stiffness) @ linear.W_aa
-            shift = found.stiffness * (linear.actuators - found.reference) + state.efforts
-            free -= float(by_effort @ shift)
+        # λ = λ̂ - ρ (W λ̂ + δ_free - δ_ref)
+        rho, reference, *_ = linear.augmentation
+        by_multiplier += by_effort - (by_effort * rho) @ linear.W_aa
+        free -= float(by_effort @ (rho * (linear.actuators - reference) + state.efforts))
         bearing = np.abs(Lambda) * self._push / compliance if compliance > 0.0 else 0.0 * Lambda
         return compliance, by_position, by_effort, free, by_multiplier, held, bearing
 
@@ -235,9 +230,8 @@ class ApparentStiffness:
         else:
             moved = linear.W[linear.groups.actuators, linear.groups.effectors.start + row]
         # Held rows do not move; the efforts λ̂ - ρ δ of the others do not change.
-        rho = np.zeros(len(moved)) if linear.augmentation is None else linear.augmentation.stiffness
         while True:
-            share = np.where(held, 1.0, -rho)
+            share = np.where(held, 1.0, -linear.augmentation.stiffness)
             M = share[:, None] * W
             M[np.diag_indices_from(M)] += np.where(held, SHARING * W.diagonal(), 1.0)
             change = np.linalg.solve(M, -share * moved)
@@ -292,7 +286,7 @@ class ApparentStiffness:
     def _moves_of_nodes(self, positions: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Moves of all nodes by those of the unknowns, zero where they are fixed."""
         nodes, moves = self._model.nodes, x
-        if nodes.carried is not None:
+        if nodes.carried:
             moves = nodes.carried.point_moves(positions, x)
         found, moving = np.zeros_like(positions), nodes.free_index >= 0
         found[moving] = moves[nodes.free_index[moving]]
@@ -348,7 +342,7 @@ def why_no_stiffness(model: Model) -> str:
         return "rigid bodies, beams or vertebrae"
     if rows.varies:
         return "contact"
-    if model.slides is not None:
+    if model.slides:
         return "slides"
     if not model.actuators.conserves:
         return model.actuators.losses

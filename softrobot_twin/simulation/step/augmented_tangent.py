@@ -101,12 +101,14 @@ class Augmentation(NamedTuple):
             shape (actuator_row_count,).
         reference: δ_ref [m], same shape.
         share: s = 1 / (1 + ρ C) of rows with a compliance C of their own, one for the others, same
-            shape; None without any. The condensed system has the rows s H.
+            shape. The condensed system has the rows s H.
+        acts: Whether the tangent is augmented; else ρ is zero, and multipliers are the efforts.
     """
 
     stiffness: np.ndarray
     reference: np.ndarray
-    share: np.ndarray | None = None
+    share: np.ndarray
+    acts: bool = True
 
     def efforts(self, solved: np.ndarray, displacements: np.ndarray) -> np.ndarray:
         """λ of a solution [N], shape (actuator_row_count,).
@@ -152,7 +154,8 @@ class AugmentedTangent:
         self._may_be_held, self._contacts = may_be_held, contacts
         self._take(own)
         self.stiffness, self.contact_stiffness = np.zeros(len(may_be_held)), np.empty(0)
-        self.dense_rows, self._share = NO_DENSE_ROWS, None
+        self.dense_rows, self._share = NO_DENSE_ROWS, np.ones(len(may_be_held))
+        self._stretches = any(term.yields for term in rows.terms)
         self._whole = self._with_own_rows()
 
     def _with_own_rows(self) -> Factorization:
@@ -194,9 +197,8 @@ class AugmentedTangent:
         """
         inside = (efforts > held.reach.effort_min) & (efforts < held.reach.effort_max)
         self.stiffness = np.where(inside[: len(self._greatest)], self._greatest, 0.0)
-        own_compliance = self._rows.stretch_compliance()
-        if own_compliance is not None:
-            self.stiffness /= 1.0 + self.stiffness * own_compliance
+        if self._stretches:
+            self.stiffness /= 1.0 + self.stiffness * self._rows.stretch_compliance()
         self.contact_stiffness, contacts = np.empty(0), self._contacts
         if contacts is not None and contacts.count and held.is_prescribed:
             pressing = self._may_be_augmented(contacts) & (contacts.last_multipliers > 0.0)
@@ -246,7 +248,7 @@ class AugmentedTangent:
         Raises:
             numpy.linalg.LinAlgError: The augmented tangent is not positive definite.
         """
-        if self._share is not None:
+        if self._stretches:
             of_row = np.ones(H.row_count)
             of_row[: len(self._share)] = self._share
             H = H._replace(blocks=H.blocks * of_row[H.row_index, None])
@@ -267,11 +269,9 @@ class AugmentedTangent:
             displacements: δ_ref of all actuators [m], shape (actuator_count,).
         """
         reference = displacements[: len(self.stiffness)]
-        own_compliance = self._rows.stretch_compliance()
-        if own_compliance is None:
-            return Augmentation(self.stiffness, reference)
-        # The compliance may have changed since the tangent was augmented by ρ s.
-        self._share = 1.0 - self.stiffness * own_compliance
+        if self._stretches:
+            # The compliance may have changed since the tangent was augmented by ρ s.
+            self._share = 1.0 - self.stiffness * self._rows.stretch_compliance()
         return Augmentation(self.stiffness / self._share, reference, self._share)
 
     def contact_shift(self, gaps: np.ndarray) -> np.ndarray:
@@ -300,7 +300,7 @@ class AugmentedTangent:
             first_contact: First row of the contacts.
         """
         rows, root = self._augmented_rows(first_contact)
-        if self._share is not None:
+        if self._stretches:
             # Of cables that stretch, that of their paths.
             count = len(self._share)
             of_row = np.ones(len(W))
@@ -460,8 +460,7 @@ def augmented_tangent_of(model: Model) -> AugmentedTangent | None:
         return AugmentedHinges(rows, factorization, is_motor, own)
     contacts = model.contacts if rows.varies and model.contacts.conserves else None
     is_held = ~actuators.is_effort_driven[:count]
-    stretch = rows.stretch_compliance()
-    may_be_held = is_held if stretch is None else is_held & ~(stretch > 0.0)
+    may_be_held = is_held & ~(rows.stretch_compliance() > 0.0)
     if model.is_dense:
         if not count or not actuators.conserves:
             return None

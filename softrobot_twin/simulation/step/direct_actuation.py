@@ -101,8 +101,7 @@ class DirectActuation:
         self._by_effort = model.actuators.is_effort_driven
         rows = model.actuators.row_count
         self._are_all_by_effort = bool(self._by_effort.all()) and rows == model.actuators.count
-        # None where nothing stalls: then nothing is looked for.
-        self._actuators = model.actuators if model.actuators.stalls.any() else None
+        self._actuators, self._may_stall = model.actuators, bool(model.actuators.stalls.any())
         self._round_off = ROUND_OFF * model.actuators.displacement_scale
         # A scene without contact allocates no contact solver.
         self.solvers = ContactSolvers(model.scene.contact) if model.rows.varies else None
@@ -113,7 +112,7 @@ class DirectActuation:
 
     def warm_up(self) -> None:
         """Compile every contact solver that may be needed."""
-        if self.solvers is not None and self._contacts.pairs:
+        if self.solvers and self._contacts.pairs:
             self.solvers.warm_up(3 if self._contacts.rubs else 1)
 
     def remember(self, efforts: np.ndarray) -> None:
@@ -162,8 +161,7 @@ class DirectActuation:
             The actuation; None with contact pairs, where it is not needed.
         """
         self._before = self._efforts
-        needed = is_needed or self.solvers is None
-        return self.at_drives(linear, drives, bounds) if needed else None
+        return self.at_drives(linear, drives, bounds) if is_needed or not self.solvers else None
 
     def at_drives(self, linear: Linearized, drives: np.ndarray, bounds: Bounds) -> Actuation:
         """Efforts and contact forces where each actuator holds its displacement, or its effort.
@@ -185,7 +183,7 @@ class DirectActuation:
             found = self._regulate(linear, drives, lower, upper, bounds)
         else:
             found = self._hold(linear, drives, lower, upper)
-        return found if self._actuators is None else self._stall(linear, found)
+        return self._stall(linear, found) if self._may_stall else found
 
     def _with_moves(self, bounds: Bounds, moves: np.ndarray) -> Bounds:
         """Bounds in which slides make these moves [m], shape (actuator_count,)."""
@@ -205,7 +203,7 @@ class DirectActuation:
         self, linear: Linearized, displacements: np.ndarray, lower: np.ndarray, upper: np.ndarray
     ) -> Actuation:
         """Efforts within bounds, and contact forces, at given displacements."""
-        if self.solvers is not None:
+        if self.solvers:
             return self._in_contact(linear, displacements, lower, upper)
         if self._limits.has_effort_driven and (lower == upper).all():
             # All efforts are held, as where regulators hold all pressures: nothing is to be found.
@@ -224,7 +222,7 @@ class DirectActuation:
         limit, and its effort deviates from the given one: an empty cavity bears on its walls.
         """
         by_effort, displacements = self._by_effort, drives.copy()
-        if self._are_all_by_effort and self.solvers is None:
+        if self._are_all_by_effort and not self.solvers:
             efforts = drives.copy()
             if move_by_efforts(
                 linear.W, linear.violation, efforts, bounds.displacement_min,
@@ -262,7 +260,7 @@ class DirectActuation:
         if linear.move_count:
             wanted[self._moved] = held.efforts[self._moved]
             bounds = self._with_moves(bounds, held.efforts)
-        if self.solvers is not None or np.isnan(wanted).any():
+        if self.solvers or np.isnan(wanted).any():
             return self._at_efforts_beside_others(linear, wanted, held, bounds)
         path = linear.actuator_displacements(held.efforts, held.contact.multipliers)
         within = widened(path, bounds)
@@ -353,7 +351,7 @@ class DirectActuation:
             found = self.solvers.solve(
                 problem, guess[chosen], expected[chosen], contacts.margin
             )
-            if linear.chosen is None:
+            if linear.is_whole:
                 return found
             sweeps, rounds = sweeps + found.sweeps, rounds + 1
             multipliers = np.zeros(len(guess))
@@ -374,18 +372,16 @@ class DirectActuation:
         contacts = self._contacts
         compliance, violation = linear.of_actuators_and_contacts(moves)
         violation[: len(displacements)] -= displacements
-        friction = contacts.friction
         problem = ContactProblem(
             None if compliance.Yt is not None else compliance.W, violation, lower, upper,
-            friction if linear.chosen is None else friction[linear.chosen],
-            3 if contacts.rubs else 1, compliance.Yt,
+            contacts.friction[linear.chosen], 3 if contacts.rubs else 1, compliance.Yt,
         )  # fmt: skip
         return with_frictionless_contacts(problem) if self._mixes else problem
 
     @staticmethod
     def _places(linear: Linearized) -> np.ndarray | slice:
         """Indices of the condensed rows among the multipliers of actuators and contacts."""
-        if linear.chosen is None:
+        if linear.is_whole:
             return slice(None)
         count = linear.groups.actuators.stop
         return np.concatenate([np.arange(count), count + linear.contact_rows])

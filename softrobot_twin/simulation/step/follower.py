@@ -112,7 +112,7 @@ class Follower(InverseActuation):
         count = model.effectors.position_row_count
         self._positions, self._ones = slice(count), np.ones(count)
         super().__init__(model, direct)
-        self._model, self._at_rest = model, np.zeros(len(self._scales))
+        self._at_rest = np.zeros(len(self._scales))
 
     def forget(self) -> None:
         """See `InverseActuation`."""
@@ -123,7 +123,7 @@ class Follower(InverseActuation):
         self._placed_at_rest: np.ndarray | None = None
         self._is_noted = False
         # Coordinates of orientations change while their targets stay.
-        asking = slice(None) if self._posed is None else self._positions
+        asking = self._positions if self._model.effectors.orientations else slice(None)
         self._path = EffectorPath(asking, self._positions.stop, self._longest)
         self._keyed: Linearized | None = None
         self._task: Asked | None = None
@@ -189,7 +189,7 @@ class Follower(InverseActuation):
         # Coordinates of orientations change while their targets stay.
         places = self._positions
         self._stays = (
-            is_same and last is not None and situation.bears_the_same(last)
+            is_same and situation.bears_the_same(last)
             and half_squares(self._ones, last.targets[places], situation.targets[places]) == 0.0
             and np.array_equal(last.guided, situation.guided)
         )
@@ -210,20 +210,21 @@ class Follower(InverseActuation):
         self._is_same = is_same
         if self._goal is not None:
             self._arrive(situation)
-        if self._resting is not None:
+        if self.rests:
             self._wake(situation)
         elif self._pending is not None and self._goal is None:
-            self._judge(situation)
-            if self._pending is None and self._stays and self._may_settle and now > self._reached:
+            is_judged = self._judge(situation)
+            if is_judged and self._stays and self._may_settle and now > self._reached:
                 self._learn_curvature(situation, linear, held)
-        if self._is_stuck and self._goal is None:
-            # It goes back from where the body cannot even stay.
-            self._passed.leave(situation.displacements, self._scales, SHRINK * GREATEST)
-            self._resting = None
-            self._go_back()
-        elif self._stays and not self.rests and self._goal is None:
-            if self._passed.pass_by(situation, now, self._reached, self._settles):
+        if self._goal is None:
+            if self._is_stuck:
+                # It goes back from where the body cannot even stay.
+                self._passed.leave(situation.displacements, self._scales, SHRINK * GREATEST)
+                self._resting = None
                 self._go_back()
+            elif self._stays and not self.rests:
+                if self._passed.pass_by(situation, now, self._reached, self._settles):
+                    self._go_back()
         self._is_stuck = self._is_refused = False
         self._limit_at_first = self.move_limit
 
@@ -234,11 +235,10 @@ class Follower(InverseActuation):
             # Wanted stiffnesses are no places, and curve in other ways.
             return
         W, _ = with_contacts_closed(linear, forces)
-        efforts, augmentation = linear.efforts(held.efforts, forces), linear.augmentation
+        efforts = linear.efforts(held.efforts, forces)
         bears = ~self._one_sided | (efforts > NO_EFFORT * efforts.max(initial=0.0))
         jacobian = jacobian_by_drives(
-            W, linear.groups.effectors, bears & ~self._by_effort, bears,
-            self._none if augmentation is None else augmentation.stiffness,
+            W, linear.groups.effectors, bears & ~self._by_effort, bears, linear.augmentation.stiffness,
         )  # fmt: skip
         pull = situation.weights * (situation.places - situation.targets)
         presses = [key for key, force in zip(self._contact_keys(linear), forces, strict=True) if force > 0.0]
@@ -305,16 +305,16 @@ class Follower(InverseActuation):
             self._resting, self._rests_balanced = None, False
             self.move_limit = self._greatest
 
-    def _judge(self, situation: Situation) -> None:
-        """Fit the radius to how much of a promise came true, once the body has settled."""
+    def _judge(self, situation: Situation) -> bool:
+        """Fit the radius to how much of a promise came true, once the body has settled; whether it has."""
         move = self._pending
         if not self._may_settle:
             self._pending, self._waits = None, 0
-            return
+            return False
         if self._stays and self._drift > DRIFT * move.promised and self._waits < MOST_WAITS:
             self._waits += 1
             self._settles = True
-            return
+            return False
         self._pending, self._waits = None, 0
         noise = NOISE * max(move.now, self._reached)
         now = half_squares(situation.weights, situation.places, move.targets)
@@ -330,6 +330,7 @@ class Follower(InverseActuation):
             self.move_limit = max(0.5 * move.length, LEAST)
         elif share > GOOD and move.length >= 0.9 * self.move_limit:
             self.move_limit = min(GROW * self.move_limit, self._greatest)
+        return True
 
     def _follow(self, asked: Asked) -> Actuation:
         held, self._task, self._is_noted = asked.held, None, False
@@ -345,10 +346,10 @@ class Follower(InverseActuation):
             # What refused efforts may accept them once it has settled; their scales say little.
             self.move_limit = max(self.move_limit, self._limit_at_first)
         found = self._best(asked, self._branch)
-        if found is None and self._branch is not None:
-            self._branch = None
-            return held
         if found is None:
+            if self._branch is not None:
+                self._branch = None
+                return held
             # Where the tangent is augmented, a small box may hold no optimum; balance comes first.
             return held._replace(solved=not self._situation.is_balanced)
         if not self._learns:

@@ -61,7 +61,7 @@ class ForceBalance:
         # What moves the nodes depends on nothing but arrays, where nothing but A holds them.
         self._memory_count = getattr(factorization, "memory_count", None)
         self.makes_whole = (
-            are_traceable and are_rows and model.slides is None and self._memory_count is not None
+            are_traceable and are_rows and not model.slides and hasattr(factorization, "memory_count")
             and all(getattr(kind, "is_traceable", False) for kind in model.nodes.kinds)
         )  # fmt: skip
         self._knowing: list = [

@@ -303,31 +303,29 @@ class TargetGoal(Goal):
     """Effectors are led to targets, while some actuators may be commanded beside them.
 
     Attributes:
-        commanded: Drives commanded beside targets, NaN where free, shape (actuator_count,); None if
-            none is commanded.
+        commanded: Drives commanded beside targets, NaN where free, shape (actuator_count,).
     """
 
     driven_by, follows = TARGETS, True
-    commanded: np.ndarray | None = None
 
     def __init__(self, command: Command, state: State, goals: Goals):
         """See `Goal`."""
         super().__init__(command, state, goals)
-        if goals.inverse is None:
+        if not goals.inverse:
             raise CommandError("targets", why_not_followed(goals.model))
         self.seeks_once, effectors = goals.inverse.seeks_once, goals.model.effectors
+        self.commanded = goals.none_commanded
         count, turns = len(effectors.effectors), command.orientations
         self.wanted = effectors.rows_of(fitting("targets", command.targets, (count, 3), True))
-        if turns is not None:
-            turns = fitting("orientations", turns, (count, 4), True)
         if effectors.orientations:
             # They are aimed at their targets.
-            turns = np.full((count, 4), np.nan) if turns is None else turns
+            free = np.full((count, 4), np.nan)
+            turns = free if turns is None else fitting("orientations", turns, free.shape, True)
             self.wanted = np.concatenate([self.wanted, effectors.aim(turns, state.positions)])
         elif turns is not None:
             raise CommandError("orientations", "no effector of this scene asks for an orientation")
         self._sensors = goals.model.wanted_sensors
-        if self._sensors is not None or command.sensors is not None:
+        if self._sensors or command.sensors is not None:
             self._add_sensors(command.sensors)
         if command.stiffness is not None:
             self._check_stiffness(command.stiffness)
@@ -343,7 +341,7 @@ class TargetGoal(Goal):
         for (name, is_wanted), value in zip(own.items(), values, strict=True):
             if not is_wanted and np.isfinite(value):
                 raise CommandError(name, "is a sensor without a weight: it is told, not wanted")
-        if self._sensors is not None:
+        if self._sensors:
             self._of_sensors = self._sensors.lengths * values[list(own.values())]
             self.wanted = np.concatenate([self.wanted, self._of_sensors])
             if self._sensors.shows_contacts:
@@ -359,7 +357,7 @@ class TargetGoal(Goal):
         Args:
             positions: Node positions [m], shape (node_count, 3).
         """
-        if self._sensors is None:
+        if not self._sensors:
             return super().misses_of_sensors(positions)
         shown = self._sensors.readings(positions) * self._sensors.lengths
         return np.abs(shown - self._of_sensors)
@@ -370,7 +368,7 @@ class TargetGoal(Goal):
 
     def _pairs_apart(self) -> tuple[str, ...]:
         """Names of the wanted contact forces of which nothing touches, such as ``touch.apart``."""
-        if self._sensors is None or not self._sensors.shows_contacts:
+        if not (self._sensors and self._sensors.shows_contacts):
             return ()
         rows, names = self._sensors.contact_rows, [name for name, own in self._goals.wanted_sensors.items() if own]
         are_apart = (self._of_sensors[rows] > 0.0) & ~self._are_pressing()
@@ -417,7 +415,7 @@ class TargetGoal(Goal):
         """See `Goal`."""
         tolerance = self._model.reach_tolerance
         reached = all(miss <= tolerance for miss in missed.tolist() if math.isfinite(miss))
-        return reached and (self.commanded is None or self._are_there(self.commanded, actuation))
+        return reached and self._are_there(self.commanded, actuation)
 
     def limits_met(self, actuation: Actuation, is_slack=None) -> tuple[str, ...]:
         """See `Goal`. A cable that is not commanded and has no tension holds nothing back: its winch
@@ -425,7 +423,7 @@ class TargetGoal(Goal):
         def hangs() -> np.ndarray:
             efforts = actuation.efforts
             slack = self._model.actuators.one_sided & (efforts <= NO_EFFORT * efforts.max(initial=0.0))
-            return slack if self.commanded is None else slack & np.isnan(self.commanded)
+            return slack & np.isnan(self.commanded)
 
         return super().limits_met(actuation, is_slack or hangs)
 
@@ -492,12 +490,14 @@ class Goals:
         direct: Finds λ of what is commanded or held.
         inverse: Finds λ towards targets; None in scenes that cannot follow them.
         wanted_sensors: Whether each sensor may have a target, by name, in the order of all arrays.
+        none_commanded: Drives where no actuator is commanded beside targets, NaN, shape (actuator_count,).
     """
 
     def __init__(self, model: Model, direct: DirectActuation, inverse: InverseActuation | None):
         """Take what goals are read and solved by; see the attributes."""
         self.model, self.direct, self.inverse = model, direct, inverse
         self.wanted_sensors = {one.name: bool(one.weight) for _, one in in_order(model.scene)}
+        self.none_commanded = np.full(model.actuators.count, np.nan)
 
     def read(self, command: Command, state: State) -> Goal:
         """Check a command, and compute the bounds of this step.

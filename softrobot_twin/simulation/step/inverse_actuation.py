@@ -452,7 +452,7 @@ class InverseActuation:
             self._proximal_weight = max(self._proximal_weight, LEAST_PROXIMAL_WEIGHT_WITH_STIFFNESS)
         self._learns = not model.is_dynamic
         self._tolerance = model.reach_tolerance
-        self._posed = model if model.effectors.orientations else None
+        self._model = model
         self._search = ContactSearch(self._tolerance, is_exact=not alone)
         self.solver = self._search.solver
         self.reset()
@@ -461,8 +461,8 @@ class InverseActuation:
         """Forget the last solution, the contacts that bore it, and all moves."""
         self._search.reset()
         self.forget()
-        if self._posed is not None:
-            self._posed.effectors.forget_targets()
+        if self._model.effectors.orientations:
+            self._model.effectors.forget_targets()
         self.begin_step(True, True)
 
     def begin_step(
@@ -634,9 +634,7 @@ class InverseActuation:
             bounds: Bounds of efforts and displacements.
         """
         active, count = self.solver.guess, len(self._none)
-        stiffness = reference = self._none
-        if linear.augmentation is not None:
-            stiffness, reference, _ = linear.augmentation
+        stiffness, reference, *_ = linear.augmentation
         if not self._proves or active is None or len(active) < 2 * count:
             return None
         proved, efforts, within, active = guessed_actuation(
@@ -744,9 +742,9 @@ class InverseActuation:
         linear: Linearized, problem: QPCC, system: InverseSystem, own: np.ndarray | slice
     ) -> QPCC:
         """The problem as it is where the tangent is augmented."""
-        if linear.augmentation is None:
-            return problem
         found = linear.augmentation
+        if not found.acts:
+            return problem
         return with_effort_rows(
             problem, found.stiffness[own], found.reference[own], system.actuators
         )
@@ -807,7 +805,7 @@ class InverseActuation:
         self, linear: Linearized, efforts: np.ndarray, contact: ContactLoads, bounds: Bounds
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, bool]:
         """Efforts and displacements found, these within their bounds, and whether all are."""
-        if linear.augmentation is None:
+        if not linear.augmentation.acts:
             efforts = np.minimum(np.maximum(efforts, bounds.effort_min), bounds.effort_max)
         path = linear.actuator_displacements(efforts, contact.multipliers)
         within = np.empty(len(path))
@@ -874,25 +872,24 @@ class InverseActuation:
             bounds.effort_min[:count], bounds.effort_max[:count],
         )  # fmt: skip
         most = self._largest_error(linear, system, weights, energy_weight, within)
-        if most is None or most <= tolerance:
+        if not most > tolerance:
             return False
-        least = self._largest_error(linear, system, weights, LEAST_ENERGY_WEIGHT, within)
-        return least is not None and most - least > tolerance
+        return most - self._largest_error(linear, system, weights, LEAST_ENERGY_WEIGHT, within) > tolerance
 
     def _largest_error(
         self, linear: Linearized, system: InverseSystem, weights: np.ndarray,
         energy_weight: float, bounds: Bounds,
-    ) -> float | None:  # fmt: skip
-        """Largest error of an effector at the optimum [m]; None where there is no answer."""
+    ) -> float:  # fmt: skip
+        """Largest error of an effector at the optimum [m]; NaN where there is no answer."""
         problem = build_inverse_problem(system, weights, energy_weight, bounds)
         own = slice(0, len(system.actuators))
         problem = self._with_effort_rows(linear, problem, system, own)
         try:
             solution = DAQPSolver().solve(whiten(problem))
         except np.linalg.LinAlgError:
-            return None
+            return np.nan
         if not solution.solved:
-            return None
+            return np.nan
         errors = system.W_e @ solution.unknowns + system.effectors
         missed = np.where(weights > 0.0, errors, 0.0)
         squares = np.bincount(self._steps.row_effector, weights=missed * missed)
@@ -905,7 +902,7 @@ def rest_rows(model: Model) -> np.ndarray:
     Args:
         model: A scene with effectors.
     """
-    terms = [term for term in (model.effectors, model.wanted_sensors) if term is not None]
+    terms = filter(None, (model.effectors, model.wanted_sensors))
     return np.concatenate([term.rows_at(model.nodes.rest_positions)[1] for term in terms])
 
 

@@ -281,7 +281,7 @@ class Aim(NamedTuple):
             found: The solution.
             system: The system that it is of, if it is another one.
         """
-        system = self.linear if system is None else system
+        system = system or self.linear
         places = system.effector_places(found.efforts, found.contact.multipliers)
         return self.errors[: len(places)] + places - self.linear.effectors
 
@@ -303,7 +303,7 @@ class Aim(NamedTuple):
         Args:
             found: See `left`.
         """
-        if self.beyond is None:
+        if not self.beyond:
             return 0.0
         beyond = self.beyond(self.linear, found)
         return FORCES_FIRST * self.weights.max(initial=0.0) * float(beyond @ beyond)
@@ -549,7 +549,8 @@ class InverseWithFriction(Follower):
         # Where contacts go on as they do, there is none among the unknowns.
         self._search_as_is = ContactSearch(self._tolerance)
         self._search_as_is.touching = {}
-        self._targets = self._moved = None
+        # Before the first targets, nothing is known of how they move.
+        self._targets, self._moved = np.nan, np.zeros(1)
         self._has_come, self._tried_length = False, GREATEST
         # Least forces and margins that lacked in the last optimum.
         self._lacked = np.zeros(len(self._grips.names), bool)
@@ -569,7 +570,7 @@ class InverseWithFriction(Follower):
 
     def _search_of(self, linear: Linearized) -> ContactSearch:
         """See `InverseActuation`."""
-        is_as_is = linear.ties is not None and not linear.contact_row_count
+        is_as_is = linear.ties and not linear.contact_row_count
         return self._search_as_is if is_as_is else self._search
 
     def told(self, done: Actuation, sought: Actuation) -> Actuation:
@@ -585,13 +586,12 @@ class InverseWithFriction(Follower):
     def _note_motion(self, target_rows: np.ndarray) -> None:
         """Note how targets move from step to step; other ones are sought anew."""
         moved = np.zeros(len(target_rows))
-        if self._targets is not None:
-            # Coordinates of orientations change while their targets stay.
-            moved[self._positions] = np.nan_to_num(target_rows - self._targets)[self._positions]
+        # Coordinates of orientations change while their targets stay.
+        moved[self._positions] = np.nan_to_num(target_rows - self._targets)[self._positions]
         if moved.any():
             self._detours.forget()
             self._has_come = False
-        before = 0.0 if self._moved is None else np.abs(self._moved)
+        before = np.abs(self._moved)
         self._motion = np.clip(moved, -before, before)
         self._targets, self._moved = target_rows.copy(), moved
 
@@ -888,7 +888,7 @@ class InverseWithFriction(Follower):
         solver: str,
     ) -> Actuation:  # fmt: skip
         """Set actuators to the paths found; what comes of them is found with friction."""
-        if linear.ties is None:
+        if not linear.ties:
             return super()._settled(linear, efforts, contact, bounds, solver)
         efforts, _, within, _ = self._paths(linear, efforts, contact, bounds)
         return Actuation(efforts, within, True, solver, contact)

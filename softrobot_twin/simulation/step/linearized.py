@@ -117,6 +117,7 @@ class PrescribedMoves(NamedTuple):
 
 
 NO_MOVES = PrescribedMoves(np.empty(0), np.empty((0, 0)))
+NOT_AUGMENTED = Augmentation(*np.empty((3, 0)), acts=False)
 
 
 class Linearized:
@@ -126,23 +127,24 @@ class Linearized:
         compliance: W of the condensed rows [m/N].
         violation: δ_free of the condensed rows [m], shape (n,).
         groups: The condensed rows of each group.
-        rows: Indices of the condensed rows, shape (n,); None for all.
-        chosen: Condensed contacts, ascending; None for all.
-        augmentation: Relation between multipliers of the actuators and their efforts; None if they
-            are the efforts.
+        is_whole: Whether all rows are condensed.
+        rows: Indices of the condensed rows, shape (n,), or a slice of all.
+        chosen: Condensed contacts, ascending, or a slice of all.
+        contact_rows: Rows of these, counted from the first contact's.
+        augmentation: Relation between multipliers of the actuators and their efforts.
         move_count: Number of slides, the last of the actuators; their multipliers are their
             displacements from the state.
         stored: W of the energy of the multipliers, where it is not `W`; else None.
-        ties: T and t of a system whose multipliers follow from fewer; else None.
+        ties: T and t of a system whose multipliers follow from fewer; else empty.
     """
 
     stored: np.ndarray | None = None
-    ties: tuple[np.ndarray, np.ndarray] | None = None
+    ties: tuple[np.ndarray, ...] = ()
 
     def __init__(
         self, factorization: Factorization, stack: RowStack, forces: np.ndarray,
         moves: PrescribedMoves = NO_MOVES, row_starts: np.ndarray | None = None,
-        pressing: np.ndarray | None = None, augmentation: Augmentation | None = None,
+        pressing: np.ndarray | None = None, augmentation: Augmentation = NOT_AUGMENTED,
         multipliers: np.ndarray | None = None,
     ):  # fmt: skip
         """Condense the rows evaluated last.
@@ -156,8 +158,7 @@ class Linearized:
                 (contact_count + 1,); None if no contact may be omitted.
             pressing: Contacts that are expected to press, if the others may be omitted, shape
                 (contact_count,); None to condense all rows.
-            augmentation: Relation between the multipliers of an augmented tangent and efforts;
-                None without augmentation.
+            augmentation: Relation between the multipliers of the tangent and efforts.
             multipliers: λ of all rows at the state, shape (row_count,); needed where cables have
                 friction.
         """
@@ -181,7 +182,7 @@ class Linearized:
 
     def _condense_low_rank(self) -> bool:
         """Store the factor of W, if few unknowns carry all rows of contacts."""
-        if not self.contact_row_count or self._own is not None or self._shown is not None:
+        if not self.contact_row_count or self._shown or self._own is not None:
             return False
         condensed = self._factorization.condense_low_rank(self._H, self._forces)
         if condensed is None:
@@ -195,7 +196,7 @@ class Linearized:
         else:
             condensed = self._condense_with_friction()
         free = self._add_own(condensed.W, condensed.free)
-        if self._shown is not None:
+        if self._shown:
             self._show_forces(condensed.W, free)
         self._take_in(Compliance(condensed.W), free)
 
@@ -225,11 +226,11 @@ class Linearized:
             slice(0, a.stop + count), slice(e.start + count, e.stop + count),
             slice(c.start + count, c.stop + count),
         )  # fmt: skip
-        if self.augmentation is not None:
-            stiffness, reference, share = self.augmentation
+        if self.augmentation.acts:
+            stiffness, reference, share, _ = self.augmentation
             self.augmentation = Augmentation(
                 np.pad(stiffness, (0, count)), np.pad(reference, (0, count)),
-                None if share is None else np.pad(share, (0, count), constant_values=1.0),
+                np.pad(share, (0, count), constant_values=1.0),
             )  # fmt: skip
 
     def _condense_with_friction(self) -> Condensed:
@@ -266,8 +267,8 @@ class Linearized:
         if self._own is None:
             return free
         a, own = self._all.actuators, self._own
-        if self.augmentation is not None and self.augmentation.share is not None:
-            _, reference, share = self.augmentation
+        if self.augmentation.acts:
+            _, reference, share, _ = self.augmentation
             own = own * share[:, None]
             free = free.copy()
             free[a] += (share - 1.0) * (self._values[a] - reference)
@@ -276,7 +277,8 @@ class Linearized:
 
     def _take_in(self, compliance: Compliance, free: np.ndarray) -> None:
         self.compliance, self.violation = compliance, self._values + free
-        self.groups, self.rows, self.chosen = self._all, None, None
+        self.groups, self.is_whole = self._all, True
+        self.rows = self.chosen = self.contact_rows = slice(None)
         if self.move_count:
             self._of_rows = compliance
             self._add_moves()
@@ -284,7 +286,8 @@ class Linearized:
     def _condense_chosen(self) -> None:
         """Condense the actuators' rows and those of the chosen contacts."""
         H, first, actuators = self._H, self._all.contacts.start, self._all.actuators
-        self.chosen = np.flatnonzero(self._is_chosen)
+        self.is_whole, self.chosen = False, np.flatnonzero(self._is_chosen)
+        self.contact_rows = np.flatnonzero(np.repeat(self._is_chosen, np.diff(self._row_starts)))
         self.rows = np.concatenate([np.arange(actuators.stop), first + self.contact_rows])
         place = np.full(H.row_count, -1)
         place[self.rows] = np.arange(len(self.rows))
@@ -302,13 +305,6 @@ class Linearized:
     def contact_row_count(self) -> int:
         """Rows of all contacts, whether they are condensed or not."""
         return self._all.contacts.stop - self._all.contacts.start
-
-    @property
-    def contact_rows(self) -> np.ndarray | slice:
-        """Rows of the contacts that are condensed, counted from the first contact's."""
-        if self.chosen is None:
-            return slice(None)
-        return np.flatnonzero(np.repeat(self._is_chosen, np.diff(self._row_starts)))
 
     @property
     def W(self) -> np.ndarray:
@@ -382,7 +378,7 @@ class Linearized:
             multipliers: Those of the actuators; efforts, but for an augmented tangent [N].
             contact: λ of all contact rows [N]; zero where they are open.
         """
-        if self.augmentation is None:
+        if not self.augmentation.acts:
             return multipliers
         path = self.actuator_displacements(multipliers, contact)
         return self.augmentation.efforts(multipliers, path)
@@ -452,7 +448,7 @@ class Linearized:
             multipliers: λ of all rows, zero for those that are not condensed [N],
                 shape (row_count,).
         """
-        condensed = multipliers if self.rows is None else multipliers[self.rows]
+        condensed = multipliers if self.is_whole else multipliers[self.rows]
         if self._paths is not None:
             condensed = np.concatenate([condensed, np.zeros(len(self._paths.actuators))])
         return self._factorization.expand(condensed)

@@ -189,7 +189,7 @@ class Newton:
         Returns:
             The condensed system, or None when the tangent cannot be factorized.
         """
-        if self.tangent.ahead is None:
+        if not self.tangent.ahead:
             self._look(positions, clock, held)
         return self.tangent.linearize(positions, efforts, clock, with_stale_factor, held)
 
@@ -212,7 +212,7 @@ class Newton:
         self.balance.set_multipliers(actuation)
         self._rows.remember(self.balance.multipliers)
         balance, tangent = self.balance, self.tangent
-        if balance.makes_whole and not tangent.is_augmented and tangent.linear.rows is None:
+        if balance.makes_whole and not tangent.is_augmented and tangent.linear.is_whole:
             self._limit[0] = self._step_limit
             if balance.make_whole(positions):
                 self.last_move = float(self._longest[0])

@@ -71,7 +71,7 @@ class Move:
         self._nodes, self._slides = model.nodes, model.slides
         self.start = np.empty_like(model.nodes.rest_positions)
         # Without slides it starts from where the positions were.
-        self._before = self.start if model.slides is None else np.empty_like(self.start)
+        self._before = np.empty_like(self.start) if model.slides else self.start
         self.displacement = np.zeros((model.nodes.free_node_count, 3))
 
     def begin(
@@ -87,7 +87,7 @@ class Move:
         """
         copy_vectors(before, self.start)
         copy_vectors(displacement, self.displacement)
-        if self._slides is not None:
+        if self._slides:
             self._before[:] = before
             self._slides.shift(self.start, -efforts[-self._slides.count :])
 

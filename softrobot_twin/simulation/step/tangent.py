@@ -11,7 +11,11 @@ import numpy as np
 from softrobot_twin.geometry.vector_arrays import copy_vectors
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.step.actuation import Actuation
-from softrobot_twin.simulation.step.augmented_tangent import HeldActuators, augmented_tangent_of
+from softrobot_twin.simulation.step.augmented_tangent import (
+    Augmentation,
+    HeldActuators,
+    augmented_tangent_of,
+)
 from softrobot_twin.simulation.step.force_balance import ForceBalance
 from softrobot_twin.simulation.step.linearized import (
     NO_MOVES,
@@ -43,6 +47,7 @@ class Tangent:
         is_worn: True when a stale factor corrected too little the last time.
         ahead: A condensed system that the next linearization takes; None without.
         linear: The last condensed system.
+        asks_for_held: Whether a linearization depends on what holds the actuators.
         projects_in_part: Whether a tangent is projected by as little as makes it definite.
     """
 
@@ -57,23 +62,24 @@ class Tangent:
         """
         self._model, self._rows, self._balance = model, model.rows, balance
         self._condensed_forces, self._loaded_forces = balance.forces, np.empty_like(balance.forces)
-        self._effector_columns = None
-        if model.slides is not None:
+        if model.slides:
             self._effector_columns = model.slides.effector_columns(model.effectors)
         self._conserves, self._follows = model.actuators.conserves, False
         # In an inverse problem all contacts have a part, and so they have where slides move them.
-        self._leaves_out = model.rubs and model.slides is None and self._conserves
+        self._leaves_out = model.rubs and not model.slides and self._conserves
         self.is_projected = self.is_augmented = False
         self._augmented, self._held = augmented_tangent_of(model), None
+        count = model.actuators.count
+        self._plain = Augmentation(*np.zeros((2, count)), np.ones(count), acts=False)
         self.projects_in_part = (
             any(term.is_slender for term in model.forces) and self._conserves
             and not (isinstance(model.factorization, DenseStiffness) or model.is_dynamic)
         )
         self.forget()
-        if self.projects_in_part and self._augmented is not None:
-            # Later, slender parts would take the rest shape for where their last move began.
-            if not self._measure_stiffness(StageClock()):
-                self._augmented = None
+        # Later, slender parts would take the rest shape for where their last move began.
+        if self.projects_in_part and self._augmented and not self._measure_stiffness(StageClock()):
+            self._augmented = None
+        self.asks_for_held = bool(self._augmented) or model.rows.varies
 
     def forget(self) -> None:
         """Forget what earlier states taught: the next linearization starts from nothing."""
@@ -84,12 +90,7 @@ class Tangent:
         self._projection = 1.0
         # Where the exact tangent was indefinite, it is tried again when the augmented one tells
         # that it is definite.
-        self.is_indefinite = self._augmented is not None and self._augmented.comes_first
-
-    @property
-    def asks_for_held(self) -> bool:
-        """Whether a linearization depends on what holds the actuators."""
-        return self._augmented is not None or self._rows.varies
+        self.is_indefinite = bool(self._augmented) and self._augmented.comes_first
 
     @property
     def may_keep_factor(self) -> bool:
@@ -147,7 +148,7 @@ class Tangent:
         """Let the next linearization augment its tangent where held actuators bear, if kernels are
         compiled for that alone: a body that becomes unstable would wait for them.
         """
-        self.is_indefinite = self._augmented is not None and self._augmented.has_kernels
+        self.is_indefinite = bool(self._augmented) and self._augmented.has_kernels
 
     def prepare(
         self, positions: np.ndarray, efforts: np.ndarray, clock: StageClock,
@@ -158,8 +159,8 @@ class Tangent:
         self.is_augmented = False
         self._rows.limit_stiffness(False)
         self.ahead = self._factored(positions, self._rows.multipliers(efforts), clock)
-        self.factor_age = None if self.ahead is None else 0
-        return self.ahead is not None
+        self.factor_age = 0 if self.ahead else None
+        return bool(self.ahead)
 
     def linearize(
         self, positions: np.ndarray, efforts: np.ndarray, clock: StageClock,
@@ -176,9 +177,9 @@ class Tangent:
         else:
             linear = self._factor_and_condense(positions, efforts, held, clock)
             self.is_worn = False
-            self.factor_age = None if linear is None else 0
+            self.factor_age = 0 if linear else None
         clock.mark("condense")
-        if linear is not None:
+        if linear:
             self.linear = linear
         return linear
 
@@ -196,7 +197,7 @@ class Tangent:
         if not (self.is_indefinite and may_augment):
             self._rows.limit_stiffness(False)
             linear = self._factored(positions, multipliers, clock)
-            if linear is not None:
+            if linear:
                 self.is_indefinite = (
                     is_inverse and may_augment and self._augmented.is_near(linear.W)
                     and self._augmented.choose(efforts, held)
@@ -211,7 +212,7 @@ class Tangent:
             for is_limited in (False, True) if self._rows.may_be_negative else (True,):
                 self._rows.limit_stiffness(is_limited)
                 linear = self._factored(positions, multipliers, clock)
-                if linear is not None:
+                if linear:
                     self.is_indefinite = self._augmented.is_needed(
                         linear.W, linear.groups.contacts.start
                     )
@@ -219,7 +220,7 @@ class Tangent:
         self.is_augmented, self.is_projected, self.is_indefinite = False, True, False
         if self.projects_in_part:
             linear = self._least_projected(positions, multipliers, may_augment, clock)
-            if linear is not None:
+            if linear:
                 return linear
         return self._factored(positions, multipliers, clock)
 
@@ -227,7 +228,7 @@ class Tangent:
         self, positions: np.ndarray, multipliers: np.ndarray, clock: StageClock
     ) -> Linearized | None:
         """See the bodies by the tangent of the kind that is set; None where it is not definite."""
-        if self.ahead is not None:
+        if self.ahead:
             linear, self.ahead = self.ahead, None
             return linear
         if not self._factor(positions, multipliers, clock):
@@ -309,17 +310,16 @@ class Tangent:
             row_starts = model.contacts.row_starts
             pressing = expected_to_press(model.contacts, rows.values[rows.groups.contacts])
         moves = NO_MOVES
-        if model.slides is not None:
+        if model.slides:
             columns = model.slides.columns(rows, self._effector_columns, model.contacts)
             moves = PrescribedMoves(-model.slides.positions(positions), columns)
-        solver, augmentation, shift = model.factorization, None, np.zeros(rows.row_count)
+        solver, augmentation, shift = model.factorization, self._plain, np.zeros(rows.row_count)
         if self.is_augmented:
             held, solver, (a, _, c) = self._held, self._augmented, rows.groups
             reference = model.actuators.limits.drives_within(held.drives, held.bounds)
             augmentation = solver.augmentation(reference)
             shift[a] = augmentation.efforts(np.zeros(a.stop), rows.values[a])
-            if augmentation.share is not None:
-                shift[a] *= augmentation.share
+            shift[a] *= augmentation.share
             shift[c] = solver.contact_shift(rows.values[c])
         self._condensed_forces = self._balance.forces
         if self.is_augmented or rows.told is not None:
@@ -337,7 +337,7 @@ class Tangent:
             actuation: What was found by the last linearization.
         """
         slides, linear = self._model.slides, self.linear
-        if not self.is_augmented and slides is None:
+        if not (self.is_augmented or slides):
             return actuation
         a, _, c = linear.groups
         efforts, forces = actuation.efforts.copy(), actuation.contact.multipliers
@@ -346,7 +346,7 @@ class Tangent:
             efforts[a] = np.clip(
                 linear.efforts(efforts[a], forces), reach.effort_min[a], reach.effort_max[a]
             )
-        if slides is not None:
+        if slides:
             own = slice(a.stop - slides.count, a.stop)
             efforts[own] = slides.loads(linear.W[c, own], forces)
         return actuation._replace(efforts=efforts)

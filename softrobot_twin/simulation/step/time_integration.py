@@ -228,7 +228,7 @@ class GeneralizedAlpha(Dynamics):
         self._weights = self._towards_targets if follows_targets else self._own_weights
         model, w = self._model, self._weights
         before = positions.copy()
-        if model.guides is not None:
+        if model.guides:
             model.guides.begin_step(positions, velocities, time_step)
         for other in beginners:
             if other is not model.guides and other not in model.forces:
@@ -261,7 +261,7 @@ class GeneralizedAlpha(Dynamics):
         Guided nodes move steadily from where they were, `before`, to where they are, `guided`.
         """
         reference = before.copy()
-        if self._model.guides is not None:
+        if self._model.guides:
             reference += share * (guided - before)
             free = self._model.nodes.free_nodes
             reference[free] = before[free]
@@ -276,8 +276,8 @@ class GeneralizedAlpha(Dynamics):
         regular = self._regular_shares(before, actuation)
         excess = self._forces(regular.excess)
         displacement = self._nodes.displacement(before.positions, positions)
-        pushed = yielded = None
-        if excess.any():
+        is_pushed = excess.any()
+        if is_pushed:
             pushed = self._model.factorization.solve(excess).copy()
             yielded = -self._accelerations(positions, excess)
             yielded += pushed / (zeta * h * h)
@@ -293,7 +293,7 @@ class GeneralizedAlpha(Dynamics):
         else:
             a, v_dot, velocities = self._advanced(before, positions, mean, v, h)
             lead = (1.0 - self._weights.alpha_f) / (1.0 - self._weights.alpha_m)
-        if pushed is not None:
+        if is_pushed:
             velocities += pushed / h
             # v̇ is by the forces where the step ends, the displacement by P included.
             v_dot += yielded
