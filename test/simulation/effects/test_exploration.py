@@ -75,13 +75,18 @@ def test_another_command_ends_an_exploration_which_left_no_trace(limited):
         np.testing.assert_array_equal(one.outcome.state.positions, other.outcome.state.positions)
 
 
-def test_a_touch_ends_an_exploration():
-    scene = coarse("diamond", "diamond_400")
-    twin = st.build(**scene | dict(solver=dict(exploration=True), touches=[dict(name="hand", points=[[0.0, 0.0, 0.125]])]))
+@pytest.mark.parametrize("entry, told", [
+    (dict(touches=[dict(name="hand", points=[[0.0, 0.0, 0.125]])]), dict(touches={"hand_force_N": [0.0, 0.1, 0.0]})),
+    (dict(grips=[dict(name="cup", points=[[0.0, 0.0, 0.125]], holds="world")]), dict(grips={"cup": True})),
+    (dict(moving_base={}), dict(base=([0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]))),
+])  # fmt: skip
+def test_what_is_told_of_a_touch_a_grip_or_the_base_ends_an_exploration(entry, told):
+    twin = st.build(**coarse("diamond", "diamond_400") | entry | dict(solver=dict(exploration=True)))
     asked = st.targets(tip=[0.5, 0.0, 0.0])
-    until(twin, asked, lambda report: report.is_exploring)
-    touched = twin.step(asked, touches={"hand_force_N": [0.0, 0.1, 0.0]})
-    assert not touched.outcome.report.is_exploring
+    memory = until(twin, asked, lambda report: report.is_exploring).outcome.state.memory
+    result = twin.step(asked, **told).outcome
+    assert not result.report.is_exploring
+    assert any(not np.array_equal(one, result.state.memory[key]) for key, one in memory.items())
 
 
 def test_a_trial_that_raises_leaves_the_robot_where_it_is(limited, monkeypatch):
