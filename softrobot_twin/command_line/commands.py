@@ -315,17 +315,18 @@ def simulate(
     if commands is not None:
         return simulate_commands(scene, commands, output, steps_a_second, drawn, read_as)
     refuse("requires --targets or --commands", axes=axes, backwards=backwards)
-    time = seconds or (steps or 0) / steps_a_second
-    return simulate_alone(scene, time, output, steps_a_second, drawn)
+    return simulate_alone(scene, seconds or (steps or 0) / steps_a_second, output, steps_a_second, drawn)
 
 
 def _check_outputs(inputs: Sequence[Path | None], **outputs: Path | None) -> None:
-    """Refuses an output that would overwrite an input or another output."""
+    """Refuses an output that would overwrite an input or another output, or is a folder."""
     taken = {str(path.resolve()): path for path in inputs if path is not None}
     for option, path in outputs.items():
         if path is None:
             continue
         try:
+            if path.is_dir():
+                raise OptionError(f"--{option}", f"{path} is a folder, not a file")
             if path.exists() and not path.is_file():  # a device file can always be written
                 continue
         except OSError as error:

@@ -41,8 +41,7 @@ def step_times(table: CommandTable, rate: float) -> np.ndarray:
     """
     begin, end = table.times[0], table.times[-1]
     if not (end - begin) * rate <= MOST_STEPS:
-        reason = f"from {begin:g} s to {end:g} s are more than {MOST_STEPS:,} steps at {rate:g} Hz"
-        raise CommandError("time_s", reason)
+        raise CommandError("time_s", f"{end - begin:g} s are more than {MOST_STEPS:,} steps at {rate:g} Hz")
     # The small number prevents an additional step due to rounding.
     count = max(1, int(np.ceil((end - begin) * rate - 1e-9)))
     return begin + (end - begin) * np.arange(1, count + 1) / count
