@@ -85,6 +85,7 @@ rate = number(float, lambda value: 0.1 <= value <= 10_000.0, "must lie in 0.1..1
 seconds = number(float, lambda value: 1.0 <= value <= 3600.0, "must lie in 1..3600 s")
 duration = number(float, lambda value: 0.0 < value <= 86_400.0, "must lie above 0 and up to 86400 s")
 positive = number(float, lambda value: 0.0 < value < math.inf, "must be above zero")
+instant = number(float, lambda value: 0.0 <= value < math.inf, "must be finite and not negative")
 tilt = number(float, lambda value: 0.0 < value <= 180.0,
               "must lie above 0 and up to 180 degrees", math.radians(1.0))
 
@@ -177,10 +178,6 @@ Unit: TypeAlias = Annotated[str, Read(choices=tuple(sorted(UNITS)))]
 
 # --- the commands ---------------------------------------------------------------------------------
 
-MOST_STEPS = 10_000_000
-"""Most steps of a run without commands."""
-
-
 def mesh(
     part: Path, *, size: Length | None = None, rate: Rate | None = None,
     step_time: Annotated[float, Read(step_time)] | None = None, output: Path | None = None,
@@ -271,7 +268,7 @@ def simulate(
     scene: GivenFile, *, targets: GivenFile | None = None, commands: GivenFile | None = None,
     seconds: Annotated[float, Read(duration)] | None = None, steps: PositiveCount | None = None,
     output: Path, settle: Count | None = None, rate: Rate | None = None,
-    picture: Path | None = None, picture_at: Sequence[float] | None = None,
+    picture: Path | None = None, picture_at: Sequence[Annotated[float, Read(instant)]] | None = None,
     picture_view: View | None = None, axes: str | None = None, backwards: Sequence[str] = (),
 ) -> int:  # fmt: skip
     """Run a scene offline, without ROS.
@@ -318,20 +315,18 @@ def simulate(
     if commands is not None:
         return simulate_commands(scene, commands, output, steps_a_second, drawn, read_as)
     refuse("requires --targets or --commands", axes=axes, backwards=backwards)
-    time = seconds or (steps or 0) / steps_a_second
-    if time * steps_a_second > MOST_STEPS:
-        raise OptionError("--seconds" if seconds else "--steps",
-                          f"makes more than {MOST_STEPS:,} steps at {steps_a_second:g} Hz")
-    return simulate_alone(scene, time, output, steps_a_second, drawn)
+    return simulate_alone(scene, seconds or (steps or 0) / steps_a_second, output, steps_a_second, drawn)
 
 
 def _check_outputs(inputs: Sequence[Path | None], **outputs: Path | None) -> None:
-    """Refuses an output that would overwrite an input or another output."""
+    """Refuses an output that would overwrite an input or another output, or is a folder."""
     taken = {str(path.resolve()): path for path in inputs if path is not None}
     for option, path in outputs.items():
         if path is None:
             continue
         try:
+            if path.is_dir():
+                raise OptionError(f"--{option}", f"{path} is a folder, not a file")
             if path.exists() and not path.is_file():  # a device file can always be written
                 continue
         except OSError as error:

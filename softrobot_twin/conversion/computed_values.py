@@ -210,8 +210,13 @@ def indices_of(component: SceneComponent, *names: str, otherwise: Any = None) ->
         component: The component.
         *names: Names of the field.
         otherwise: What is returned where there is none, or an empty list.
+
+    Raises:
+        NotConverted: One is below 0, of which SOFA knows none.
     """
     found = array_of(component, 1, *names, otherwise=otherwise)
+    if found is not None and not (found >= 0.0).all():
+        raise NotConverted(f"its field {names[0]} has {found.min():g}, and indices begin with 0")
     return None if found is None else found.astype(np.int64)
 
 
@@ -568,10 +573,8 @@ def rigid_indices(mapping: SceneComponent, count: int) -> np.ndarray:
         mapping: A rigid mapping.
         count: Number of points.
     """
-    which = indices_of(mapping, "rigidIndexPerPoint")
-    if which is not None and len(which) == count:
-        return which
-    return np.full(count, whole_of(mapping, "index"), np.int64)
+    which = indices_of(mapping, "rigidIndexPerPoint", otherwise=[])
+    return which if len(which) == count else np.full(count, indices_of(mapping, "index", otherwise=[0])[0])
 
 
 def mapping_of(state: SceneComponent) -> SceneComponent | None:

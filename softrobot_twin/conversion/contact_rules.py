@@ -101,7 +101,7 @@ def _touching(conversion: Conversion, model: SceneComponent) -> _Touching | None
     state = conversion.state(model)
     if id(state) in conversion.goals or not is_true(model, "active", True):
         return None
-    groups = indices_of(model, "group", otherwise=[])
+    groups = array_of(model, 1, "group", otherwise=[])
     itself, chosen = is_true(model, "selfCollision", False), frozenset((frozenset(groups.tolist()),))
     carrier = conversion.carrier(state)
     if carrier is None:

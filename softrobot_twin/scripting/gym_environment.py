@@ -241,8 +241,8 @@ class ReachingEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
         Raises:
             CommandError: `reset` was never called, or the action is not finite or of another shape.
         """
-        speeds = np.asarray(action, dtype=float)
-        if speeds.shape != self._least.shape or not np.isfinite(speeds).all():
+        speeds, shape = np.asarray(action), self._least.shape
+        if speeds.dtype.kind not in "buif" or speeds.shape != shape or not np.isfinite(speeds).all():
             raise CommandError("action", f"{action!r} must be {len(self.drives)} finite numbers")
         if not self._has_begun:
             raise CommandError("step", "an episode begins with reset()")

@@ -152,9 +152,9 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.nd
             CommandError: The actions are not finite or of another shape.
             WorkerError: A worker failed or was lost.
         """
-        speeds = np.asarray(actions, dtype=float)
-        if speeds.shape != self.action_space.shape or not np.isfinite(speeds).all():
-            raise CommandError("actions", f"must be finite numbers of shape {self.action_space.shape}")
+        speeds, shape = np.asarray(actions), self.action_space.shape
+        if speeds.dtype.kind not in "buif" or speeds.shape != shape or not np.isfinite(speeds).all():
+            raise CommandError("actions", f"must be finite numbers of shape {shape}")
         *arrays, infos = zip(*self._ask("step", [speeds[own] for own in self._shares]), strict=True)
         observations, rewards, terminations, truncations = map(np.concatenate, arrays)
         return observations, rewards, terminations, truncations, self._joined(infos)

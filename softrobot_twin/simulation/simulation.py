@@ -240,11 +240,12 @@ class Simulation(Readouts):
         part.tell(position, quaternion, time)
 
     def _part_of(self, kind: type[StepPart], name: str, reason: str) -> StepPart:
-        """The part of a kind, of which something new is told: no state is kept."""
+        """The part of a kind, of which something new is told: no state is kept, and nothing explored."""
         part = next((part for part in self.parts if isinstance(part, kind)), None)
         if not part:
             raise CommandError(name, reason)
         self.kept = None
+        self._planner.forget()
         return part
 
     def reset(self) -> None:

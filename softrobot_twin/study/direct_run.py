@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from softrobot_twin.errors import CommandError
 from softrobot_twin.harness.terminal import warn
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.command import DEFAULT_TIME_STEP, Command
@@ -24,6 +25,9 @@ from softrobot_twin.study.passive_run import BodyReadouts, no_commands
 from softrobot_twin.study.run_summary import RunSummary
 from softrobot_twin.study.scene_picture import Snapshot, take_snapshot
 
+# Most steps of a run.
+MOST_STEPS = 10_000_000
+
 
 def step_times(table: CommandTable, rate: float) -> np.ndarray:
     """End times of the steps [s]: evenly spaced, and no step is longer than the rate's period.
@@ -31,8 +35,13 @@ def step_times(table: CommandTable, rate: float) -> np.ndarray:
     Args:
         table: Commands.
         rate: Steps per second [Hz].
+
+    Raises:
+        CommandError: There are more than `MOST_STEPS`.
     """
     begin, end = table.times[0], table.times[-1]
+    if not (end - begin) * rate <= MOST_STEPS:
+        raise CommandError("time_s", f"{end - begin:g} s are more than {MOST_STEPS:,} steps at {rate:g} Hz")
     # The small number prevents an additional step due to rounding.
     count = max(1, int(np.ceil((end - begin) * rate - 1e-9)))
     return begin + (end - begin) * np.arange(1, count + 1) / count

@@ -72,9 +72,9 @@ def read_series(path: Path) -> Series:
         raise TableFileError(path, "is nothing that a run writes or reads: the header has neither "
                              f"{TIME} nor {SAMPLE}", 1)
     texts = {name: columns.texts(name) for name in columns.left if name in TEXT_COLUMNS}
-    numbers = {name: columns.pop(name, may_be_open=True)
-               for name in columns.left if name not in texts}
-    return Series(path, over, numbers.pop(over), numbers, texts)
+    at = columns.pop(over)
+    numbers = {name: columns.pop(name, may_be_open=True) for name in columns.left if name not in texts}
+    return Series(path, over, at, numbers, texts)
 
 
 # --- the panels ----------------------------------------------------------------------------------

@@ -195,7 +195,7 @@ def test_what_it_cannot_use_is_refused_by_name(environment):
     with pytest.raises(CommandError, match="target: has 2 numbers"):
         environment.reset(options={"target": [0.0, 0.0]})
     environment.reset(seed=1)
-    for bad in (np.zeros(3), np.array([np.nan, 0.0])):
+    for bad in (np.zeros(3), np.array([np.nan, 0.0]), ["fast", "slow"], np.array([1j, 0.0])):
         with pytest.raises(CommandError, match="action"):
             environment.step(bad)
 

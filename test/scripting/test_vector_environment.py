@@ -205,6 +205,6 @@ def test_what_it_cannot_use_is_refused_by_name(built, entries):
     with pytest.raises(CommandError, match="seed: has 3 numbers for 2 robots"):
         environments.reset(seed=[1, 2, 3])
     environments.reset(seed=1)
-    for bad in (np.zeros((3, 2)), np.full((2, 2), np.nan)):
+    for bad in (np.zeros((3, 2)), np.full((2, 2), np.nan), np.full((2, 2), "fast")):
         with pytest.raises(CommandError, match=r"actions: must be finite numbers of shape \(2, 2\)"):
             environments.step(bad)

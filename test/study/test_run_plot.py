@@ -93,6 +93,7 @@ def test_tables_of_commands_and_samples_of_a_workspace_are_drawn(tmp_path):
     ("", "is empty"), ("time_s,tip_x_m\n", "no row"),
     ("time_s,tip_x_m\n0,left\n", "row 2: tip_x_m = 'left' m: must be a number"),
     ("time_s,tip_x_m\n0\n", "has 1 cells"), ("time_s\n0\n", "no column with a number to draw"),
+    ("time_s,tip_x_m\nnan,1\n", "row 2: time_s = 'nan' s: must be finite"),
 ])
 def test_a_file_of_another_kind_is_refused_by_name(tmp_path, text, words):
     (tmp_path / "run.csv").write_text(text)

@@ -163,12 +163,10 @@ class Explorer(StepPart, Planner):
     def staying(self, simulation: Steppable, command: Command, measured: list) -> StepResult | None:
         """The result of a robot that explores, or has explored in vain. See `Planner`."""
         exploration = self._exploration
-        if exploration is None:
-            return None
-        if any(one.is_any for one in measured) or not simulation.asks_as(exploration.command, command):
-            self._exploration = None
-            return None
-        return None if exploration.is_found else exploration.result
+        is_other = any(one.is_any for one in measured)
+        if exploration is not None and (is_other or not simulation.asks_as(exploration.command, command)):
+            exploration = self._exploration = None
+        return None if exploration is None or exploration.is_found else exploration.result
 
     def plan(self, simulation: Steppable) -> np.ndarray | None:
         """Make a step of a trial. See `Planner`."""
