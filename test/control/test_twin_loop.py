@@ -184,43 +184,11 @@ def test_a_far_orientation_is_approached_at_the_speed_of_positions(drive_posed):
     assert 0.2 * 0.02 * STEP < length * steps.max() < 1.5 * 0.02 * STEP
 
 
-FIRST_TICKS = """
-import sys
-import numpy as np
-from numba.core.dispatcher import Dispatcher
-from softrobot_twin.control.arrival import Arrival
-from softrobot_twin.control.loop_settings import LoopSettings
-from softrobot_twin.control.twin_loop import TwinLoop
-from softrobot_twin.scene import load_scene
-from softrobot_twin.simulation import Simulation
-
-simulation = Simulation(load_scene(f"config/scenes/{sys.argv[1]}.yaml", eval(sys.argv[2])))
-loop = TwinLoop(simulation, LoopSettings(message_timeout=0.0))
-simulation.warm_up()
-late, compiled, rng = [], Dispatcher.compile, np.random.default_rng(5)
-
-def note(self, types):
-    # Numba asks again for what it has where only the strides of an array are new.
-    late.extend([self.py_func.__name__] if types not in self.overloads else [])
-    return compiled(self, types)
-
-Dispatcher.compile = note
-for tick in range(1, 100):
-    arrival = Arrival("base_link", 20_000_000 * tick, 20_000_000 * tick, 0.02 * tick)
-    if tick % 20 == 1:
-        away = 0.1 * simulation.model.nodes.finite_size * rng.normal(size=3)
-        loop.targets.accept_point(0, simulation.effector_positions()[0] + away, arrival)
-    loop.markers.accept(simulation.marker_ids, simulation.marker_positions() + [2e-3, 0.0, 0.0], arrival)
-    loop.tick(arrival.time, arrival.ros_time)
-print(late)
-"""
-
-
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("scene, changes", [
     ("diamond", {"observer": {}}), ("fast_pneunet", {}), ("fast_trunk_device", {}), ("finray", {}),
 ])  # fmt: skip
 def test_the_first_targets_and_measurements_compile_nothing(scene, changes):
-    run = subprocess.run([sys.executable, "-c", FIRST_TICKS, scene, str(changes)], cwd=ROOT,
+    run = subprocess.run([sys.executable, ROOT / "test/first_ticks.py", scene, str(changes)], cwd=ROOT,
                          capture_output=True, text=True)  # fmt: skip
     assert run.stdout.strip() == "[]", run.stderr

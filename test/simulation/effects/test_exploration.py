@@ -6,7 +6,7 @@ import pytest
 
 import softrobot_twin as st
 from softrobot_twin.simulation import FollowTargets
-from softrobot_twin.simulation.effects.exploration import NEARER, RANDOM_MOVES, Exploration
+from softrobot_twin.simulation.effects.exploration import RANDOM_MOVES, Exploration
 from softrobot_twin.simulation.step.newton import Newton
 from test.control.conftest import coarse
 from test.scene_changes import repeat_step
@@ -123,26 +123,3 @@ def test_trials_stay_within_limits_and_leave_commanded_actuators_alone(limited):
     commanded[1] = twin.simulation.state.setpoints[1]
     moves = goals(twin, commanded)
     assert len(moves) and (moves[:, 1] == 0.0).all() and (moves != 0.0).any(axis=1).all()
-
-
-def test_a_trial_is_found_only_where_it_rests_nearer(limited):
-    twin, asked = limited()
-    result = until(twin, asked, lambda report: report.is_exploring).outcome
-    command = FollowTargets(np.zeros((1, 3)), 0.02)
-
-    def judged(missed, has_gone, is_stable, is_calm):
-        trial = Exploration(command, result, np.ones(1), twin.simulation.actuators)
-        first = trial.trial
-        for count in range(400):
-            trial.judge(np.array([missed**0.5]), has_gone, is_stable, is_calm)
-            if trial.is_found or trial.trial is not first:
-                return count, trial.is_found
-        return None, False
-
-    near, far = 0.9 * NEARER, 1.1 * NEARER
-    count, is_found = judged(near, True, True, True)
-    assert is_found and count < 100
-    for has_gone, is_stable, is_calm in [(False, True, True), (True, False, True), (True, True, False)]:
-        assert not judged(near, has_gone, is_stable, is_calm)[1]
-    count, is_found = judged(far, True, True, True)
-    assert not is_found and count < 50
