@@ -188,7 +188,7 @@ def test_a_rate_that_is_changed_again_and_again_does_not_stop_the_ticks(world, m
         assert set_parameter("rate", 2.0 + 0.1 * (changes % 2)).successful
         changes += 1
         assert time.monotonic() - began < 60.0
-    assert changes > 20
+    assert changes > 8  # of four ticks
     assert twin.tick_clock.ticks - before <= 2.1 * (time.monotonic() - began) + 2.0
     assert set_parameter("rate", 0.1).successful
     assert set_parameter("rate", 50.0).successful
