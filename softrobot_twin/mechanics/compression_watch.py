@@ -30,7 +30,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.geometry.matrix3 import determinant, inner, trace, transposed_product
-from softrobot_twin.kernels.compilation import KERNEL, njit
+from softrobot_twin.kernels.compilation import KERNEL, ONCE, njit
 from softrobot_twin.mechanics.element_batches import BATCH, at, matrix_at
 from softrobot_twin.mechanics.material import LameParameters
 from softrobot_twin.mechanics.strain_watch import extreme_eigenvalues
@@ -43,7 +43,7 @@ MOST_COMPRESSED, MOST_CONFINED = 0.025, 2.4
 """c and d above which a body is not trusted."""
 
 
-@njit(**KERNEL)
+@njit(**ONCE)
 def any_compressed(deformations, weights):
     """Whether a cell is compressed; most are judged by a lower bound of λ² that needs no eigenvalue."""
     least = SEEN * SEEN

@@ -162,14 +162,14 @@ def count_folded(x, cells, edges, inverses, uprights):
     return count
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def take_lowest(upright, lowest):
     """The lower of both, element by element."""
     for e in range(BATCH):
         lowest[e] = min(lowest[e], upright[e])
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def count_inverted(weights, upright):
     """Number of elements of a batch that are not upright; weights are 0 beyond the last one."""
     upright_count = 0.0
@@ -200,7 +200,7 @@ def deform_corners(to_corners, F, corners):
                 values[i] += share * point[i]
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def find_folds(to_corners, F, corners, upright, sure):
     """Mark the elements that are flat or inside out at a corner, or anywhere between.
 

@@ -38,7 +38,7 @@ from softrobot_twin.geometry.cell_mesh import CellBlock, points_of
 from softrobot_twin.geometry.matrix3 import product, transposed_product
 from softrobot_twin.geometry.shape_functions import MEAN_HEXAHEDRON, hourglass_fields
 from softrobot_twin.geometry.vector_arrays import gather_vectors, multiply_transposed
-from softrobot_twin.kernels.compilation import INNER, KERNEL, ONCE, UNCACHED, njit
+from softrobot_twin.kernels.compilation import KERNEL, ONCE, UNCACHED, njit
 from softrobot_twin.mechanics.compression_watch import CompressionWatch, coarseness
 from softrobot_twin.mechanics.element_assembly import (
     fill_derivatives,
@@ -226,7 +226,7 @@ def write_stress_changes(
         _apply_to_gradients(C, weights[k], gradients[k], changes[k])
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _turn_derivatives(R, C):
     """From dP Rᵀ by dF Rᵀ to dP by dF: C_{ik,jl} ← Σ C_{im,jn} R_mk R_nl."""
     for e in range(BATCH):
@@ -242,7 +242,7 @@ def _turn_derivatives(R, C):
                     put_vector(C, first + 3 * k, e, turned[k])
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def _apply_to_gradients(C, weights, gradients, changes):
     """w C G of one batch."""
     for i in range(9):
