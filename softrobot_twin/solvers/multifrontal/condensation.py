@@ -625,7 +625,7 @@ def _forward_single(front, rows, panel, triangle, y, work):
         entry += NODE_BYTES
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def solve_single(front, panel, triangle, y, work):
     """The front's own rows of y, and in `work` what its rows below are to lose."""
     for i in range(front.padding + front.columns, STRIP * front.strips):
@@ -672,7 +672,7 @@ def _forward_columns(
         work += NARROW * STRIP_BYTES * strips
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def solve_columns(
     front, panel, triangle, Y, stride, place, first_strip, end_strip, target, target_stride
 ):
