@@ -3,8 +3,8 @@
     python tools/compile_kernels.py
     python tools/compile_kernels.py --ship [SCENE...]
 
-Combinations are those of elements, laws and ways to move in time, and a robot with an observer. Kernels that are kept on disk are
-only read, and where nothing changed since the last time, nothing is done. With `--ship`, for a
+Combinations are those of elements, laws and ways to move in time, and a robot with an observer. Kernels
+that are kept on disk are only read, and where nothing changed since the last time, nothing is done. With `--ship`, for a
 release, also those of the Python of the README; then all entries that Python calls are put into the
 package as `kernels.zip`, and what the scenes called as the list by which processes compile ahead.
 Names of scenes limit the archive to these and the README.

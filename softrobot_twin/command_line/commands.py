@@ -299,7 +299,12 @@ def simulate(
     """
     from softrobot_twin.simulation.runs.input_tables import Axes
     from softrobot_twin.study import offline_run
-    from softrobot_twin.study.direct_run import DEFAULT_RATE, simulate_alone, simulate_commands
+    from softrobot_twin.study.direct_run import (
+        DEFAULT_RATE,
+        MOST_STEPS,
+        simulate_alone,
+        simulate_commands,
+    )
 
     _check_outputs((scene, targets, commands), output=output, picture=picture)
     read_as = Axes.read(axes or "x,y,z", backwards)
@@ -315,7 +320,11 @@ def simulate(
     if commands is not None:
         return simulate_commands(scene, commands, output, steps_a_second, drawn, read_as)
     refuse("requires --targets or --commands", axes=axes, backwards=backwards)
-    return simulate_alone(scene, seconds or (steps or 0) / steps_a_second, output, steps_a_second, drawn)
+    time = seconds or (steps or 0) / steps_a_second
+    if time * steps_a_second > MOST_STEPS:
+        raise OptionError("--seconds" if seconds else "--steps",
+                          f"makes more than {MOST_STEPS:,} steps at {steps_a_second:g} Hz")
+    return simulate_alone(scene, time, output, steps_a_second, drawn)
 
 
 def _check_outputs(inputs: Sequence[Path | None], **outputs: Path | None) -> None:

@@ -644,12 +644,11 @@ class TwinNode(TickingNode):
         newest = self.window.newest
         if self.has_worked:
             self.visualization.offer(newest, self.stamp, now)
-        if self.has_worked and not self.loop.is_repeating:
-            if self.last_command is not None and newest.command is not None:
-                self.last_command.keep(*newest.command, newest.guided_poses)
-            self.status.offer(newest, now)
-            self._warn_of(newest, now)
-        if self.has_worked:
+            if not self.loop.is_repeating:
+                if self.last_command is not None and newest.command is not None:
+                    self.last_command.keep(*newest.command, newest.guided_poses)
+                self.status.offer(newest, now)
+                self._warn_of(newest, now)
             self.loop.simulation.plan()
         if now < self._diagnostics_due:
             return

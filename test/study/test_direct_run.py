@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from softrobot_twin.errors import CommandError
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.runs.input_tables import read_commands
 from softrobot_twin.study.direct_run import run_commands, step_times
@@ -84,6 +85,8 @@ def test_steps_are_even_and_end_with_the_last_row(stamp):
     assert len(times) == 21 and times[-1] == pytest.approx(0.7)
     assert np.ptp(np.diff(times)) < 1e-12
     assert len(step_times(table, 200.0)) == 140
+    with pytest.raises(CommandError, match="time_s: 0.7 s are more than 10,000,000 steps at 1e\\+09 Hz"):
+        step_times(table, 1e9)
 
 
 def test_a_run_writes_all_columns(tmp_path, stamp, call):

@@ -163,8 +163,7 @@ class Explorer(StepPart, Planner):
     def staying(self, simulation: Steppable, command: Command, measured: list) -> StepResult | None:
         """The result of a robot that explores, or has explored in vain. See `Planner`."""
         exploration = self._exploration
-        is_other = any(one.is_any for one in measured)
-        if exploration is not None and (is_other or not simulation.asks_as(exploration.command, command)):
+        if exploration and (any(one.is_any for one in measured) or not simulation.asks_as(exploration.command, command)):
             exploration = self._exploration = None
         return None if exploration is None or exploration.is_found else exploration.result
 
@@ -184,11 +183,9 @@ class Explorer(StepPart, Planner):
         else:
             exploration.judge(copy.inverse.misses, not copy.inverse.is_departing, is_stable, bool(is_calm))
         self._exploration = exploration
-        if exploration.is_found:
-            return trial
         if exploration.trial is not trial:
             self._begin_trial(simulation)
-        return None
+        return trial if exploration.is_found else None
 
     def _copied(self, simulation: Steppable) -> Steppable:
         """The copy; it is built once."""

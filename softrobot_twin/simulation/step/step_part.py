@@ -342,7 +342,6 @@ class Steppable(Protocol):
     state: State
     now: Callable[[], float]
     is_balanced: bool
-
     mounted: Any
 
     def __init__(
