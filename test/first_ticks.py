@@ -1,8 +1,10 @@
 """Prints which kernels are compiled, or loaded, in the first ticks of a loop: first_ticks.py SCENE CHANGES"""
 
 import sys
+
 import numpy as np
-from numba.core.dispatcher import Dispatcher
+from late_kernels import noted
+
 from softrobot_twin.control.arrival import Arrival
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.twin_loop import TwinLoop
@@ -12,14 +14,7 @@ from softrobot_twin.simulation import Simulation
 simulation = Simulation(load_scene(f"config/scenes/{sys.argv[1]}.yaml", eval(sys.argv[2])))
 loop = TwinLoop(simulation, LoopSettings(message_timeout=0.0))
 simulation.warm_up()
-late, compiled, rng = [], Dispatcher.compile, np.random.default_rng(5)
-
-def note(self, types):
-    # Numba asks again for what it has where only the strides of an array are new.
-    late.extend([self.py_func.__name__] if types not in self.overloads else [])
-    return compiled(self, types)
-
-Dispatcher.compile = note
+late, rng = noted(), np.random.default_rng(5)
 for tick in range(1, 100):
     arrival = Arrival("base_link", 20_000_000 * tick, 20_000_000 * tick, 0.02 * tick)
     if tick % 20 == 1:

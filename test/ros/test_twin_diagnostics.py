@@ -182,14 +182,14 @@ def test_a_rate_that_is_changed_again_and_again_does_not_stop_the_ticks(world, m
     """A timer that restarts at every change never fires when changes are more frequent than
     ticks.
     """
-    twin = make_twin(rate=2.0)
+    twin = make_twin(rate=1.0)  # A busy machine needs a tenth of a second for a change.
     before, began, changes = twin.tick_clock.ticks, time.monotonic(), 0
     while twin.tick_clock.ticks < before + 4:
-        assert set_parameter("rate", 2.0 + 0.1 * (changes % 2)).successful
+        assert set_parameter("rate", 1.0 + 0.05 * (changes % 2)).successful
         changes += 1
         assert time.monotonic() - began < 60.0
-    assert changes > 8  # of four ticks
-    assert twin.tick_clock.ticks - before <= 2.1 * (time.monotonic() - began) + 2.0
+    assert changes > 20
+    assert twin.tick_clock.ticks - before <= 1.05 * (time.monotonic() - began) + 2.0
     assert set_parameter("rate", 0.1).successful
     assert set_parameter("rate", 50.0).successful
     # The next tick is due in a fiftieth of a second, not in ten.

@@ -5,11 +5,11 @@ import sys
 
 import numpy as np
 import pytest
-from numba.core.dispatcher import Dispatcher
 
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.loading import read_yaml, written_out
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation
+from test.late_kernels import noted
 from test.places import ROOT
 
 LEG = str(ROOT / "meshes" / "octoleg_120.vtk")
@@ -66,15 +66,7 @@ def stones(tmp_path_factory):
 @pytest.fixture
 def late(monkeypatch):
     """Names of the kernels that are compiled, or loaded, from now on."""
-    found, compiled = [], Dispatcher.compile
-
-    def note(self, signature):
-        # Numba asks again for what it has where only the strides of an array are new.
-        found.extend([self.py_func.__qualname__] if signature not in self.overloads else [])
-        return compiled(self, signature)
-
-    monkeypatch.setattr(Dispatcher, "compile", note)
-    return found
+    return noted(monkeypatch.setattr)
 
 
 def test_the_first_contact_of_every_pair_compiles_nothing(stones, late):
@@ -125,43 +117,11 @@ def test_the_first_contact_in_the_inverse_compiles_nothing(late, friction):
     assert late == []
 
 
-LAST_RESORTS = """
-import sys
-import numpy as np
-from numba.core.dispatcher import Dispatcher
-from softrobot_twin.simulation import Simulation
-from softrobot_twin.solvers.contact_problem import ContactProblem
-
-simulation = Simulation.from_scene_file(sys.argv[1])
-simulation.warm_up()
-late, compiled = [], Dispatcher.compile
-
-def note(self, signature):
-    late.append(self.py_func.__qualname__)
-    return compiled(self, signature)
-
-Dispatcher.compile = note
-solvers = simulation.direct.solvers
-rng = np.random.default_rng(1)
-for contacts in (3, 40):
-    Y = rng.standard_normal((3 * contacts, 3 * contacts + 10))
-    none = np.empty(0)
-    problem = ContactProblem(
-        Y @ Y.T, rng.uniform(-1.0, 0.1, 3 * contacts), none, none, np.full(contacts, 0.4), 3)
-    guess = np.zeros(3 * contacts)
-    solvers.swept(problem, guess, guess)
-    for solver in (solvers.sweeps, solvers.newton, solvers.judge):
-        solver.solve(problem, guess)
-    solvers.continuation.solve(problem, guess, guess)
-print(late)
-"""
-
-
 @pytest.mark.exhaustive
 def test_fallback_solvers_are_compiled_before_the_first_step():
     """Compiled in a step, one took nine seconds: the twin took the device for lost."""
     scene = ROOT / "config" / "scenes" / "grasper.yaml"
-    run = subprocess.run([sys.executable, "-c", LAST_RESORTS, scene], cwd=ROOT,
+    run = subprocess.run([sys.executable, ROOT / "test/last_resorts.py", scene], cwd=ROOT,
                          capture_output=True, text=True)
     assert run.returncode == 0, run.stderr
     assert run.stdout.strip() == "[]"

@@ -6,7 +6,7 @@ import pytest
 
 import softrobot_twin as st
 from softrobot_twin.simulation import FollowTargets
-from softrobot_twin.simulation.effects.exploration import RANDOM_MOVES, Exploration
+from softrobot_twin.simulation.effects.exploration import NEARER, RANDOM_MOVES, Exploration
 from softrobot_twin.simulation.step.newton import Newton
 from test.control.conftest import coarse
 from test.scene_changes import repeat_step
@@ -50,11 +50,13 @@ def test_a_robot_goes_to_a_nearer_pose_and_rests_there(limited):
 def test_while_it_explores_a_robot_stays_to_the_bit(limited):
     twin, asked = limited()
     first = until(twin, asked, lambda report: report.is_exploring)
-    state = twin.state
+    count, state = 0, twin.state
     while (result := twin.step(asked)).outcome.report.is_exploring:
         assert result.outcome.setpoints is first.outcome.setpoints
         assert twin.state.positions is state.positions and result.status is first.status
-    assert twin.state.step_count > state.step_count + 5
+        count += 1
+        assert twin.simulation.state.step_count == state.step_count + count
+    assert count > 5
 
 
 def test_another_command_ends_an_exploration_which_left_no_trace(limited):
@@ -123,3 +125,18 @@ def test_trials_stay_within_limits_and_leave_commanded_actuators_alone(limited):
     commanded[1] = twin.simulation.state.setpoints[1]
     moves = goals(twin, commanded)
     assert len(moves) and (moves[:, 1] == 0.0).all() and (moves != 0.0).any(axis=1).all()
+
+
+@pytest.mark.parametrize("share, has_gone, is_stable, is_calm, is_found, most", [
+    (0.9, True, True, True, True, 100), (1.1, True, True, True, False, 50), (0.9, False, True, True, False, 400),
+    (0.9, True, False, True, False, 400), (0.9, True, True, False, False, 400),
+])  # fmt: skip
+def test_a_trial_is_found_only_where_it_rests_nearer(limited, share, has_gone, is_stable, is_calm, is_found, most):
+    twin, _ = limited()
+    result, command = twin.step(st.hold()).outcome, FollowTargets(np.zeros((1, 3)), 0.02)
+    exploration, count = Exploration(command, result, np.ones(1), twin.simulation.actuators), 0
+    first = exploration.trial
+    while exploration.trial is first and not exploration.is_found:
+        exploration.judge(np.array([(share * NEARER) ** 0.5]), has_gone, is_stable, is_calm)
+        count += 1
+    assert exploration.is_found is is_found and count < most
