@@ -57,10 +57,10 @@ def size(path: Path) -> int:
 
 
 def heavy_stage_and_frames(node_count: int):
-    """A stage whose frames weigh about 24 bytes a node."""
+    """A stage whose frames weigh about 24 bytes a node; few triangles, so that they are drawn at once."""
     random = np.random.default_rng(0)
     positions = random.random((node_count, 3))
-    triangles = random.integers(0, node_count, (2 * node_count, 3))
+    triangles = random.integers(0, node_count, (node_count // 100, 3))
     path = "/robot/surface/body"
     stage = Stage("heavy", "heavy", (Entity(path, "surface", triangles=triangles),), ())
 
