@@ -5,7 +5,7 @@ The model tells the force on each cell, and the twin takes what the cells measur
 
 import numpy as np
 
-from softrobot_twin.simulation.channels import Channel
+from softrobot_twin.tables.channels import Channel
 
 LEVER = 0.25
 """A cell carries this share of the tension, along one axis and against the other."""

@@ -5,8 +5,8 @@ from contextlib import contextmanager
 from softrobot_twin.mechanics import element_kinds
 from softrobot_twin.scene import schema
 from softrobot_twin.scene.entry import forms_of
-from softrobot_twin.simulation import channels
 from softrobot_twin.simulation.building import actuator_kinds
+from softrobot_twin.tables import channels
 
 
 @contextmanager

@@ -17,6 +17,7 @@ from test.places import PACKAGE, ROOT
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
 CORE = {"geometry", "mechanics", "constraints", "solvers", "scene", "simulation"}
+BELOW_CONTROL = CORE | {"analysis", "tables"}
 # Rooms that each room may import, besides itself, the kernels and the files at the top.
 ALLOWED_ROOMS = {
     "kernels": set(),
@@ -27,24 +28,26 @@ ALLOWED_ROOMS = {
     # Names of what is registered there: laws and factorizations; where a helix begins.
     "scene": {"geometry", "mechanics", "solvers"},
     "simulation": CORE - {"simulation"},
+    "analysis": CORE,
+    "tables": CORE,
     # The quadratic program of predictive control, and lengths of vectors.
-    "control": {"geometry", "simulation", "solvers"},
+    "control": {"analysis", "geometry", "simulation", "solvers", "tables"},
     "view": {"simulation"},
-    "record": CORE | {"control"},
-    "ros": CORE | {"control", "view", "record"},
-    "harness": CORE,
-    "reduction": CORE | {"harness"},
-    "calibration": CORE | {"control", "harness", "record"},
-    "study": CORE | {"control", "harness", "reduction", "view"},
-    "scripting": CORE | {"calibration", "control", "harness", "study", "view"},
+    "record": BELOW_CONTROL | {"control"},
+    "ros": BELOW_CONTROL | {"control", "view", "record"},
+    "harness": BELOW_CONTROL,
+    "reduction": BELOW_CONTROL | {"harness"},
+    "calibration": BELOW_CONTROL | {"control", "harness", "record"},
+    "study": BELOW_CONTROL | {"control", "harness", "reduction", "view"},
+    "scripting": BELOW_CONTROL | {"calibration", "control", "harness", "study", "view"},
     # It builds what it writes, and prints as studies do.
     "conversion": {"geometry", "harness", "scene", "simulation", "study"},
-    "command_line": CORE | {
+    "command_line": BELOW_CONTROL | {
         "calibration", "control", "conversion", "harness", "record", "reduction", "ros", "study", "view"},
 }
 # Rooms inside the simulation, each of which imports only those before it and its vocabulary. The other
-# files at the top of the simulation put these rooms together, and only `runs` imports them.
-STEP_ROOMS = ("building", "step", "effects", "runs")
+# files at the top of the simulation put these rooms together.
+STEP_ROOMS = ("building", "step", "effects")
 VOCABULARY = {"command", "contact_forces", "result", "state"}
 ENTRANCE = {"__init__.py", "__main__.py", "errors.py", "shared_files.py"}
 # Where a library may be imported; gmsh only in the process that meshes CAD files.
@@ -164,8 +167,7 @@ def test_rooms_inside_the_simulation_are_imported_one_way():
         if parts[0] != "simulation" or len(parts) < 3 or names[:1] != ["simulation"]:
             return False
         other, own = names[1], STEP_ROOMS.index(parts[1])
-        may_import_top = parts[1] == STEP_ROOMS[-1]
-        return other not in {*STEP_ROOMS[: own + 1], *VOCABULARY} and not may_import_top
+        return other not in {*STEP_ROOMS[: own + 1], *VOCABULARY}
     assert violations(broken) == []
     rooms = {path.parent.name for path in (PACKAGE / "simulation").glob("*/__init__.py")}
     assert rooms == set(STEP_ROOMS)

@@ -37,7 +37,6 @@ from softrobot_twin.scene.scene_changes import with_mesh_file
 from softrobot_twin.scene.schema import Effector
 from softrobot_twin.simulation import FollowTargets, Hold, Simulation
 from softrobot_twin.simulation.command import Command
-from softrobot_twin.simulation.runs.input_tables import read_targets
 from softrobot_twin.solvers.dense_stiffness import without_rows
 from softrobot_twin.solvers.factorization import Factorization
 from softrobot_twin.solvers.multifrontal import Multifrontal
@@ -53,6 +52,7 @@ from softrobot_twin.study.bench_measurement import (
     held_commands,
     swept_setpoints,
 )
+from softrobot_twin.tables.input_tables import read_targets
 from step_overhead import compared, overhead_of, overhead_table, read_earlier
 from superlu_reference import SUPERLU, BesideSuperLU, beside_superlu
 

@@ -82,10 +82,10 @@ def run(job: Job):
 
 def run_scene(name: str, changes: Sequence[str]):
     """Builds a scene and takes every path of a step and a tick; see `run`."""
-    from softrobot_twin.kernels import kernel_cache, kernels_ahead
     from softrobot_twin.control.loop_settings import LoopSettings, Mode
     from softrobot_twin.control.twin_loop import TwinLoop
     from softrobot_twin.errors import ParameterError
+    from softrobot_twin.kernels import kernel_cache, kernels_ahead
     from softrobot_twin.scene import load_scene
     from softrobot_twin.shared_files import ScenePath
     from softrobot_twin.simulation import Simulation
@@ -105,9 +105,9 @@ def run_scene(name: str, changes: Sequence[str]):
 
 def run_readme():
     """Runs the Python of the README, and what a twin computes in idle time; see `run`."""
+    from softrobot_twin.analysis.mesh_error import MeshErrorEstimator
     from softrobot_twin.kernels import kernel_cache
     from softrobot_twin.scene import load_scene
-    from softrobot_twin.simulation.mesh_error import MeshErrorEstimator
 
     MeshErrorEstimator(load_scene(SCENES / "finger.yaml")).at_rest()
     code = (ROOT / "README.md").read_text(encoding="utf-8").partition("```python\n")[2]

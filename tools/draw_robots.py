@@ -20,11 +20,11 @@ from PIL import Image
 
 from softrobot_twin.__main__ import main
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.runs.input_tables import read_commands, read_targets
-from softrobot_twin.simulation.runs.run_columns import RunColumns
 from softrobot_twin.study import direct_run, offline_run
 from softrobot_twin.study.scene_picture import take_snapshot
 from softrobot_twin.study.triangle_drawing import Solid, camera_at, image_of
+from softrobot_twin.tables.input_tables import read_commands, read_targets
+from softrobot_twin.tables.run_columns import RunColumns
 
 ROOT = Path(__file__).resolve().parents[1]
 

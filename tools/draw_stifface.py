@@ -19,12 +19,12 @@ from typing import NamedTuple
 import numpy as np
 import yaml
 
+from softrobot_twin.analysis.apparent_compliance import EffectorCompliance
 from softrobot_twin.harness.figure import figure_file, legend_below
 from softrobot_twin.harness.terminal import console, table
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation, Touched
-from softrobot_twin.simulation.apparent_compliance import EffectorCompliance
 
 SCENES = Path(__file__).resolve().parents[1] / "config" / "scenes"
 HELD = np.array([[0.0, 0.0, 0.022]])

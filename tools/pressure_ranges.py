@@ -22,11 +22,11 @@ import numpy as np
 import yaml
 from specimens import NotSolved
 
+from softrobot_twin.analysis.mesh_error import ActuatorLoads, MeshErrorEstimator
 from softrobot_twin.scene import Scene, scene_from_mapping
 from softrobot_twin.scene.loading import read_yaml, written_out
 from softrobot_twin.simulation import CommandSetpoints, Simulation, Status
 from softrobot_twin.simulation.command import LONG
-from softrobot_twin.simulation.mesh_error import ActuatorLoads, MeshErrorEstimator
 from softrobot_twin.study.bench_measurement import default_scene_path
 
 FILE = Path(__file__).parents[1] / "docs" / "pressure_references.yaml"

@@ -23,10 +23,7 @@ from typing import NamedTuple
 import numpy as np
 import yaml
 
-from softrobot_twin.scene import Scene, scene_from_mapping
-from softrobot_twin.scene.loading import read_yaml, written_out
-from softrobot_twin.simulation import CommandSetpoints
-from softrobot_twin.simulation.mesh_error import (
+from softrobot_twin.analysis.mesh_error import (
     LEFT_OUT,
     LONG,
     ActuatorLoads,
@@ -38,6 +35,9 @@ from softrobot_twin.simulation.mesh_error import (
     still,
     with_element,
 )
+from softrobot_twin.scene import Scene, scene_from_mapping
+from softrobot_twin.scene.loading import read_yaml, written_out
+from softrobot_twin.simulation import CommandSetpoints
 from softrobot_twin.simulation.step.newton import Newton
 from softrobot_twin.study.bench_measurement import default_scene_path
 

@@ -26,8 +26,8 @@ from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.harness.terminal import report_activity, table
 from softrobot_twin.harness.timing import without_garbage_collection
 from softrobot_twin.simulation import FollowTargets, Simulation
-from softrobot_twin.simulation.runs.input_tables import TableFileError
 from softrobot_twin.study.bench_measurement import WHOLE_STEP, BenchCase
+from softrobot_twin.tables.input_tables import TableFileError
 from superlu_reference import BesideSuperLU
 
 UNCOUNTED_STEPS = 10

@@ -22,6 +22,7 @@ from typing import Any, NamedTuple, Protocol, TypeAlias
 import numpy as np
 from scipy.special import stdtrit
 
+from softrobot_twin.analysis.sensitivities import Loads
 from softrobot_twin.calibration.residual_analysis import (
     Hysteresis,
     Linear,
@@ -49,7 +50,6 @@ from softrobot_twin.scene.scene_parameters import (
 from softrobot_twin.scene.schema import MarkerFrame
 from softrobot_twin.simulation import Simulation, Touched
 from softrobot_twin.simulation.build import build_terms
-from softrobot_twin.simulation.sensitivities import Loads
 
 RELATIVE = {"Pa": 0.3, "kg/m³": 0.3, "N": 0.7, "N/m": 0.7, "N m/rad": 0.7}
 """What is known before of what is above zero, by its unit: a standard deviation as a share."""

@@ -33,7 +33,7 @@ from softrobot_twin.scene.scene_editing import EditedValue, edited_text
 from softrobot_twin.scene.scene_parameters import full_keys
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.mounting import MountingError
-from softrobot_twin.simulation.runs.input_tables import Axes
+from softrobot_twin.tables.input_tables import Axes
 
 NOT_BETTER = 1
 FARTHER, LEAST_INSIDE = 1.5, 0.85

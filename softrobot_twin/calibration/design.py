@@ -3,7 +3,7 @@
 A design has a few variables, each a number of the scene or several that change together, and poses,
 each an equilibrium at what its actuators are commanded. Each trial builds the scene with other
 numbers and settles its poses from those of the last accepted trial. Derivatives follow from the
-tangents at the poses (`simulation/sensitivities.py`), so a trial costs as much as ten variables.
+tangents at the poses (`analysis/sensitivities.py`), so a trial costs as much as ten variables.
 
 Wanted places are met by bounded least squares, any other function by a quasi-Newton method within
 bounds. A trial that has no such equilibria is refused: the next one is nearer.
@@ -19,13 +19,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from softrobot_twin.analysis.sensitivities import Sensitivities
 from softrobot_twin.errors import NamedError, SoftRobotTwinError
 from softrobot_twin.harness.equilibrium import FollowedPoses
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.scene_parameters import JointParameter, Parameter
 from softrobot_twin.simulation import Simulation, State
 from softrobot_twin.simulation.building.limits import DISPLACEMENT_MARGIN, HOLDING_MARGIN
-from softrobot_twin.simulation.sensitivities import Sensitivities
 
 # A search ends where variables move by less than this share of their bounds, or the objective changes
 # by less than this share.

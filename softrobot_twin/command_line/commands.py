@@ -297,7 +297,6 @@ def simulate(
         axes (AXES): Axes of the file that is read that are x, y and z of the scene (default: x,y,z).
         backwards (ACTUATOR): Actuators with the other sign in this file.
     """
-    from softrobot_twin.simulation.runs.input_tables import Axes
     from softrobot_twin.study import offline_run
     from softrobot_twin.study.direct_run import (
         DEFAULT_RATE,
@@ -305,6 +304,7 @@ def simulate(
         simulate_alone,
         simulate_commands,
     )
+    from softrobot_twin.tables.input_tables import Axes
 
     _check_outputs((scene, targets, commands), output=output, picture=picture)
     read_as = Axes.read(axes or "x,y,z", backwards)
@@ -434,7 +434,7 @@ def calibrate(
         backwards (ACTUATOR): Actuators with the other sign in the tables.
     """
     from softrobot_twin.calibration.calibration_report import calibrate_scene
-    from softrobot_twin.simulation.runs.input_tables import Axes
+    from softrobot_twin.tables.input_tables import Axes
 
     _check_outputs((scene, *data, *check), output=output, picture=picture)
     return calibrate_scene(scene, data, fit, known, output, picture, suggest, check,

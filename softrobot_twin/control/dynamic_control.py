@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from softrobot_twin.analysis.linear_model import LinearModel, ModalTangent
 from softrobot_twin.control.force_observer import USUAL_NOISE
 from softrobot_twin.control.input_shaping import Shaper
 from softrobot_twin.control.predictive_control import (
@@ -30,7 +31,6 @@ from softrobot_twin.simulation import (
     StepResult,
 )
 from softrobot_twin.simulation.command import LONG
-from softrobot_twin.simulation.linear_model import LinearModel, ModalTangent
 
 OFF = "prediction is off"
 SINGLE_ACTUATORS = "single actuators are commanded"

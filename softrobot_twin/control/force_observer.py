@@ -30,6 +30,7 @@ from functools import cache
 import numpy as np
 from scipy.special import gammaincinv
 
+from softrobot_twin.analysis.marker_compliance import MarkerCompliance
 from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.control.marker_checks import FARTHEST_MISFIT
 from softrobot_twin.control.model_history import Moment
@@ -38,7 +39,6 @@ from softrobot_twin.simulation import CommandSetpoints, Hold, Simulation, State
 from softrobot_twin.simulation.building.sensor_kinds import in_order
 from softrobot_twin.simulation.command import LONG
 from softrobot_twin.simulation.effects.observed_forces import ObservedForces, numbers_of
-from softrobot_twin.simulation.marker_compliance import MarkerCompliance
 
 HUBER = 4.0
 """A marker counts less from so many standard deviations of its place on."""

@@ -14,7 +14,7 @@ from collections import deque
 
 import numpy as np
 
-from softrobot_twin.simulation.linear_model import LinearModel
+from softrobot_twin.analysis.linear_model import LinearModel
 
 LEAST_SHARE = 0.05
 """Modes with less than this share of the greatest motion of the effectors are left as they are."""

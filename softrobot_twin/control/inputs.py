@@ -29,7 +29,7 @@ from softrobot_twin.control.target_lead import TargetStream
 from softrobot_twin.simulation import Simulation, Touched
 from softrobot_twin.simulation.appearance import Pose
 from softrobot_twin.simulation.building.limits import Pulleys
-from softrobot_twin.simulation.channels import NOT_UNIT, Channel
+from softrobot_twin.tables.channels import NOT_UNIT, Channel
 
 _SMALLEST_COMPONENT = 1.0e-3
 """A quaternion whose components are all smaller than this is not a rotation. A pose message has

@@ -13,8 +13,8 @@ from softrobot_twin.control.idle_process import STATE, UNKNOWN, IdleWatch, Repli
 
 # The other process lowers its priority before numpy is imported.
 if TYPE_CHECKING:
+    from softrobot_twin.analysis.mesh_error import MeshError
     from softrobot_twin.simulation import Simulation
-    from softrobot_twin.simulation.mesh_error import MeshError
 
 REST = "rest"
 """Kind of the first reply: the mesh at rest."""
@@ -39,7 +39,7 @@ class MeshErrorWatch(IdleWatch):
             simulation: The simulation at the state that is asked about.
             forces_given: Whether efforts are held, in place of setpoints.
         """
-        from softrobot_twin.simulation.mesh_error import ActuatorLoads
+        from softrobot_twin.analysis.mesh_error import ActuatorLoads
 
         return ActuatorLoads.of(simulation, forces_given)
 
@@ -68,7 +68,7 @@ def serve(requests: Requests, reply: Replies) -> None:
         reply: Takes ``(REST, MeshError)``, then ``(STATE, error [m], duration [s])`` for each
             state; ``(UNKNOWN, reason)`` and the end when there is no estimate.
     """
-    from softrobot_twin.simulation.mesh_error import (
+    from softrobot_twin.analysis.mesh_error import (
         MeshErrorEstimator,
         MeshErrorUnknown,
         check_judges_states,

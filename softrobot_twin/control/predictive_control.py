@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import block_diag
 
-from softrobot_twin.simulation.linear_model import LinearModel, StateSpace
+from softrobot_twin.analysis.linear_model import LinearModel, StateSpace
 from softrobot_twin.solvers.daqp_program import solve_program
 
 IDLE_SHARE = 1.0e-2

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from softrobot_twin.control.loop_settings import check_numbers, setting
 from softrobot_twin.errors import ParameterError
-from softrobot_twin.simulation.runs.input_tables import TableFileError, Waypoints, read_path
+from softrobot_twin.tables.input_tables import TableFileError, Waypoints, read_path
 
 _PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 

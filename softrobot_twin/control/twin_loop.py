@@ -63,7 +63,7 @@ from softrobot_twin.simulation import (
     StepResult,
 )
 from softrobot_twin.simulation.appearance import Pose
-from softrobot_twin.simulation.channels import measured
+from softrobot_twin.tables.channels import measured
 
 DEVICE_LOST = "device lost"
 DISPUTED = "the device is measured at two places"

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from softrobot_twin.analysis.sensitivities import Sensitivities, Sensitivity
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.scene_parameters import JointParameter, Parameter, changed_scene, joint_changes
 from softrobot_twin.simulation import (
@@ -23,7 +24,6 @@ from softrobot_twin.simulation import (
     Touched,
 )
 from softrobot_twin.simulation.mounting import Mounted
-from softrobot_twin.simulation.sensitivities import Sensitivities, Sensitivity
 
 # Steps of the way to the setpoints, and most steps after it.
 WAY, MOST_STEPS = 10, 200

@@ -20,7 +20,7 @@ from softrobot_twin.simulation.building.table_columns import (
     force_columns,
     position_columns,
 )
-from softrobot_twin.simulation.runs.input_tables import (
+from softrobot_twin.tables.input_tables import (
     Axes,
     Columns,
     TableFileError,

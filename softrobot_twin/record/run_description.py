@@ -22,7 +22,7 @@ from softrobot_twin.record.run_values import ACTUATORS, EFFECTORS, MARKERS, TOUC
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.loading import read_yaml, written_out
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.channels import FIGURES, registered
+from softrobot_twin.tables.channels import FIGURES, registered
 
 _LIBRARIES = ("softrobot_twin", "numpy", "scipy", "numba", "llvmlite", "daqp", "gmsh")
 _VARIABLES = (

@@ -13,7 +13,7 @@ import numpy as np
 
 from softrobot_twin.control.twin_loop import TickOutcome
 from softrobot_twin.simulation import State
-from softrobot_twin.simulation.channels import BUILT_IN, Channel, channels
+from softrobot_twin.tables.channels import BUILT_IN, Channel, channels
 
 ACTUATORS, EFFECTORS, MARKERS, TOUCHES, NOTHING = "actuators", "effectors", "markers", "touches", ""
 """What the rows of a quantity belong to."""

@@ -9,8 +9,8 @@ import numpy as np
 from softrobot_twin.control.loop_settings import Mode
 from softrobot_twin.control.twin_loop import TickOutcome, TwinLoop
 from softrobot_twin.simulation import FollowTargets
-from softrobot_twin.simulation.channels import measured
-from softrobot_twin.simulation.runs.run_columns import RunColumns
+from softrobot_twin.tables.channels import measured
+from softrobot_twin.tables.run_columns import RunColumns
 
 
 class TickTable:

@@ -82,7 +82,7 @@ from softrobot_twin.simulation.building.reduced_body import (
     reduction_fingerprints,
     write_body_reduction,
 )
-from softrobot_twin.simulation.runs.input_tables import read_targets
+from softrobot_twin.tables.input_tables import read_targets
 
 # Most modes by energy: more make a step slower than many a full model.
 MOST_MODES = 96

@@ -54,7 +54,7 @@ from softrobot_twin.simulation.building.reduced_body import (
     rides_on_a_slide,
 )
 from softrobot_twin.simulation.effects.touches import Touched
-from softrobot_twin.simulation.runs.input_tables import between_rows
+from softrobot_twin.tables.input_tables import between_rows
 
 # Linearizations of a step, and most steps to an equilibrium.
 ITERATIONS, MOST_STEPS = 4, 15

@@ -13,22 +13,22 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
+from softrobot_twin.control.dynamic_control import DynamicControl
 from softrobot_twin.control.live_calibration import LiveCalibration
 from softrobot_twin.control.loop_settings import Mode, WhenLost
 from softrobot_twin.control.loop_timing import TickClock
 from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
 from softrobot_twin.control.reduction_error_watch import ReductionErrorWatch
 from softrobot_twin.control.tracking_cause import tracking_cause, tracking_signs
-from softrobot_twin.control.dynamic_control import DynamicControl
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.ros.thread_priority import ThreadPriority
 from softrobot_twin.ros.ticking_node import Clash, publisher_names
 from softrobot_twin.scene.schema import Contact
 from softrobot_twin.simulation import Status
 from softrobot_twin.simulation.building.actuators import Actuators
-from softrobot_twin.simulation.channels import measured
 from softrobot_twin.simulation.effects.reduction_error import LARGE_BY_SIZE, LARGE_SHARE
 from softrobot_twin.simulation.result import GRIP, RATE
+from softrobot_twin.tables.channels import measured
 
 if TYPE_CHECKING:
     from softrobot_twin.record.run_recorder import RunRecorder

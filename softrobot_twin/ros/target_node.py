@@ -37,7 +37,7 @@ from softrobot_twin.ros.topics import TARGET_TOPICS as TOPICS
 from softrobot_twin.ros.topics import open_publisher
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.building.table_columns import EFFORTS, HOLD
-from softrobot_twin.simulation.runs.input_tables import CommandTable, between_rows, read_commands
+from softrobot_twin.tables.input_tables import CommandTable, between_rows, read_commands
 
 _WAIT_WARNING = 5.0
 _UNTURNED = np.array([0.0, 0.0, 0.0, 1.0])

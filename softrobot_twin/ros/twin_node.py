@@ -22,6 +22,7 @@ from sensor_msgs.msg import FluidPressure
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 
+from softrobot_twin.analysis.apparent_compliance import EffectorCompliance
 from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.control.command_gate import ActuatorCommand
 from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
@@ -70,10 +71,9 @@ from softrobot_twin.ros.visualization import VisualizationOutput
 from softrobot_twin.scene.loading import load_scene
 from softrobot_twin.shared_files import ScenePath
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.apparent_compliance import EffectorCompliance
 from softrobot_twin.simulation.appearance import Pose
 from softrobot_twin.simulation.building.table_columns import column
-from softrobot_twin.simulation.channels import BUILT_IN, registered, measured
+from softrobot_twin.tables.channels import BUILT_IN, registered, measured
 
 if TYPE_CHECKING:
     from softrobot_twin.ros.run_recording import RunRecording

@@ -26,8 +26,8 @@ from softrobot_twin.simulation import (
     Touched,
 )
 from softrobot_twin.simulation.building.table_columns import EFFORTS, SETPOINTS, column
-from softrobot_twin.simulation.channels import NOT_UNIT, WANTED, Channel
-from softrobot_twin.simulation.runs.input_tables import drives_of
+from softrobot_twin.tables.channels import NOT_UNIT, WANTED, Channel
+from softrobot_twin.tables.input_tables import drives_of
 
 Numbers: TypeAlias = tuple[float, ...]
 Aim: TypeAlias = tuple[np.ndarray, np.ndarray | None]

@@ -13,6 +13,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, cast
 
 import numpy as np
 
+from softrobot_twin.analysis.apparent_compliance import ApparentCompliance, EffectorCompliance
+from softrobot_twin.analysis.linear_model import LinearModel, ModalTangent
+from softrobot_twin.analysis.sensitivities import Sensitivities
 from softrobot_twin.calibration.calibration import Calibration, Given, calibrate
 from softrobot_twin.calibration.calibration_report import measured_poses
 from softrobot_twin.calibration.design import DesignModel, Objective
@@ -63,25 +66,22 @@ from softrobot_twin.simulation import (
     State,
     StepResult,
 )
-from softrobot_twin.simulation.apparent_compliance import ApparentCompliance, EffectorCompliance
 from softrobot_twin.simulation.appearance import Pose
 from softrobot_twin.simulation.building.table_columns import column, position_columns
 from softrobot_twin.simulation.command import DEFAULT_TIME_STEP
-from softrobot_twin.simulation.linear_model import LinearModel, ModalTangent
-from softrobot_twin.simulation.runs.input_tables import (
-    TARGETS_EXAMPLE,
-    open_columns,
-    read_commands,
-    read_targets,
-)
-from softrobot_twin.simulation.runs.run_columns import RunColumns, RunRow
-from softrobot_twin.simulation.sensitivities import Sensitivities
 from softrobot_twin.study import direct_run
 from softrobot_twin.study.direct_run import DEFAULT_RATE, run_commands
 from softrobot_twin.study.offline_run import columns_of, commands_of, unlikely_warning
 from softrobot_twin.study.offline_run import run as run_targets
 from softrobot_twin.study.passive_run import BodyReadouts, no_commands
 from softrobot_twin.study.scene_picture import draw_snapshots, figure_of, take_snapshot
+from softrobot_twin.tables.input_tables import (
+    TARGETS_EXAMPLE,
+    open_columns,
+    read_commands,
+    read_targets,
+)
+from softrobot_twin.tables.run_columns import RunColumns, RunRow
 
 if TYPE_CHECKING:
     from softrobot_twin.simulation.result import ContactForces

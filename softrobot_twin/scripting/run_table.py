@@ -7,9 +7,9 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from softrobot_twin.simulation.channels import WANTED
 from softrobot_twin.simulation.command import Command, FollowTargets
-from softrobot_twin.simulation.runs.run_columns import (
+from softrobot_twin.tables.channels import WANTED
+from softrobot_twin.tables.run_columns import (
     TEXT_COLUMNS,
     WHOLE_NUMBERS,
     RunColumns,

@@ -12,7 +12,7 @@ from softrobot_twin.scripting.named_commands import unknown
 from softrobot_twin.simulation import Command, Simulation, Status, StepReport, StepResult
 from softrobot_twin.simulation.appearance import Pose, named_poses
 from softrobot_twin.simulation.building.table_columns import STEP, column
-from softrobot_twin.simulation.runs.run_columns import TEXT_COLUMNS, RunColumns
+from softrobot_twin.tables.run_columns import TEXT_COLUMNS, RunColumns
 
 if TYPE_CHECKING:
     from softrobot_twin.simulation.result import ContactForces

@@ -17,6 +17,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from softrobot_twin.analysis.mesh_error import (
+    LEFT_OUT,
+    ActuatorLoads,
+    MeshErrorEstimator,
+    MeshErrorUnknown,
+)
 from softrobot_twin.errors import NamedError, SoftRobotTwinError
 from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.geometry.uniform_refinement import refine
@@ -39,12 +45,6 @@ from softrobot_twin.simulation import (
 from softrobot_twin.simulation.building.actuators import build_groups
 from softrobot_twin.simulation.building.deformable_body import Body, build_body, law_at_rest
 from softrobot_twin.simulation.building.scene_layout import lay_out
-from softrobot_twin.simulation.mesh_error import (
-    LEFT_OUT,
-    ActuatorLoads,
-    MeshErrorEstimator,
-    MeshErrorUnknown,
-)
 
 
 class AccuracyError(NamedError):

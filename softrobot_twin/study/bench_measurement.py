@@ -33,10 +33,10 @@ from softrobot_twin.simulation import (
 from softrobot_twin.simulation.building.deformable_body import of_kind
 from softrobot_twin.simulation.building.reduced_body import ReducedBody
 from softrobot_twin.simulation.command import Command
-from softrobot_twin.simulation.runs.input_tables import read_commands
 from softrobot_twin.solvers.dense_stiffness import without_rows
 from softrobot_twin.study.accuracy_study import OPEN_SHARE
 from softrobot_twin.study.direct_run import run_commands
+from softrobot_twin.tables.input_tables import read_commands
 
 
 CIRCLE_TIME_STEP = 0.01

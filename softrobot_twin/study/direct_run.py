@@ -12,8 +12,6 @@ from softrobot_twin.errors import CommandError
 from softrobot_twin.harness.terminal import warn
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.command import DEFAULT_TIME_STEP, Command
-from softrobot_twin.simulation.runs.input_tables import Axes, CommandTable, read_commands
-from softrobot_twin.simulation.runs.run_columns import RunColumns, RunRow
 from softrobot_twin.study.offline_run import (
     MoreIterations,
     Picture,
@@ -24,6 +22,8 @@ from softrobot_twin.study.offline_run import (
 from softrobot_twin.study.passive_run import BodyReadouts, no_commands
 from softrobot_twin.study.run_summary import RunSummary
 from softrobot_twin.study.scene_picture import Snapshot, take_snapshot
+from softrobot_twin.tables.input_tables import Axes, CommandTable, read_commands
+from softrobot_twin.tables.run_columns import RunColumns, RunRow
 
 # Most steps of a run.
 MOST_STEPS = 10_000_000

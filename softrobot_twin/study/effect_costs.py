@@ -15,13 +15,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from softrobot_twin.analysis.apparent_compliance import apparent_compliance
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.harness.sampled_axes import ActuationError
 from softrobot_twin.harness.terminal import console, table, terminal_status, warn
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.scene.body_entries import Damping
 from softrobot_twin.simulation import CommandSetpoints, Simulation
-from softrobot_twin.simulation.apparent_compliance import apparent_compliance
 from softrobot_twin.study.stiffness import actuation
 
 TIME_STEP = 0.02

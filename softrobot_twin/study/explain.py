@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from rich.table import Table
 
+from softrobot_twin.analysis.mesh_error import MeshError, MeshErrorEstimator, MeshErrorUnknown
 from softrobot_twin.constraints.contact import Contacts
 from softrobot_twin.control.dynamic_control import DynamicControl
 from softrobot_twin.control.force_observer import USUAL_NOISE, ForceObserver
@@ -39,7 +40,6 @@ from softrobot_twin.simulation.building.cavity_actuator import wall_details
 from softrobot_twin.simulation.building.deformable_body import AtRest, MaterialPart, law_at_rest
 from softrobot_twin.simulation.command import DEFAULT_TIME_STEP
 from softrobot_twin.simulation.effects.reduction_error import FullModelError
-from softrobot_twin.simulation.mesh_error import MeshError, MeshErrorEstimator, MeshErrorUnknown
 from softrobot_twin.simulation.mounting import MountingError, prestress
 from softrobot_twin.simulation.scene_warnings import expected_sag
 from softrobot_twin.simulation.step.time_integration import DEFAULT_RADIUS

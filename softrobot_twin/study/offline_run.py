@@ -13,8 +13,6 @@ import numpy as np
 from softrobot_twin.harness.output_file import csv_output
 from softrobot_twin.harness.terminal import console, table, terminal_status, tracked, warn
 from softrobot_twin.simulation import Command, Simulation, Status, StepResult
-from softrobot_twin.simulation.runs.input_tables import Axes, TargetTable, read_targets
-from softrobot_twin.simulation.runs.run_columns import RunColumns, RunRow
 from softrobot_twin.simulation.scene_warnings import unlikely_commands
 from softrobot_twin.simulation.step.step_report import ITERATIONS
 from softrobot_twin.simulation.step.time_budget import MOST_ITERATIONS
@@ -26,6 +24,8 @@ from softrobot_twin.study.scene_picture import (
     draw_snapshots,
     take_snapshot,
 )
+from softrobot_twin.tables.input_tables import Axes, TargetTable, read_targets
+from softrobot_twin.tables.run_columns import RunColumns, RunRow
 
 
 def run(simulation: Simulation, table: TargetTable, settle: int = 0, columns: RunColumns | None = None,

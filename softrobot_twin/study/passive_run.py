@@ -15,7 +15,7 @@ from softrobot_twin.mechanics.beam_masses import BeamWeight
 from softrobot_twin.mechanics.inertia import borne_masses
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.building.table_columns import position_columns
-from softrobot_twin.simulation.runs.input_tables import CommandTable
+from softrobot_twin.tables.input_tables import CommandTable
 
 
 def no_commands(simulation: Simulation, seconds: float) -> CommandTable:

@@ -30,8 +30,8 @@ from softrobot_twin.simulation.building.table_columns import (
     unit_of,
 )
 from softrobot_twin.simulation.result import Status
-from softrobot_twin.simulation.runs.input_tables import TableFileError, open_columns
-from softrobot_twin.simulation.runs.run_columns import ACTIVE_LIMITS, COMPUTE_TIME, TEXT_COLUMNS
+from softrobot_twin.tables.input_tables import TableFileError, open_columns
+from softrobot_twin.tables.run_columns import ACTIVE_LIMITS, COMPUTE_TIME, TEXT_COLUMNS
 
 SAMPLE = "sample"
 """First column of what ``workspace`` writes, in place of times."""

@@ -13,7 +13,7 @@ from softrobot_twin.harness.terminal import by_key
 from softrobot_twin.harness.timing import spread
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Simulation, Status
 from softrobot_twin.simulation.building.actuator_kinds import ActuatorKind, Quantity
-from softrobot_twin.simulation.runs.run_columns import RunRow, pair_names, rigid_poses
+from softrobot_twin.tables.run_columns import RunRow, pair_names, rigid_poses
 
 _SHOWN = 6
 """Most rows of things that are alike; more are put together."""

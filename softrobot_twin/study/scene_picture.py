@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from softrobot_twin.scene.shapes import Sphere
 from softrobot_twin.geometry.surface import half_edges
 from softrobot_twin.harness.figure import load_pyplot, write_figure
 from softrobot_twin.harness.output_file import OutputError
 from softrobot_twin.harness.terminal import by_key
-from softrobot_twin.simulation.colours import pressure_colours
+from softrobot_twin.scene.shapes import Sphere
 from softrobot_twin.study.triangle_drawing import Camera, Solid, camera_at, draw_solids, unit_normals
+from softrobot_twin.view.colours import pressure_colours
 from softrobot_twin.view.draw_list import DrawList, Shown
 from softrobot_twin.view.frame import Drawn, Entity
 

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
+from softrobot_twin.analysis.apparent_compliance import ApparentCompliance, apparent_compliance
 from softrobot_twin.harness.equilibrium import bring_to_rest
 from softrobot_twin.harness.sampled_axes import ActuationError, column_drives
 from softrobot_twin.harness.terminal import console, print_apart, table, terminal_status, warn
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.apparent_compliance import ApparentCompliance, apparent_compliance
 from softrobot_twin.simulation.building.actuators import Actuators
 
 # Factor and unit in which a motion [m] by one unit of an actuator is shown.

@@ -19,7 +19,7 @@ from softrobot_twin.harness.figure import figure_file, legend_below
 from softrobot_twin.harness.length_units import SHOWN
 from softrobot_twin.harness.machine_facts import machine, versions
 from softrobot_twin.harness.output_file import writing
-from softrobot_twin.simulation.runs.input_tables import between_rows
+from softrobot_twin.tables.input_tables import between_rows
 
 
 class TimedValues(NamedTuple):

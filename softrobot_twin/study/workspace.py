@@ -23,6 +23,7 @@ from typing import NamedTuple, TextIO
 
 import numpy as np
 
+from softrobot_twin.analysis.apparent_compliance import EffectorCompliance
 from softrobot_twin.harness.equilibrium import WAY, Rest, bring_to_rest
 from softrobot_twin.harness.figure import figure_file, legend_below, load_pyplot
 from softrobot_twin.harness.output_file import BROKEN_OFF, csv_output, writing
@@ -42,10 +43,9 @@ from softrobot_twin.harness.sample_workers import (
 from softrobot_twin.harness.sampled_axes import WorkspaceError, sampled_axes, sampled_setpoints
 from softrobot_twin.harness.terminal import console, print_apart, table, terminal_status, warn
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.apparent_compliance import EffectorCompliance
 from softrobot_twin.simulation.building.table_columns import STATUS, column, position_columns
 from softrobot_twin.simulation.result import Status
-from softrobot_twin.simulation.runs.run_columns import (
+from softrobot_twin.tables.run_columns import (
     ACTIVE_LIMITS,
     actuator_cells,
     actuator_columns,

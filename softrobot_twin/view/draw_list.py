@@ -15,7 +15,8 @@ from scipy.spatial.transform import Rotation
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.appearance import SolidSkin, fixed_ends, fixed_places, obstacle_skins, rigid_skins
 from softrobot_twin.simulation.building.scene_layout import FACETS
-from softrobot_twin.simulation.colours import (
+from softrobot_twin.simulation.effects.touches import touch_term
+from softrobot_twin.view.colours import (
     CLEAR_SURFACE_COLOUR,
     EFFECTOR_COLOUR,
     OBSTACLE_COLOUR,
@@ -25,7 +26,6 @@ from softrobot_twin.simulation.colours import (
     pressure_colours,
     tension_colours,
 )
-from softrobot_twin.simulation.effects.touches import touch_term
 from softrobot_twin.view.frame import Drawn, Entity
 
 OPEN_TENSION = 10.0

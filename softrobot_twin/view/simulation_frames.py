@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from softrobot_twin.simulation import Simulation, StepResult
-from softrobot_twin.simulation.colours import pressure_legend
 from softrobot_twin.simulation.result import GRIP
+from softrobot_twin.view.colours import pressure_legend
 from softrobot_twin.view.draw_list import DrawList, Shown, pressure_range
 from softrobot_twin.view.frame import Frame, Plot, Stage, ViewError
 

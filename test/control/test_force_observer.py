@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import yaml
 
+from softrobot_twin.analysis.marker_compliance import MarkerCompliance
 from softrobot_twin.calibration.calibration import calibrate
 from softrobot_twin.control.force_observer import ForceObserver
 from softrobot_twin.control.rest_watch import RestPose
@@ -15,7 +16,6 @@ from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.schema import ObservedForce, Observer
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation, Touched
 from softrobot_twin.simulation.effects.observed_forces import ObservedForces
-from softrobot_twin.simulation.marker_compliance import MarkerCompliance
 from softrobot_twin.solvers.multifrontal import Multifrontal
 
 from .conftest import ROOT, Driver, coarse, warmed_up

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from softrobot_twin.analysis.mesh_error import ActuatorLoads, MeshErrorEstimator
 from softrobot_twin.control import idle_process
 from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandSetpoints, Simulation
-from softrobot_twin.simulation.mesh_error import ActuatorLoads, MeshErrorEstimator
 from test.builder import builder
 from test.control.error_watches import offer_until
 from test.places import ROOT

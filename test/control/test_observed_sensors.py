@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from numpy.linalg import norm
 
+from softrobot_twin.analysis.marker_compliance import MarkerCompliance
 from softrobot_twin.errors import CommandError, SceneError
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scripting.robot import Robot
 from softrobot_twin.simulation import CommandSetpoints, Simulation, Touched
-from softrobot_twin.simulation.marker_compliance import MarkerCompliance
 
 from .conftest import Driver, warmed_up
 from .test_force_observer import TIP, force_of, hold, pose

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from numpy.linalg import norm
 
+from softrobot_twin.analysis.marker_compliance import MarkerCompliance
 from softrobot_twin.control import force_observer
 from softrobot_twin.control.force_observer import BALANCES, LOOKS, estimate, square_by_deviations
 from softrobot_twin.control.target_correction import TargetCorrection
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandSetpoints, Simulation, Touched
 from softrobot_twin.simulation.effects.observed_forces import ObservedRows
-from softrobot_twin.simulation.marker_compliance import MarkerCompliance
 
 from .conftest import Driver, warmed_up
 

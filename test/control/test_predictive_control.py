@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
+from softrobot_twin.analysis.linear_model import LinearModel
 from softrobot_twin.control.predictive_control import (
     TUNINGS,
     InputRange,
@@ -15,7 +16,6 @@ from softrobot_twin.control.predictive_control import (
     stability_margin,
     with_margin,
 )
-from softrobot_twin.simulation.linear_model import LinearModel
 
 PERIOD = 0.01
 HORIZON = 25

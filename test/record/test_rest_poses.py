@@ -9,7 +9,7 @@ from softrobot_twin.record.rest_poses import poses_of_run, poses_of_table, read_
 from softrobot_twin.scene import load_scene
 from softrobot_twin.scene.scene_parameters import changed_scene
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.runs.input_tables import Axes, AxesError, TableFileError
+from softrobot_twin.tables.input_tables import Axes, AxesError, TableFileError
 
 from .conftest import MESH, ROOT, Live
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import yaml
 
+from softrobot_twin.analysis.linear_model import ModalTangent
 from softrobot_twin.reduction import body_training
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Simulation
 from softrobot_twin.simulation.building.reduced_body import BodyReduction, ModelFile, read_body_reduction
-from softrobot_twin.simulation.linear_model import ModalTangent
 from softrobot_twin.study.accuracy_study import only_body
 from test.lost_samples import lose_second
 from test.scene_changes import entries_of, repeat_step, yaml_file

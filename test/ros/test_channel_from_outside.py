@@ -17,9 +17,10 @@ from softrobot_twin.record.replay import Replay
 from softrobot_twin.record.run_file import CALL, TICK, RunFile
 from softrobot_twin.record.tick_table import TickTable
 from softrobot_twin.scene import load_scene
-from softrobot_twin.simulation import CommandSetpoints, Simulation, channels
-from softrobot_twin.simulation.channels import register_channel
-from softrobot_twin.simulation.runs.run_columns import RunColumns
+from softrobot_twin.simulation import CommandSetpoints, Simulation
+from softrobot_twin.tables import channels
+from softrobot_twin.tables.channels import register_channel
+from softrobot_twin.tables.run_columns import RunColumns
 from test.force_channel import FORCE, LEVER
 from test.registrations import taken_back
 

@@ -6,7 +6,7 @@ from builtin_interfaces.msg import Time
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, Header
 
-from softrobot_twin.simulation.apparent_compliance import EffectorCompliance, apparent_compliance
+from softrobot_twin.analysis.apparent_compliance import EffectorCompliance, apparent_compliance
 
 CABLES = ["north", "west", "south", "east"]
 

@@ -11,7 +11,7 @@ from std_msgs.msg import Header
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.target_node import TargetNode
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.runs.input_tables import TableFileError
+from softrobot_twin.tables.input_tables import TableFileError
 from test.builder import builder
 from test.places import CONFIG
 

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 import softrobot_twin as st
+from softrobot_twin.analysis.apparent_compliance import apparent_compliance
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.errors import CommandError, SceneError
 from softrobot_twin.scene.scene_parameters import changed_scene
-from softrobot_twin.simulation.apparent_compliance import apparent_compliance
 from softrobot_twin.study.direct_run import DEFAULT_RATE
 from softrobot_twin.view import ViewError
 from test.places import ROOT

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from softrobot_twin.analysis.mesh_error import MeshErrorEstimator, MeshErrorUnknown
 from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry.cell_mesh import CellMesh
 from softrobot_twin.geometry.quadrature import barycentric_coordinates, tetrahedron_rule
@@ -12,7 +13,6 @@ from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.mechanics.element_kinds import register_element
 from softrobot_twin.mechanics.inertia import ConsistentInertia
 from softrobot_twin.simulation import CommandEfforts, FollowTargets
-from softrobot_twin.simulation.mesh_error import MeshErrorEstimator, MeshErrorUnknown
 from test.registrations import taken_back
 from test.scene_changes import repeat_step
 

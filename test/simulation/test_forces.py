@@ -5,16 +5,16 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
+from softrobot_twin.analysis.sensitivities import Sensitivities
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene import scene_from_mapping
+from softrobot_twin.scene.scene_parameters import parameters
 from softrobot_twin.simulation import (
     FollowTargets,
     Hold,
     Simulation,
 )
-from softrobot_twin.scene.scene_parameters import parameters
-from softrobot_twin.simulation.sensitivities import Sensitivities
-from softrobot_twin.simulation.runs.run_columns import RunColumns
+from softrobot_twin.tables.run_columns import RunColumns
 from test.builder import builder
 from test.finite_differences import assert_slopes_of_actuators
 from test.scene_changes import built, hold, repeat_step, solved

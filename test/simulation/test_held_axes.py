@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from softrobot_twin.analysis.apparent_compliance import apparent_compliance
+from softrobot_twin.analysis.mesh_error import MeshErrorEstimator
 from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.reduction.reduction_states import refuse_unreducible
 from softrobot_twin.simulation import FollowTargets, Hold, Status
-from softrobot_twin.simulation.apparent_compliance import apparent_compliance
-from softrobot_twin.simulation.mesh_error import MeshErrorEstimator
 from test.builder import builder, each_of
 from test.finite_differences import central_slopes
 from test.scene_changes import repeat_step

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 import softrobot_twin
+from softrobot_twin.analysis.mesh_error import MeshErrorEstimator, MeshErrorUnknown
 from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry.box_mesh import read_box
 from softrobot_twin.geometry.hexahedral_mesh import INTO_TETS, HexahedralMesh
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandEfforts, FollowTargets, Hold, Simulation, Status
-from softrobot_twin.simulation.mesh_error import MeshErrorEstimator, MeshErrorUnknown
 from test.builder import builder
 from test.scene_changes import change_scene, changed, repeat_step, solved
 

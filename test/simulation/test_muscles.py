@@ -11,7 +11,7 @@ from softrobot_twin.simulation import (
     FollowTargets,
     Simulation,
 )
-from softrobot_twin.simulation.runs.run_columns import RunColumns
+from softrobot_twin.tables.run_columns import RunColumns
 from test.builder import builder
 from test.finite_differences import assert_slopes_of_actuators
 from test.scene_changes import built, hold, repeat_step

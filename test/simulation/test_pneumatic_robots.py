@@ -14,8 +14,8 @@ from softrobot_twin.simulation import (
     Simulation,
     Status,
 )
-from softrobot_twin.simulation.runs.input_tables import read_commands, read_targets
 from softrobot_twin.study.direct_run import run_commands
+from softrobot_twin.tables.input_tables import read_commands, read_targets
 from test.places import CONFIG
 from test.scene_changes import LEFT_OUT, built, changed, entries_of, repeat_step
 

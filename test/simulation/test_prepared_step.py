@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from softrobot_twin.analysis.apparent_compliance import EffectorCompliance
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import (
     CommandEfforts,
@@ -11,7 +12,6 @@ from softrobot_twin.simulation import (
     Hold,
     Simulation,
 )
-from softrobot_twin.simulation.apparent_compliance import EffectorCompliance
 from test.places import SCENES
 
 STEP = 0.02

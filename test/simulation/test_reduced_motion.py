@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from softrobot_twin.analysis.linear_model import ModalTangent
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Hold, Status
 from softrobot_twin.simulation.effects.touches import Touched
-from softrobot_twin.simulation.linear_model import ModalTangent
 
 from .building.test_reduced_body import saved, spanning_basis
 from .test_linear_model import ALPHA, STEP, TENSIONS, at_rest, deviations, finger_mapping

@@ -5,7 +5,7 @@ import pytest
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.simulation import FollowTargets, Simulation
-from softrobot_twin.simulation.runs.run_columns import RunColumns
+from softrobot_twin.tables.run_columns import RunColumns
 from test.builder import builder
 from test.finite_differences import assert_slopes_of_actuators
 from test.scene_changes import built, hold, solved

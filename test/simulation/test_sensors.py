@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 import softrobot_twin as st
+from softrobot_twin.analysis.mesh_error import MeshErrorEstimator
 from softrobot_twin.errors import CommandError, SceneError
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Status
-from softrobot_twin.simulation.mesh_error import MeshErrorEstimator
-from softrobot_twin.simulation.runs.input_tables import TableFileError, read_targets
-from softrobot_twin.simulation.runs.run_columns import RunColumns
 from softrobot_twin.study.offline_run import columns_of, run
+from softrobot_twin.tables.input_tables import TableFileError, read_targets
+from softrobot_twin.tables.run_columns import RunColumns
 from test.builder import builder
 from test.scene_changes import repeat_step
 

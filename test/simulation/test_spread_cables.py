@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from softrobot_twin.analysis.apparent_compliance import apparent_compliance
 from softrobot_twin.constraints import cable
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation
-from softrobot_twin.simulation.apparent_compliance import apparent_compliance
 from softrobot_twin.simulation.building.limits import efforts_at_scale
 from softrobot_twin.simulation.scene_warnings import linear_sag
 from softrobot_twin.solvers.dense_stiffness import DenseStiffness

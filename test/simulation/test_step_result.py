@@ -5,8 +5,8 @@ import pickle
 import numpy as np
 import pytest
 
+from softrobot_twin.analysis.apparent_compliance import EffectorCompliance
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation
-from softrobot_twin.simulation.apparent_compliance import EffectorCompliance
 from test.places import SCENES
 
 

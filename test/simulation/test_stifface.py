@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import yaml
 
+from softrobot_twin.analysis.apparent_compliance import EffectorCompliance
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import (
@@ -14,7 +15,6 @@ from softrobot_twin.simulation import (
     Status,
     Touched,
 )
-from softrobot_twin.simulation.apparent_compliance import EffectorCompliance
 from test.builder import at_rest
 from test.places import SCENES
 from test.scene_changes import in_balance, repeat_step

@@ -5,8 +5,8 @@ import pytest
 
 from softrobot_twin.errors import CommandError, SceneError
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets
-from softrobot_twin.simulation.runs.input_tables import read_targets
 from softrobot_twin.study.offline_run import columns_of, run
+from softrobot_twin.tables.input_tables import read_targets
 from test.builder import builder
 from test.scene_changes import built, repeat_step
 

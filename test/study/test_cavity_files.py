@@ -8,8 +8,6 @@ from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Hold, Simulation
 from softrobot_twin.simulation.building.table_columns import column
-from softrobot_twin.simulation.runs.input_tables import TableFileError, read_commands, read_targets
-from softrobot_twin.simulation.runs.run_columns import actuator_cells, actuator_columns
 from softrobot_twin.study.bench_measurement import (
     NothingToFollowError,
     circle_targets,
@@ -18,6 +16,8 @@ from softrobot_twin.study.bench_measurement import (
     swept_setpoints,
 )
 from softrobot_twin.study.scene_picture import take_snapshot
+from softrobot_twin.tables.input_tables import TableFileError, read_commands, read_targets
+from softrobot_twin.tables.run_columns import actuator_cells, actuator_columns
 from test.builder import builder
 from test.run_files import rows_of
 from test.scene_changes import LEFT_OUT, change_scene, changed, yaml_file

@@ -5,8 +5,8 @@ import pytest
 
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Hold, Simulation
-from softrobot_twin.simulation.runs.input_tables import TableFileError, read_commands
 from softrobot_twin.study.direct_run import run_commands
+from softrobot_twin.tables.input_tables import TableFileError, read_commands
 from test.builder import builder
 from test.scene_changes import entries_of
 

@@ -5,9 +5,9 @@ import pytest
 
 from softrobot_twin.errors import CommandError
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.runs.input_tables import read_commands
 from softrobot_twin.study.direct_run import run_commands, step_times
 from softrobot_twin.study.run_summary import RunSummary
+from softrobot_twin.tables.input_tables import read_commands
 from test.run_files import rows_of
 
 WEIGHT = 0.05 * 9.81

@@ -3,7 +3,7 @@
 import meshio
 import pytest
 
-from softrobot_twin.simulation.runs.run_columns import TEXT_COLUMNS
+from softrobot_twin.tables.run_columns import TEXT_COLUMNS
 from test.run_files import rows_of
 from test.scene_changes import yaml_file
 

@@ -5,8 +5,8 @@ import pytest
 
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandSetpoints, Simulation
-from softrobot_twin.simulation.runs.input_tables import TableFileError, read_commands
-from softrobot_twin.simulation.runs.run_columns import actuator_cells, actuator_columns
+from softrobot_twin.tables.input_tables import TableFileError, read_commands
+from softrobot_twin.tables.run_columns import actuator_cells, actuator_columns
 from test.scene_changes import entries_of
 
 RADIUS = 0.01

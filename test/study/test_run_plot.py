@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from softrobot_twin.harness.figure import load_pyplot
-from softrobot_twin.simulation.runs.input_tables import TableFileError
 from softrobot_twin.study.run_plot import draw_run, panels_of, plot, read_series
+from softrobot_twin.tables.input_tables import TableFileError
 
 TIMES = np.linspace(0.0, 1.0, 21)
 

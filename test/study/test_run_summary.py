@@ -7,8 +7,8 @@ import pytest
 
 from softrobot_twin.simulation.command import CommandSetpoints
 from softrobot_twin.simulation.result import Status
-from softrobot_twin.simulation.runs.run_columns import RunRow
 from softrobot_twin.study.run_summary import RunSummary
+from softrobot_twin.tables.run_columns import RunRow
 
 SIMULATION = SimpleNamespace(
     effector_names=(), scene=SimpleNamespace(gravity=(0.0, 0.0, 0.0)),

@@ -7,8 +7,8 @@ import pytest
 
 from softrobot_twin.record.rest_poses import poses_of_table
 from softrobot_twin.simulation import CommandSetpoints, Simulation
-from softrobot_twin.simulation.runs.input_tables import read_targets
 from softrobot_twin.study.offline_run import commands_of, unlikely_warning
+from softrobot_twin.tables.input_tables import read_targets
 from test.builder import builder
 from test.run_files import TARGETS, rows_of
 

@@ -8,7 +8,7 @@ import pytest
 from softrobot_twin.simulation.building.cable_actuator import CableActuator
 from softrobot_twin.simulation.building.limits import Pulleys
 from softrobot_twin.simulation.command import CommandEfforts, CommandSetpoints, FollowTargets
-from softrobot_twin.simulation.runs.input_tables import TableFileError, read_targets
+from softrobot_twin.tables.input_tables import TableFileError, read_targets
 
 EFFECTORS = ("tip", "side")
 CABLES = ("north", "south")

@@ -8,10 +8,10 @@ import yaml
 
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.runs.input_tables import TableFileError, read_commands
-from softrobot_twin.simulation.runs.run_columns import RunColumns
 from softrobot_twin.study.direct_run import run_commands
 from softrobot_twin.study.offline_run import run_file
+from softrobot_twin.tables.input_tables import TableFileError, read_commands
+from softrobot_twin.tables.run_columns import RunColumns
 from test.builder import at_rest
 from test.run_files import rows_of
 

@@ -9,11 +9,11 @@ import sys
 import numpy as np
 import pytest
 
+from softrobot_twin.analysis.apparent_compliance import apparent_compliance
 from softrobot_twin.harness import sample_workers
 from softrobot_twin.harness.sample_workers import DaskWorkers, Job, LocalWorkers
 from softrobot_twin.harness.sampled_axes import sampled_axes, sampled_setpoints
 from softrobot_twin.simulation import CommandSetpoints, Simulation
-from softrobot_twin.simulation.apparent_compliance import apparent_compliance
 from softrobot_twin.study.workspace import SampleComputer, UnfinishedFile
 from test.lost_samples import lose_second
 from test.run_files import rows_of

@@ -5,7 +5,7 @@ from functools import cache
 import pytest
 from robot_references import CASES, errors_of, read_references, scene_of
 
-from softrobot_twin.simulation.mesh_error import MeshErrorEstimator
+from softrobot_twin.analysis.mesh_error import MeshErrorEstimator
 
 pytestmark = pytest.mark.sampled
 

@@ -11,8 +11,8 @@ import pytest
 
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.colours import tension_colours
 from softrobot_twin.view import Drawn, Entity, Frame, Plot, Stage
+from softrobot_twin.view.colours import tension_colours
 
 # The names that rerun gave components before 0.24.
 OLD_NAMES = {

@@ -31,9 +31,9 @@ from softrobot_twin.simulation.building.actuator_kinds import (
     ActuatorKind,
     register_actuator,
 )
-from softrobot_twin.simulation.runs.input_tables import TableFileError, read_targets
-from softrobot_twin.simulation.runs.run_columns import RunColumns, actuator_cells
 from softrobot_twin.study.explain import effects
+from softrobot_twin.tables.input_tables import TableFileError, read_targets
+from softrobot_twin.tables.run_columns import RunColumns, actuator_cells
 from test.builder import builder
 from test.registrations import taken_back
 from test.scene_changes import change_scene, changed, solved

@@ -4,10 +4,10 @@ import meshio
 import numpy as np
 import pytest
 
+from softrobot_twin.analysis.mesh_error import MeshErrorEstimator
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import Hold
-from softrobot_twin.simulation.mesh_error import MeshErrorEstimator
 from test.builder import builder
 from test.scene_changes import repeat_step
 

@@ -7,9 +7,9 @@ import softrobot_twin as st
 from softrobot_twin.errors import CommandError, SceneError
 from softrobot_twin.mechanics.grips import Grips
 from softrobot_twin.simulation import Hold
-from softrobot_twin.simulation.runs.input_tables import TableFileError, read_commands
-from softrobot_twin.simulation.runs.run_columns import RunColumns
 from softrobot_twin.study.direct_run import run_commands
+from softrobot_twin.tables.input_tables import TableFileError, read_commands
+from softrobot_twin.tables.run_columns import RunColumns
 from test.builder import builder
 
 G, H = 9.81, 0.004

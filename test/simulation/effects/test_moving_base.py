@@ -8,9 +8,9 @@ from softrobot_twin.errors import CommandError, SceneError
 from softrobot_twin.mechanics.rotation import quaternion_from_rotation, rotation_from_vector
 from softrobot_twin.simulation import Hold
 from softrobot_twin.simulation.effects.moving_base import BaseTrack
-from softrobot_twin.simulation.runs.input_tables import read_commands
-from softrobot_twin.simulation.runs.run_columns import RunColumns
 from softrobot_twin.study.direct_run import run_commands
+from softrobot_twin.tables.input_tables import read_commands
+from softrobot_twin.tables.run_columns import RunColumns
 from test.builder import builder
 from test.scene_changes import repeat_step
 

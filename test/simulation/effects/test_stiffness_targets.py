@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import yaml
 
+from softrobot_twin.analysis.apparent_compliance import apparent_compliance
 from softrobot_twin.errors import CommandError
 from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Status, Touched
-from softrobot_twin.simulation.apparent_compliance import apparent_compliance
 from softrobot_twin.simulation.effects.stiffness_targets import StiffnessTargets
 from test.scene_changes import built, changed, repeat_step
 

@@ -29,12 +29,12 @@ from softrobot_twin.simulation.building.table_columns import (
     target_column,
     target_name,
 )
-from softrobot_twin.simulation.channels import Channel, channels
 from softrobot_twin.simulation.command import Command, FollowTargets
-from softrobot_twin.simulation.effects.trusted_ranges import reduced_bodies
 from softrobot_twin.simulation.effects.reduction_error import has_spare_modes
+from softrobot_twin.simulation.effects.trusted_ranges import reduced_bodies
 from softrobot_twin.simulation.result import StepResult
 from softrobot_twin.simulation.simulation import Simulation
+from softrobot_twin.tables.channels import Channel, channels
 
 PATH = Quantity("path", "m")
 COMPUTE_TIME = "compute_time_s"

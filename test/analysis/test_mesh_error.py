@@ -9,14 +9,14 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.simulation import CommandSetpoints, Hold, Simulation
-from softrobot_twin.simulation.mesh_error import (
+from softrobot_twin.analysis.mesh_error import (
     ActuatorLoads,
     MeshErrorEstimator,
     MeshErrorUnknown,
     load_errors,
 )
+from softrobot_twin.scene import scene_from_mapping
+from softrobot_twin.simulation import CommandSetpoints, Hold, Simulation
 from test.builder import builder
 from test.scene_changes import repeat_step, solved
 

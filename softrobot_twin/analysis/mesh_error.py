@@ -28,8 +28,8 @@ from softrobot_twin.mechanics.cubic_correction import CubicCorrection, CubicPart
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.scene_changes import plain_surroundings, without_reductions
 from softrobot_twin.simulation.building.actuators import build_groups
-from softrobot_twin.simulation.building.effector_building import effector_term
 from softrobot_twin.simulation.building.deformable_body import cell_values
+from softrobot_twin.simulation.building.effector_building import effector_term
 from softrobot_twin.simulation.building.scene_layout import lay_out
 from softrobot_twin.simulation.command import LONG, CommandEfforts, CommandSetpoints, Hold
 from softrobot_twin.simulation.simulation import Simulation

@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from softrobot_twin.analysis.apparent_compliance import CondensedHold, HeldTangent
 from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.mechanics.observed_loads import ObservedLoads
-from softrobot_twin.simulation.apparent_compliance import CondensedHold, HeldTangent
 from softrobot_twin.simulation.effects.observed_forces import ObservedRows
 from softrobot_twin.simulation.simulation import Simulation
 from softrobot_twin.simulation.step.apparent_stiffness import SHARING

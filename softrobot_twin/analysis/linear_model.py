@@ -26,11 +26,11 @@ import scipy.sparse as sp
 from scipy.linalg import eigh, expm
 from scipy.sparse.linalg import LinearOperator, eigsh
 
+from softrobot_twin.analysis.sensitivities import Sensitivities
 from softrobot_twin.errors import CommandError
 from softrobot_twin.mechanics.remembering_elements import RememberingElements
 from softrobot_twin.simulation.building.table_columns import column
 from softrobot_twin.simulation.command import DEFAULT_TIME_STEP
-from softrobot_twin.simulation.sensitivities import Sensitivities
 from softrobot_twin.simulation.simulation import Simulation
 from softrobot_twin.simulation.step.time_integration import Weights
 from softrobot_twin.solvers.factorization import laid_out_like

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from softrobot_twin.analysis.apparent_compliance import EffectorCompliance, apparent_compliance
 from softrobot_twin.constraints.row_stack import add_row_forces
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Hold, Simulation
-from softrobot_twin.simulation.apparent_compliance import EffectorCompliance, apparent_compliance
 from test.places import SCENES
 from test.scene_changes import LEFT_OUT, changed, repeat_step
 

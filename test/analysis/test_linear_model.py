@@ -7,13 +7,12 @@ import pytest
 import yaml
 
 import softrobot_twin as st
+from softrobot_twin.analysis.apparent_compliance import EffectorCompliance
+from softrobot_twin.analysis.linear_model import ModalTangent
 from softrobot_twin.errors import CommandError
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Hold, Simulation
-from softrobot_twin.simulation.apparent_compliance import EffectorCompliance
-from softrobot_twin.simulation.linear_model import ModalTangent
-
-from .conftest import SCENE_FILE
+from test.simulation.conftest import SCENE_FILE
 
 STEP = 0.01
 ALPHA = {"time_scheme": "generalized_alpha", "spectral_radius": 0.9}

@@ -7,10 +7,11 @@ import pytest
 
 import yaml
 
+from softrobot_twin.analysis import sensitivities
+from softrobot_twin.analysis.sensitivities import Sensitivities, SensitivityError
 from softrobot_twin.scene import load_scene, scene_from_mapping
 from softrobot_twin.scene.scene_parameters import changed_scene, parameters
-from softrobot_twin.simulation import CommandSetpoints, Simulation, sensitivities
-from softrobot_twin.simulation.sensitivities import Sensitivities, SensitivityError
+from softrobot_twin.simulation import CommandSetpoints, Simulation
 from test.places import CONFIG
 
 

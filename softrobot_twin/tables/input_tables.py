@@ -52,7 +52,6 @@ from softrobot_twin.simulation.building.table_columns import (
     target_name,
     unit_of,
 )
-from softrobot_twin.simulation.channels import NOT_UNIT, WANTED, Channel
 from softrobot_twin.simulation.command import (
     DEFAULT_TIME_STEP,
     Command,
@@ -60,6 +59,7 @@ from softrobot_twin.simulation.command import (
     CommandSetpoints,
     FollowTargets,
 )
+from softrobot_twin.tables.channels import NOT_UNIT, WANTED, Channel
 
 
 class TableFileError(SoftRobotTwinError):

@@ -23,12 +23,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from softrobot_twin.analysis.apparent_compliance import CondensedHold, HeldTangent, Saddle
 from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.errors import NamedError, SceneError
 from softrobot_twin.mechanics.touch_loads import TouchLoads
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.scene_parameters import JointParameter, Parameter
-from softrobot_twin.simulation.apparent_compliance import CondensedHold, HeldTangent, Saddle
 from softrobot_twin.simulation.build import Terms, build_terms, with_cables
 from softrobot_twin.simulation.building.scene_layout import Layout
 from softrobot_twin.simulation.mounting import mount

@@ -1,0 +1,1 @@
+"""What a state tells beside the step: compliances, derivatives, a linear model, the error of its mesh."""

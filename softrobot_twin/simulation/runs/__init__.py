@@ -1,1 +1,0 @@
-"""Tables of whole runs: columns that are written, and files that are read."""
