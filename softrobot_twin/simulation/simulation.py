@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import weakref
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
@@ -18,73 +17,29 @@ from softrobot_twin.kernels.kernels_ahead import help_with
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.simulation.build import build_model
 from softrobot_twin.simulation.building.model import Model
-from softrobot_twin.simulation.command import (
-    TIMES,
-    Command,
-    Hold,
-    are_same,
-    may_move,
-)
+from softrobot_twin.simulation.command import TIMES, Command, Hold, are_same, may_move
 from softrobot_twin.simulation.effects.effects import step_parts
 from softrobot_twin.simulation.effects.gripping import Gripping
 from softrobot_twin.simulation.effects.moving_base import MovingBase
 from softrobot_twin.simulation.mounting import Mounted, branch_notes, mount
 from softrobot_twin.simulation.readouts import Readouts
-from softrobot_twin.simulation.result import Status, StepResult
+from softrobot_twin.simulation.result import StepResult
 from softrobot_twin.simulation.state import State, made
-from softrobot_twin.simulation.step.actuation import INVERSION, PASSING, Actuation
 from softrobot_twin.simulation.step.direct_actuation import DirectActuation
 from softrobot_twin.simulation.step.goals import Goal, Goals
 from softrobot_twin.simulation.step.inverse_choice import build_inverse
-from softrobot_twin.simulation.step.linearized import Linearized
 from softrobot_twin.simulation.step.newton import Newton
-from softrobot_twin.simulation.step.step_part import (
-    Leader,
-    Planner,
-    StepPart,
-    one_of,
-    parts_by_method,
-    those_with,
-)
-from softrobot_twin.simulation.step.step_report import NEAR_BALANCE, Balance, Outcome, StepResults
 from softrobot_twin.simulation.step.situation import NO_LOADS
+from softrobot_twin.simulation.step.step import Failure, StepLoop
+from softrobot_twin.simulation.step.step_part import Leader, Planner, StepPart, one_of, parts_by_method, those_with
+from softrobot_twin.simulation.step.step_report import Balance, Outcome, StepResults
 from softrobot_twin.simulation.step.time_budget import StageClock, TimeBudget
 from softrobot_twin.simulation.step.time_integration import Dynamics, GeneralizedAlpha, Statics
 from softrobot_twin.simulation.warm_up import run_every_path
 
-# Linearizations of a step in time of which a move was too long for one of them, at most.
-MOST_SHARES = 10
-# Moves of bodies that are brought near balance, at most, and the length of one, by the body's size,
-# that is near.
-MOST_MOVES_TO_NEAR, NEAR = 12, 0.01
-# A residual within tolerance tells of balance where it is this share of the loads, or would move the
-# body by no more than this share of its size. A greater one does where moves are round-off, shares of it.
-TELLING_LOAD, TELLING_MOVE, ROUND_OFF = 1.0e-3, 1.0e-6, 1.0e-13
 # Steps towards the same targets that keep the state before further ones need not be made. Within
 # fewer the inverse tries all that it will try from there, but one step for each actuator.
 STEPS_UNTIL_REST = 120
-
-
-class Correction(NamedTuple):
-    """One linearization of a step, and the move that it led to.
-
-    Attributes:
-        linear: The condensed system.
-        actuation: What actuators and contacts do.
-        held: What a shorter step begins with; None where nothing asked for it.
-        still: What they do when all actuators stay; None likewise.
-        share: Share of the move that was made; zero where it was not finite.
-        residual: Largest force out of balance on a node after it [N].
-        is_balanced: Whether that is within its tolerance, and tells of balance.
-    """
-
-    linear: Linearized
-    actuation: Actuation
-    held: Actuation | None
-    still: Actuation | None
-    share: float
-    residual: float
-    is_balanced: bool
 
 
 class Kept(NamedTuple):
@@ -165,9 +120,7 @@ class Simulation(Readouts):
         self._take(build_model(scene, factorization_type, with_warnings, rest))
         self.now = now
         parts = step_parts(self.model)
-        self._time_budget = TimeBudget()
         self._motion = _motion_of(self.model)
-        self._most_shares = MOST_SHARES if self.model.is_dynamic else 1
         self._beginners = self.model.beginners
         # A step works on one array of its own, in which its stages are traced.
         self._positions = self.model.nodes.rest_positions.copy()
@@ -179,7 +132,6 @@ class Simulation(Readouts):
         if self.model.is_dynamic:
             self._beginners = (*self._beginners, self.newton)
         self.inverse = build_inverse(self.model, self.direct)
-        self._optimises = "optimise" in self.model.stages
         # The result of the last step, as long as somebody keeps it and nobody has read it.
         self._unread: Callable[[], StepResult | None] = _no_result
         self._prepared: Prepared | None = None
@@ -198,6 +150,7 @@ class Simulation(Readouts):
         self._keeping = those_with(parts, "memory_at_rest", "may_keep")
         self._depends_on_time = any(part.depends_on_time for part in parts)
         self._results = StepResults(self.model, parts, self.newton)
+        self._loop = StepLoop(self.model, self.newton, self.direct, self.inverse, parts)
         # Dynamic scenes, contacts and some parts remember more than a state that is kept tells of.
         may_all = all(part.may_rest for part in parts)
         self.may_rest = may_all and not (self.model.is_dynamic or self.model.rows.varies)
@@ -342,7 +295,7 @@ class Simulation(Readouts):
         self.direct.warm_up()
         self._planner.warm_up(self)
         self.restore(before)
-        self._time_budget = TimeBudget()
+        self._loop.time_budget = TimeBudget()
 
     def prepare(self, command: Command) -> None:
         """Linearize ahead, while nobody knows yet what the next step is asked.
@@ -404,51 +357,15 @@ class Simulation(Readouts):
         goal = self._goals.read(command, self.state)
         positions, efforts = self._positions, self.state.efforts
         ahead = self._begin_motion(goal, has_other_stiffness)
-        newton, time_budget = self.newton, self._time_budget
         if goal.follows:
             self._begin_inverse(positions)
-        pressed = not ahead and time_budget.must_hurry(budget)
         led = self._leader.lead(self, positions, efforts, command.time_step, clock)
-        hurry = pressed and newton.tangent.may_keep_factor
-        first, iterations, enough, rows = None, 0, False, self.model.rows
-        doing, sought = goal, None
-        inverted = newton.balance.inverted_count
-        while not enough:
-            iterations, begin, ahead = iterations + 1, clock.total - ahead, 0.0
-            before = positions.copy() if hurry else positions
-            done = self._iterate(positions, efforts, doing, clock, hurry)
-            if done is None:
-                return self._failed(goal, clock, iterations)
-            first = first or (done.linear, done.still)
-            if hurry and not self._stale_factor_serves(done, inverted):
-                positions[:], hurry = before, False
-                continue
-            if done.share == 0.0:
-                return self._failed(goal, clock, iterations, *_why_kept(done.actuation))
-            efforts = done.actuation.efforts
-            if not hurry:
-                time_budget.learn(clock.total - begin)
-            asks_again = rows.ask_again(positions)
-            may_end = hurry and not asks_again
-            enough = may_end or self._is_enough(done, iterations, clock.total, budget, asks_again)
-            if doing.seeks_once and done.actuation.solved and done.linear.contact_row_count > 0:
-                # Bodies come to balance under what was found before something else is sought.
-                sought = done.actuation
-                doing = goal.as_found(sought)
-        if asks_again and rows.lag(positions):
-            return self._failed(goal, clock, iterations, Status.REFUSED, (PASSING,))
-        if sought is not None and iterations > 1:
-            done = done._replace(actuation=self.inverse.told(done.actuation, sought))
-        reached = self._balance(done, budget) if led and not asks_again else Balance.MISSED
-        if reached is Balance.REACHED and rows.press_from_afar:
-            reached = Balance.NEAR
-        self.is_balanced = reached is not Balance.MISSED
+        ended = self._loop.run(positions, efforts, goal, clock, budget, ahead, led)
+        if isinstance(ended, Failure):
+            return self._failed(goal, clock, ended)
+        self.is_balanced = ended.balance is not Balance.MISSED
         self._goes_on = not (self.is_balanced or self.model.is_dynamic)
-        outcome = Outcome(
-            positions.copy(), done.actuation, done.held, done.linear, reached,
-            done.residual, iterations, first, pressed,
-        )  # fmt: skip
-        return self._succeeded(goal, outcome, clock)
+        return self._succeeded(goal, ended, clock)
 
     def finish_result(self) -> None:
         """Make the result of the last step, if somebody keeps it, before the model changes.
@@ -514,13 +431,19 @@ class Simulation(Readouts):
         is_any_time = may_move(command) and may_move(before) and not self._depends_on_time
         return are_same(command, before, TIMES if is_any_time else ())
 
+    def come_near(
+        self, positions: np.ndarray, efforts: np.ndarray, time_step: float, clock: StageClock
+    ) -> np.ndarray | None:
+        """See `StepLoop.come_near`; the actuators are held for a time step [s]."""
+        return self._loop.come_near(positions, efforts, self._goals.read(Hold(time_step), self.state), clock)
+
     def _begin_inverse(self, positions: np.ndarray) -> None:
         """Tell the inverse what the step begins with, at node positions [m]."""
         places, is_stable = self._leader.places(positions), not self.newton.tangent.is_projected
         loads, load = NO_LOADS, 0.0
         if self._parts_with["loads"]:
             loads = np.concatenate([part.loads for part in self._parts_with["loads"]])
-            load = self._load_of_parts() + self.actuators.load(self.state.efforts)
+            load = self._loop.load_of_parts() + self.actuators.load(self.state.efforts)
             load += self.newton.balance.constant_load
         self.inverse.begin_step(self.is_balanced, is_stable, loads, load, places)
 
@@ -575,210 +498,6 @@ class Simulation(Readouts):
         if self._goes_on and not self.newton.tangent.is_projected:
             self.newton.go_on()
         return 0.0
-
-    def _load_of_parts(self) -> float:
-        return sum((part.load for part in self._parts_with["loads"]), 0.0)
-
-    def _iterate(
-        self, positions: np.ndarray, efforts: np.ndarray, goal: Goal, clock: StageClock,
-        with_stale_factor: bool,
-    ) -> Correction | None:  # fmt: skip
-        """Linearize and condense, solve for λ, correct the positions, and take the residual.
-
-        Args:
-            positions: Node positions [m], shape (node_count, 3); moved.
-            efforts: Efforts of the actuators there [N], shape (actuator_count,).
-            goal: What is asked.
-            clock: Books the stages.
-            with_stale_factor: Whether to keep the factor of an earlier state.
-
-        Returns:
-            The correction; None where the tangent cannot be factorized.
-        """
-        linear = self.newton.linearize(
-            positions, efforts, clock, with_stale_factor,
-            goal.held if self.newton.tangent.asks_for_held else None,
-        )  # fmt: skip
-        if not linear:
-            return None
-        still = self.direct.held(linear, goal.drives, goal.bounds, goal.needs_held)
-        rows = self._rows_of_parts(positions, efforts, goal, clock)
-        actuation, held = goal.solve(linear, still, rows)
-        if self._optimises:
-            clock.mark("optimise")
-        # Bodies that follow a prescribed move gain energy by it.
-        is_judged = not self.model.rows.lag(positions)
-        if with_stale_factor:
-            share, residual, actuation = self._move(positions, actuation, clock)
-        elif goal.follows and is_judged and not self.model.is_dynamic:
-            share, residual, actuation = self._approach(positions, actuation, held, clock)
-        else:
-            is_judged = is_judged and not goal.follows
-            share, residual, actuation = self._move_and_settle(positions, actuation, clock, is_judged)
-        return Correction(linear, actuation, held, still, share, residual, self._is_in_balance(actuation, residual))
-
-    def _rows_of_parts(
-        self, positions: np.ndarray, efforts: np.ndarray, goal: Goal, clock: StageClock
-    ) -> object | None:
-        """Rows that a part adds to those of the effectors; see `StepPart.rows`."""
-        parts = self._parts_with["rows"] if goal.follows else ()
-        if not parts or any(part.holds_robot for part in self.parts):
-            return None
-        state = self.newton.tangent.linearized_state(positions, efforts)
-        for part in parts:
-            rows = part.rows(state, goal.command)
-            if rows is not None:
-                clock.mark(part.name)
-                return rows
-        return None
-
-    def come_near(
-        self, positions: np.ndarray, efforts: np.ndarray, time_step: float, clock: StageClock
-    ) -> np.ndarray | None:
-        """Bring the bodies near balance, while the actuators stay.
-
-        Args:
-            positions: Node positions [m], shape (node_count, 3); moved.
-            efforts: Efforts of the actuators there, in their units, shape (actuator_count,).
-            time_step: h [s].
-            clock: Books the stages.
-
-        Returns:
-            Efforts of the actuators after it; None where there is no way.
-        """
-        newton, goal = self.newton, self._goals.read(Hold(time_step), self.state)
-        for _ in range(MOST_MOVES_TO_NEAR):
-            done = self._iterate(positions, efforts, goal, clock, False)
-            if done is None or done.share == 0.0:
-                return None
-            efforts = done.actuation.efforts
-            if done.share == 1.0 and newton.last_move <= NEAR * self.model.nodes.size:
-                break
-        return efforts
-
-    def _is_enough(
-        self, done: Correction, iterations: int, elapsed: float, budget: float | None,
-        asks_again: bool,
-    ) -> bool:
-        """Whether the step has converged, or neither scene nor time allow a further iteration.
-
-        Args:
-            done: The last linearization.
-            iterations: How many there were.
-            elapsed: Time since the step began [s].
-            budget: Time for the step [s], or None.
-            asks_again: Whether a prescribed move asks for one more linearization.
-        """
-        if done.share == 1.0 and not asks_again and done.is_balanced:
-            return True
-        most = max(self.model.scene.solver.newton_iterations, MOST_SHARES if asks_again else 1)
-        if self.model.is_dynamic and self.newton.asks_for_more_moves(done.share):
-            most = max(most, self._most_shares)
-        return not self._time_budget.has_time(iterations, elapsed, budget, most)
-
-    def _balance(self, done: Correction, budget: float | None) -> Balance:
-        """How near to balance the last correction came.
-
-        Near is where the scene or the deadline stopped the linearizations before they could converge,
-        and the residual is small beside the forces at rest, and of actuators, contacts and parts.
-        """
-        if done.share != 1.0 or not done.actuation.contact.converged:
-            return Balance.MISSED
-        if done.is_balanced:
-            return Balance.REACHED
-        if budget is None and self.model.scene.solver.newton_iterations != 1:
-            return Balance.MISSED
-        return Balance.NEAR if self._is_small(done.actuation, done.residual, NEAR_BALANCE) else Balance.MISSED
-
-    def _is_in_balance(self, actuation: Actuation, residual: float) -> bool:
-        """Whether the residual is within its tolerance, or round-off of stiff bodies, and tells of balance.
-
-        Of a body that bears less than the tolerance every residual is within it: a thin fibre far
-        from its balance, too.
-        """
-        newton, size = self.newton, self.model.nodes.size
-        if not residual <= self.model.scene.solver.residual_tolerance:
-            round_off = ROUND_OFF * self.model.nodes.finite_size
-            return newton.last_move <= round_off and newton.longest_left() <= round_off
-        return self._is_small(actuation, residual, TELLING_LOAD) or newton.longest_left() <= TELLING_MOVE * size
-
-    def _is_small(self, actuation: Actuation, residual: float, share: float) -> bool:
-        """Whether a residual is at most a share of the forces at rest, of actuators, contacts and parts."""
-        load = self.newton.balance.constant_load
-        if residual > share * load:
-            load += self.actuators.load(actuation.efforts) + actuation.contact.load + self._load_of_parts()
-        return residual <= share * load
-
-    def _move(
-        self, positions: np.ndarray, actuation: Actuation, clock: StageClock,
-        is_judged: bool = False,
-    ) -> tuple[float, float, Actuation]:
-        """Correct the positions.
-
-        Returns:
-            The share of the move that was made, the residual [N], and what the actuators do.
-        """
-        newton, residual = self.newton, math.nan
-        share, actuation = newton.correct(positions, actuation, is_judged)
-        if newton.tangent.is_augmented:
-            self.direct.remember(actuation.efforts)
-        clock.mark("correct")
-        if share:
-            residual = newton.residual(positions, actuation)
-        clock.mark("residual")
-        return share, residual, actuation
-
-    def _move_and_settle(
-        self, positions: np.ndarray, actuation: Actuation, clock: StageClock,
-        is_judged: bool = True, is_sought: bool = False,
-    ) -> tuple[float, float, Actuation]:  # fmt: skip
-        """Correct the positions, by as much of the move as folds nothing.
-
-        Args:
-            positions: Node positions [m], shape (node_count, 3); moved.
-            actuation: λ of the optimisation.
-            clock: Books the stages.
-            is_judged: Whether it is judged how far the move goes, too.
-            is_sought: Whether targets chose the actuation.
-        """
-        newton = self.newton
-        share, residual, actuation = self._move(positions, actuation, clock, is_judged)
-        if share:
-            settled = newton.settle(positions, share, is_sought)
-            if settled != share:
-                share, residual = settled, float(newton.balance.largest[0])
-                clock.mark("residual")
-        return share, residual, actuation
-
-    def _approach(
-        self, positions: np.ndarray, actuation: Actuation, held: Actuation, clock: StageClock
-    ) -> tuple[float, float, Actuation]:
-        """Correct the positions, in statics, by the first actuation of which most may be made."""
-        newton, inverts, inverse = self.newton, False, self.inverse
-        for tried in inverse.tries(actuation, held):
-            share, residual, done = self._move_and_settle(positions, tried, clock, is_sought=True)
-            if share > 0.0 and (share >= inverse.least_share or tried is held):
-                break
-            inverts = inverts or newton.share_rule.folds_whole
-            newton.take_back(positions)
-        else:
-            tried = held
-            share, residual, done = self._move_and_settle(positions, held, clock)
-            if newton.inverts:
-                # It cannot even stay: the last good state is kept.
-                share, inverts = 0.0, True
-                newton.balance.forget_folds()
-        if tried is not actuation:
-            self.direct.remember(done.efforts)
-            inverse.refuse(tried is held and share == 0.0)
-            done = done._replace(is_refused=inverts)
-        return share, residual, done
-
-    def _stale_factor_serves(self, done: Correction, inverted: int) -> bool:
-        """Whether a correction by the factor of an earlier step may be kept."""
-        newton = self.newton
-        is_near = self._balance(done, 0.0) is not Balance.MISSED
-        return is_near and newton.balance.inverted_count <= inverted and newton.makes_progress()
 
     def _succeeded(self, goal: Goal, outcome: Outcome, clock: StageClock) -> StepResult:
         before, time_step, newton = self.state, goal.command.time_step, self.newton
@@ -843,14 +562,14 @@ class Simulation(Readouts):
         if goal.follows:
             self._planner.rest(self, command, self.kept.result)
 
-    def _failed(self, goal, clock, iterations, status=Status.DIVERGED, limits=()) -> StepResult:
+    def _failed(self, goal: Goal, clock: StageClock, failure: Failure) -> StepResult:
         """The last good state, told as a failure. Its time has passed all the same."""
         self._goes_on = False
         self.kept = None
         self.state = self.state.kept_through(goal.command.time_step)
         self.model.rows.tell_efforts(self.state.efforts)
         return self._results.of_failure(
-            goal, clock, iterations, status, limits, self.state, self.effector_positions()
+            goal, clock, *failure, self.state, self.effector_positions()
         )
 
 
@@ -869,13 +588,6 @@ def _motion_of(model: Model) -> Statics | Dynamics:
         return Statics()
     by_alpha = model.scene.time_scheme == "generalized_alpha"
     return GeneralizedAlpha(model) if by_alpha else Dynamics(model)
-
-
-def _why_kept(actuation: Actuation) -> tuple[Status, tuple[str, ...]]:
-    """Status of a step that moved nothing, and the names of the limits that prevented the move."""
-    if actuation.is_refused:
-        return Status.REFUSED, (INVERSION,)
-    return Status.DIVERGED, ()
 
 
 def _shapes(memory: Mapping[str, np.ndarray]) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
