@@ -408,7 +408,7 @@ class Follower(InverseActuation):
 
     def _to_goal(self, asked: Asked) -> Actuation:
         self._task, drives = None, asked.held.drives(self._limits)
-        bounds = self._near(drives, asked, GREATEST)
+        bounds = self._near(drives, asked, GREATEST, self._scales)
         goal = self._limits.drives_within(self._goal, bounds)
         return self._with_limits(self._direct.at_drives(asked.linear, goal, bounds))
 
@@ -467,7 +467,15 @@ class Follower(InverseActuation):
     def _length(self, asked: Asked, found: Actuation) -> float:
         """How far an actuation moves the actuators, as a share of their scales."""
         still = self._still(asked.linear, asked.held)
-        return longest_move(still, found.drives(self._limits), self._scales)
+        return longest_move(still, found.drives(self._limits), self._held_scales(asked))
+
+    def _held_scales(self, asked: Asked) -> np.ndarray:
+        """Scales by which the radius holds the drives: slides only within the greatest one.
+
+        A slide that touches nothing translates effectors, which the linearization tells exactly.
+        """
+        is_exact = self._is_moved & (asked.linear.contact_row_count == 0)
+        return np.where(is_exact, max(self._greatest / self.move_limit, 1.0), 1.0) * self._scales
 
     def _is_hindered(self, asked: Asked, found: Actuation) -> bool:
         """Whether an actuation would go further but for a rate."""
@@ -541,7 +549,7 @@ class Follower(InverseActuation):
         """The box of the radius: of displacements, and of efforts that are drives."""
         # A slack cable is wound in to its path at once.
         still = self._still(asked.linear, asked.held)
-        near = self._near(still, asked, self.move_limit)
+        near = self._near(still, asked, self.move_limit, self._held_scales(asked))
         by_effort = self._by_effort & ~asked.commanded
         # Scales of efforts say little of how far they may go: the greatest radius holds none of them.
         if self.move_limit >= GREATEST or not by_effort.any():
