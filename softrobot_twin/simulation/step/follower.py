@@ -237,8 +237,10 @@ class Follower(InverseActuation):
         W, _ = with_contacts_closed(linear, forces)
         efforts = linear.efforts(held.efforts, forces)
         bears = ~self._one_sided | (efforts > NO_EFFORT * efforts.max(initial=0.0))
+        # Slides translate effectors, and curve nothing.
         jacobian = jacobian_by_drives(
-            W, linear.groups.effectors, bears & ~self._by_effort, bears, linear.augmentation.stiffness,
+            W, linear.groups.effectors, bears & ~self._by_effort, bears & ~self._is_moved,
+            linear.augmentation.stiffness,
         )  # fmt: skip
         pull = situation.weights * (situation.places - situation.targets)
         presses = [key for key, force in zip(self._contact_keys(linear), forces, strict=True) if force > 0.0]
@@ -255,9 +257,7 @@ class Follower(InverseActuation):
         if longest_move(self._at_rest, situation.displacements, self._scales) <= LEAST:
             self._placed_at_rest = situation.places
 
-    def _with_forces(
-        self, situation: Situation, linear: Linearized, held: Actuation
-    ) -> Situation:
+    def _with_forces(self, situation: Situation, linear: Linearized, held: Actuation) -> Situation:
         """A situation with what else is judged; forces within their limits need not be."""
         return situation
 
@@ -621,9 +621,7 @@ class Follower(InverseActuation):
         return stiffness if (holds == bears).all() else stiffness.with_bearing(bears)
 
     @staticmethod
-    def _bearing(
-        stiffness: StiffnessRows | None, branch: np.ndarray | None, bounds: Bounds
-    ) -> Bounds:
+    def _bearing(stiffness: StiffnessRows | None, branch: np.ndarray | None, bounds: Bounds) -> Bounds:
         """Bounds within which the cables of a branch bear where a finger pushes."""
         if stiffness is None or branch is None:
             return bounds
