@@ -116,9 +116,7 @@ def test_the_diamond_comes_to_rest_at_targets_ten_times_too_far_and_returns(diam
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("way", [[-0.9, -0.9, -0.9], [0, -0.9, -0.9], [0.9, 0, 0], [0.9, 0.9, 0]])
 @pytest.mark.parametrize("directions", [["x"], ["z"], ["x", "y", "z"]], ids="".join)
-def test_a_beam_of_eight_cables_beside_a_rod_comes_to_rest_at_targets_too_far(
-    eight, directions, way
-):
+def test_a_beam_of_eight_cables_beside_a_rod_comes_to_rest_at_targets_too_far(eight, directions, way):
     """Row 32."""
     simulation = eight(directions)
     _, lengths = follow(simulation, simulation.effector_positions() + way, 400)
@@ -209,6 +207,13 @@ def test_at_targets_ten_times_too_far_lengths_rest_and_home_is_reached(robot, na
     slides = name.endswith("with slide")
     back = steps_towards(simulation, home, BACK_ON_A_SLIDE if slides else BACK)[-1]
     assert back.effector_errors[0] <= 1e-4
+
+
+@pytest.mark.exhaustive
+def test_a_slide_comes_to_its_end_while_cables_creep_along_a_curved_edge(robot):
+    """Cables become slack and taut there, and the radius is a thousandth of their scales."""
+    simulation, _, target = asked_for(robot, "Trunk with slide", 1, 0)
+    assert steps_towards(simulation, target, OUT)[-1].setpoints[-1] == pytest.approx(0.06, abs=1e-4)
 
 
 @pytest.mark.exhaustive

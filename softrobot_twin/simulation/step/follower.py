@@ -237,8 +237,10 @@ class Follower(InverseActuation):
         W, _ = with_contacts_closed(linear, forces)
         efforts = linear.efforts(held.efforts, forces)
         bears = ~self._one_sided | (efforts > NO_EFFORT * efforts.max(initial=0.0))
+        # Slides translate effectors, and curve nothing.
         jacobian = jacobian_by_drives(
-            W, linear.groups.effectors, bears & ~self._by_effort, bears, linear.augmentation.stiffness,
+            W, linear.groups.effectors, bears & ~self._by_effort, bears & ~self._is_moved,
+            linear.augmentation.stiffness,
         )  # fmt: skip
         pull = situation.weights * (situation.places - situation.targets)
         presses = [key for key, force in zip(self._contact_keys(linear), forces, strict=True) if force > 0.0]
@@ -255,9 +257,7 @@ class Follower(InverseActuation):
         if longest_move(self._at_rest, situation.displacements, self._scales) <= LEAST:
             self._placed_at_rest = situation.places
 
-    def _with_forces(
-        self, situation: Situation, linear: Linearized, held: Actuation
-    ) -> Situation:
+    def _with_forces(self, situation: Situation, linear: Linearized, held: Actuation) -> Situation:
         """A situation with what else is judged; forces within their limits need not be."""
         return situation
 
@@ -408,7 +408,7 @@ class Follower(InverseActuation):
 
     def _to_goal(self, asked: Asked) -> Actuation:
         self._task, drives = None, asked.held.drives(self._limits)
-        bounds = self._near(drives, asked, GREATEST)
+        bounds = self._near(drives, asked, GREATEST, self._scales)
         goal = self._limits.drives_within(self._goal, bounds)
         return self._with_limits(self._direct.at_drives(asked.linear, goal, bounds))
 
@@ -467,7 +467,15 @@ class Follower(InverseActuation):
     def _length(self, asked: Asked, found: Actuation) -> float:
         """How far an actuation moves the actuators, as a share of their scales."""
         still = self._still(asked.linear, asked.held)
-        return longest_move(still, found.drives(self._limits), self._scales)
+        return longest_move(still, found.drives(self._limits), self._held_scales(asked))
+
+    def _held_scales(self, asked: Asked) -> np.ndarray:
+        """Scales by which the radius holds the drives: slides only within the greatest one.
+
+        A slide that touches nothing translates effectors, which the linearization tells exactly.
+        """
+        is_exact = self._is_moved & (asked.linear.contact_row_count == 0)
+        return np.where(is_exact, max(self._greatest / self.move_limit, 1.0), 1.0) * self._scales
 
     def _is_hindered(self, asked: Asked, found: Actuation) -> bool:
         """Whether an actuation would go further but for a rate."""
@@ -541,7 +549,7 @@ class Follower(InverseActuation):
         """The box of the radius: of displacements, and of efforts that are drives."""
         # A slack cable is wound in to its path at once.
         still = self._still(asked.linear, asked.held)
-        near = self._near(still, asked, self.move_limit)
+        near = self._near(still, asked, self.move_limit, self._held_scales(asked))
         by_effort = self._by_effort & ~asked.commanded
         # Scales of efforts say little of how far they may go: the greatest radius holds none of them.
         if self.move_limit >= GREATEST or not by_effort.any():
@@ -613,9 +621,7 @@ class Follower(InverseActuation):
         return stiffness if (holds == bears).all() else stiffness.with_bearing(bears)
 
     @staticmethod
-    def _bearing(
-        stiffness: StiffnessRows | None, branch: np.ndarray | None, bounds: Bounds
-    ) -> Bounds:
+    def _bearing(stiffness: StiffnessRows | None, branch: np.ndarray | None, bounds: Bounds) -> Bounds:
         """Bounds within which the cables of a branch bear where a finger pushes."""
         if stiffness is None or branch is None:
             return bounds

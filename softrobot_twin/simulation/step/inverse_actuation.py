@@ -564,13 +564,13 @@ class InverseActuation:
             places = np.concatenate([places, stiffness.places(found.efforts)])
         return places
 
-    def _near(self, drives: np.ndarray, asked: Asked, share: float) -> Bounds:
+    def _near(self, drives: np.ndarray, asked: Asked, share: float, scales: np.ndarray) -> Bounds:
         """Bounds in which no winch, slide or motor moves by more than a share of its scale."""
         bounds = asked.bounds
         if self._limits.are_all_effort_driven:
             return bounds
         least, most = np.empty((2, len(drives)))
-        write_near(drives, share, self._scales, asked.commanded, self._by_effort, *bounds[:2], least, most)
+        write_near(drives, share, scales, asked.commanded, self._by_effort, *bounds[:2], least, most)
         return Bounds(least, most, bounds.effort_min, bounds.effort_max)
 
     def _still(self, linear: Linearized, held: Actuation) -> np.ndarray:
