@@ -450,8 +450,7 @@ class Follower(InverseActuation):
     def _note(self, asked: Asked, found: Actuation, promised: float) -> None:
         """Note a move, to judge it in the next step."""
         self._is_noted, length = True, self._length(asked, found)
-        drives = asked.held.drives(self._limits)
-        rise = self._rise(asked, found) if self._curvature.is_known else 0.0
+        rise, drives = self._rise(asked, found) if self._curvature.is_known else 0.0, asked.held.drives(self._limits)
         self._pending = Pending(self._now, promised, rise, length, self._situation.targets, drives)
 
     def _promised(self, asked: Asked, found: Actuation) -> float:
@@ -474,8 +473,9 @@ class Follower(InverseActuation):
 
         A slide that touches nothing translates effectors, which the linearization tells exactly.
         """
-        is_exact = self._is_moved & (asked.linear.contact_row_count == 0)
-        return np.where(is_exact, max(self._greatest / self.move_limit, 1.0), 1.0) * self._scales
+        if not self._has_slides or asked.linear.contact_row_count:
+            return self._scales
+        return np.where(self._is_moved, max(self._greatest / self.move_limit, 1.0), 1.0) * self._scales
 
     def _is_hindered(self, asked: Asked, found: Actuation) -> bool:
         """Whether an actuation would go further but for a rate."""

@@ -431,7 +431,7 @@ class InverseActuation:
         self._energy_now, self._longest = self._energy_weight, LONGEST_REACH * model.nodes.size
         self.force_limit = (model.scene.contact and model.scene.contact.force_limit) or np.inf
         actuators = model.actuators
-        count, self._is_moved = actuators.count, actuators.is_moved
+        count, self._is_moved, self._has_slides = actuators.count, actuators.is_moved, actuators.is_moved.any()
         self._one_sided = actuators.one_sided
         self._round_off = ROUND_OFF * actuators.displacement_scale
         self._at_limit = AT_LIMIT * actuators.displacement_scale
@@ -440,7 +440,7 @@ class InverseActuation:
         self._scales = actuators.limits.drive_scale
         # Moves are no efforts, beside which another one would be none.
         self._effort_scales = np.where(self._is_moved, np.inf, actuators.effort_scale)
-        alone = model.actuators.conserves and not (model.rows.varies or self._is_moved.any())
+        alone = model.actuators.conserves and not (model.rows.varies or self._has_slides)
         self._limits, self._by_effort = actuators.limits, actuators.is_effort_driven
         self._proves = model.actuators.conserves and not model.rows.varies
         self._all_free = Unknowns(np.zeros(count, dtype=bool), False)
