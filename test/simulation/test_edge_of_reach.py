@@ -7,7 +7,7 @@ from scipy.optimize import minimize
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
 from softrobot_twin.simulation.step.actuation import INVERSION
 from test.builder import builder
-from test.scene_changes import changed, repeat_step
+from test.scene_changes import LEFT_OUT, changed, repeat_step
 
 HELD_BACK = (Status.SATURATED, Status.UNREACHABLE)
 
@@ -210,9 +210,10 @@ def test_at_targets_ten_times_too_far_lengths_rest_and_home_is_reached(robot, na
 
 
 @pytest.mark.exhaustive
-def test_a_slide_comes_to_its_end_while_cables_creep_along_a_curved_edge(robot):
+def test_a_slide_comes_to_its_end_while_cables_creep_along_a_curved_edge(coarse_trunk):
     """Cables become slack and taut there, and the radius is a thousandth of their scales."""
-    simulation, _, target = asked_for(robot, "Trunk with slide", 1, 0)
+    simulation = coarse_trunk({"body.element": "smoothed", "obstacles": LEFT_OUT, "contact": LEFT_OUT})
+    target = simulation.effector_positions() + 1.9 * directions(1)[0]
     assert steps_towards(simulation, target, OUT)[-1].setpoints[-1] == pytest.approx(0.06, abs=1e-4)
 
 
