@@ -86,6 +86,7 @@ seconds = number(float, lambda value: 1.0 <= value <= 3600.0, "must lie in 1..36
 duration = number(float, lambda value: 0.0 < value <= 86_400.0, "must lie above 0 and up to 86400 s")
 positive = number(float, lambda value: 0.0 < value < math.inf, "must be above zero")
 instant = number(float, lambda value: 0.0 <= value < math.inf, "must be finite and not negative")
+angle = number(float, math.isfinite, "must be finite")
 tilt = number(float, lambda value: 0.0 < value <= 180.0,
               "must lie above 0 and up to 180 degrees", math.radians(1.0))
 
@@ -172,7 +173,8 @@ Length: TypeAlias = Annotated[float, Read(length)]
 Positive: TypeAlias = Annotated[float, Read(positive)]
 Tilt: TypeAlias = Annotated[float, Read(tilt)]
 TargetBoxes: TypeAlias = Sequence[Annotated[TargetBox, Read(target_box)]]
-View: TypeAlias = tuple[float, float]
+Points: TypeAlias = Sequence[Annotated[tuple[float, float, float], Read(point, nargs="+")]]
+View: TypeAlias = tuple[Annotated[float, Read(angle)], float]
 Unit: TypeAlias = Annotated[str, Read(choices=tuple(sorted(UNITS)))]
 
 
@@ -554,9 +556,7 @@ def reduce(
     scene: GivenFile, *, body: str | None = None, output: Path | None = None,
     snapshots: PositiveCount | None = None, range_: Sequence[str] = (), targets: TargetBoxes = (),
     along: GivenFile | None = None, around: Positive | None = None, loads: Positive = 0.0,
-    load_points: Annotated[
-        Sequence[tuple[float, float, float]], Read(point, nargs="+", action="extend")
-    ] | None = None,
+    load_points: Points | None = None,
     surface_loads: PositiveCount | None = None, tilts: Tilt = 0.0, seed: Count = 0,
     error: Annotated[float, Read(share)] | None = None, energy: float | None = None,
     modes: PositiveCount | None = None, spare_modes: Count = SPARE_MODES,
@@ -658,7 +658,7 @@ class NoRosError(SoftRobotTwinError):
 
 def replay(
     recorded: Path, *, scene: GivenFile | None = None,
-    set_: Annotated[Sequence[str] | None, Read(action="extend")] = None,
+    set_: Sequence[str] | None = None,
     output: Path | None = None, record_view: Path | None = None,
 ) -> int:  # fmt: skip
     """Run a recorded run of a twin again.
@@ -695,7 +695,7 @@ def enable_interrupts() -> None:
 def demo(
     *, robot: str = "diamond", output: Path = Path("out/demo"),
     seconds: Annotated[float, Read(seconds)] = 30.0,
-    set_: Annotated[Sequence[str] | None, Read(action="extend")] = None, view: bool = True,
+    set_: Sequence[str] | None = None, view: bool = True,
 ) -> int:  # fmt: skip
     """Drive a simulated robot live over ROS 2.
 
