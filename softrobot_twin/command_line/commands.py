@@ -46,11 +46,11 @@ def refuse(reason: str, **given: object) -> None:
 
     Args:
         reason: Why they have none here.
-        **given: Value of each option by its name; None, False and () stand for one that was not
-            given.
+        **given: Value of each option by its name; None, False and no values stand for one that was
+            not given.
     """
     for option, value in given.items():
-        if value not in (None, False, ()):
+        if value not in (None, False, (), []):
             raise OptionError(f"--{option.rstrip('_').replace('_', '-')}", reason)
 
 
@@ -303,9 +303,9 @@ def simulate(
     from softrobot_twin.study import offline_run
     from softrobot_twin.study.direct_run import (
         DEFAULT_RATE,
-        MOST_STEPS,
         simulate_alone,
         simulate_commands,
+        step_count,
     )
 
     _check_outputs((scene, targets, commands), output=output, picture=picture)
@@ -323,9 +323,7 @@ def simulate(
         return simulate_commands(scene, commands, output, steps_a_second, drawn, read_as)
     refuse("requires --targets or --commands", axes=axes, backwards=backwards)
     time = seconds or (steps or 0) / steps_a_second
-    if time * steps_a_second > MOST_STEPS:
-        raise OptionError("--seconds" if seconds else "--steps",
-                          f"makes more than {MOST_STEPS:,} steps at {steps_a_second:g} Hz")
+    step_count("--seconds" if seconds else "--steps", time, steps_a_second)
     return simulate_alone(scene, time, output, steps_a_second, drawn)
 
 

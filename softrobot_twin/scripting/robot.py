@@ -5,7 +5,6 @@ A `Robot` adds names and units to a `Simulation`; a step of one is a step of the
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -31,11 +30,11 @@ from softrobot_twin.scripting.named_commands import (
     Aim,
     CommandReader,
     NamedCommand,
-    finite_numbers,
     hold,
     one_number,
     read_pose,
     unknown,
+    whole_number,
 )
 from softrobot_twin.scripting.named_design import (
     Bounds,
@@ -297,8 +296,6 @@ class Robot:
 
     @state.setter
     def state(self, state: State) -> None:
-        if not isinstance(state, State):
-            raise CommandError("state", f"must be a state of this robot, not {state!r:.60}")
         self.simulation.restore(state)
         self._forget()
 
@@ -369,13 +366,14 @@ class Robot:
         self._sensitivities.by_effort = self._by_effort
         return self._sensitivities
 
-    def sensitivity(self, *keys: str, holds_setpoints: bool = True) -> LabelledMatrix:
+    def sensitivity(self, *keys: str, holds_setpoints: bool | np.ndarray = True) -> LabelledMatrix:
         """Derivatives of the positions of the effectors by numbers of the scene, in balance.
 
         Args:
             *keys: See `parameters`.
             holds_setpoints: Whether actuators hold their setpoints, such as the lengths of cables;
-                else their displacements from rest, such as shortenings.
+                else their displacements from rest, such as shortenings. Of all, or of each,
+                shape (actuator_count,).
 
         Returns:
             Rows ``tip_x_m`` and so on, a column for each key.
@@ -555,7 +553,7 @@ class Robot:
         for column_of, value in sensors.items():
             if column_of not in columns:
                 raise unknown(column_of, "sensors:", columns)
-            told[columns.index(column_of)] = one_number(column_of, finite_numbers(column_of, value))
+            told[columns.index(column_of)] = one_number(column_of, value)
         simulation.finish_result()
         observer.look()
         model = observer.moment(simulation.marker_positions(), simulation.effector_positions())
@@ -604,7 +602,7 @@ class Robot:
         Raises:
             CommandError: See `step`.
         """
-        for _ in range(_count("most_steps", most_steps)):
+        for _ in range(whole_number("most_steps", most_steps)):
             result = self.step(command, time_step=time_step, poses=poses, touches=touches)
             if result.is_at_rest:
                 break
@@ -803,7 +801,7 @@ class Robot:
         Raises:
             CommandError: No linear model is built for such a scene, or an argument cannot be used.
         """
-        count = None if modes is None else _count("modes", modes)
+        count = None if modes is None else whole_number("modes", modes)
         tangent = ModalTangent(self.simulation, self._by_effort)
         return tangent.at_state(count, _positive("time_step", time_step, "s"))
 
@@ -900,14 +898,9 @@ def _listed(word: str, names: Iterable[str]) -> str:
     return f"{word} {', '.join(names[:_MOST_NAMES])}{more}"
 
 
-def _number(name: str, value: Any) -> float:
-    """A finite number."""
-    return one_number(name, finite_numbers(name, value))
-
-
 def _positive(name: str, value: Any, unit: str) -> float:
     """A number above zero."""
-    number = _number(name, value)
+    number = one_number(name, value)
     if number <= 0.0:
         raise CommandError(name, f"{value} {unit} must be above 0")
     return number
@@ -917,21 +910,13 @@ def _rate(rate: float | None) -> float:
     return DEFAULT_RATE if rate is None else _positive("rate", rate, "Hz")
 
 
-def _count(name: str, count: int) -> int:
-    if _number(name, count) != int(count) or count < 1:
-        raise CommandError(name, f"{count} must be a whole number above 0")
-    return int(count)
-
-
 def _step_count(steps: int | None, seconds: float | None, rate: float) -> int:
     """Number of steps, by one of both."""
     if steps is not None and seconds is not None:
         raise CommandError("seconds", "is given beside steps: give one of them")
     if seconds is None:
-        return 1 if steps is None else _count("steps", steps)
-    _positive("seconds", seconds, "s")
-    # The small number prevents an additional step due to rounding.
-    return max(1, math.ceil(seconds * rate - 1e-9))
+        return 1 if steps is None else whole_number("steps", steps, most=direct_run.MOST_STEPS)
+    return direct_run.step_count("seconds", _positive("seconds", seconds, "s"), rate)
 
 
 def _refuse(what: str, **given: Any) -> None:

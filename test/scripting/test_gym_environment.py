@@ -184,8 +184,8 @@ def test_what_it_cannot_use_is_refused_by_name(environment):
         ReachingEnvironment(robot, effector="tup")
     with pytest.raises(CommandError, match="blind: has no effector"):
         ReachingEnvironment(st.build(**finger_entries() | {"name": "blind", "effectors": []}))
-    for name, value in (("time_step", 0.0), ("most_steps", 0), ("travel", 1.5),
-                        ("reached_within", -1.0), ("render_mode", "human")):
+    for name, value in (("time_step", 0.0), ("most_steps", 0), ("most_steps", 2.5), ("travel", 1.5),
+                        ("travel", [0.5, 9]), ("reached_within", -1.0), ("render_mode", "human")):
         with pytest.raises(CommandError, match=name):
             ReachingEnvironment(robot, **{name: value})
     with pytest.raises(CommandError, match="step: an episode begins with reset"):
