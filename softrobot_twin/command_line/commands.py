@@ -79,8 +79,12 @@ def number(
     return read
 
 
-count = number(int, lambda value: value >= 0, "must not be negative")
-positive_count = number(int, lambda value: value > 0, "must be above zero")
+MOST = 10_000_000
+"""Greatest count of anything."""
+seed = number(int, lambda value: value >= 0, "must not be negative")
+count = number(int, lambda value: 0 <= value <= MOST, f"must lie in 0..{MOST:,}")
+positive_count = number(int, lambda value: 1 <= value <= MOST, f"must lie in 1..{MOST:,}")
+fraction = number(float, lambda value: 0.0 <= value < 1.0, "must be at least 0 and below 1")
 rate = number(float, lambda value: 0.1 <= value <= 10_000.0, "must lie in 0.1..10000 Hz")
 seconds = number(float, lambda value: 1.0 <= value <= 3600.0, "must lie in 1..3600 s")
 duration = number(float, lambda value: 0.0 < value <= 86_400.0, "must lie above 0 and up to 86400 s")
@@ -165,7 +169,9 @@ def _accepted(value, is_good: bool, reason: str):
     return value
 
 
+Seed: TypeAlias = Annotated[int, Read(seed)]
 Count: TypeAlias = Annotated[int, Read(count)]
+Fraction: TypeAlias = Annotated[float, Read(fraction)]
 GivenFile: TypeAlias = Annotated[Path, Read(given_file)]
 PositiveCount: TypeAlias = Annotated[int, Read(positive_count)]
 Rate: TypeAlias = Annotated[float, Read(rate)]
@@ -185,7 +191,7 @@ def mesh(
     step_time: Annotated[float, Read(step_time)] | None = None, output: Path | None = None,
     unit: Unit | None = None,
     element: Annotated[str, Read(choices=("linear", "smoothed", "quadratic"))] = "quadratic",
-    repair: bool = False, turn: int | None = None,
+    repair: bool = False, turn: Count | None = None,
 ) -> int:  # fmt: skip
     """Fill a part from a CAD program with tetrahedra.
 
@@ -328,9 +334,14 @@ def simulate(
 
 
 def _check_outputs(inputs: Sequence[Path | None], **outputs: Path | None) -> None:
-    """Refuses an output that would overwrite an input or another output, or is a folder."""
-    taken = {str(path.resolve()): path for path in inputs if path is not None}
-    for option, path in outputs.items():
+    """Refuses an input that is given twice, and an output that would overwrite one or another output,
+    or is a folder."""
+    taken = dict[str, Path]()
+    for one in filter(None, inputs):
+        if taken.setdefault(str(one.resolve()), one) is not one:
+            raise OptionError(str(one), "is given twice")
+    for name, path in outputs.items():
+        option = name.replace("_", "-")
         if path is None:
             continue
         try:
@@ -390,14 +401,11 @@ def explain(
     from softrobot_twin.study.explain import explain as print_scene
     from softrobot_twin.study.stiffness import print_stiffness
 
-    if stiffness:
-        refuse("cannot be combined with --stiffness", effects=effects)
-    for option, is_wanted, prints in (
-        ("stiffness", stiffness, print_stiffness), ("effects", effects, print_effects)
-    ):  # fmt: skip
-        if is_wanted:
-            refuse(f"cannot be combined with --{option}", picture=picture)
-            return prints(scene, at or ())
+    _check_outputs((scene,), picture=picture)
+    if stiffness or effects:
+        refuse(f"cannot be combined with --{'stiffness' if stiffness else 'effects'}",
+               effects=stiffness and effects, picture=picture)
+        return (print_stiffness if stiffness else print_effects)(scene, at or ())
     refuse("requires --stiffness or --effects", at=at)
     if picture is None:
         refuse("requires --picture", picture_view=picture_view)
@@ -443,7 +451,7 @@ def calibrate(
 
 def workspace(
     scene: GivenFile, *, output: Path, picture: Path | None = None, samples: PositiveCount = 200,
-    seed: Count = 0, range_: Sequence[str] = (), workers: PositiveCount | None = None,
+    seed: Seed = 0, range_: Sequence[str] = (), workers: PositiveCount | None = None,
     scheduler: str | None = None,
 ) -> int:  # fmt: skip
     """Sample where a robot gets, and how stiff it is there.
@@ -547,6 +555,7 @@ def choose(
     """
     from softrobot_twin.study.choice import choose as choose_setting
 
+    _check_outputs((scene, accuracy), write=write)
     return choose_setting(scene, rate, accuracy, write, reduced=reduced)
 
 
@@ -555,10 +564,10 @@ def reduce(
     snapshots: PositiveCount | None = None, range_: Sequence[str] = (), targets: TargetBoxes = (),
     along: GivenFile | None = None, around: Positive | None = None, loads: Positive = 0.0,
     load_points: Points | None = None,
-    surface_loads: PositiveCount | None = None, tilts: Tilt = 0.0, seed: Count = 0,
-    error: Annotated[float, Read(share)] | None = None, energy: float | None = None,
+    surface_loads: PositiveCount | None = None, tilts: Tilt = 0.0, seed: Seed = 0,
+    error: Annotated[float, Read(share)] | None = None, energy: Fraction | None = None,
     modes: PositiveCount | None = None, spare_modes: Count = SPARE_MODES,
-    vibration_modes: Count | None = None, tolerance: float = TOLERANCE, states: Count = FRESH_STATES,
+    vibration_modes: Count | None = None, tolerance: Fraction = TOLERANCE, states: Count = FRESH_STATES,
     workers: PositiveCount | None = None, scheduler: str | None = None,
 ) -> int:  # fmt: skip
     """Make the reduced model of a deformable body.
@@ -604,6 +613,7 @@ def reduce(
     """
     from softrobot_twin.reduction import body_training
 
+    _check_outputs((scene, along), output=output)
     if scheduler is not None:
         refuse("has no effect with --scheduler", workers=workers)
     if not loads:
@@ -627,7 +637,7 @@ def reduce(
 
 
 def reduce_vertebrae(
-    scene: GivenFile, *, again: bool = False, seed: Count = 1, states: Count = TEST_STATES
+    scene: GivenFile, *, again: bool = False, seed: Seed = 1, states: Count = TEST_STATES
 ) -> int:  # fmt: skip
     """Make the superelements of bodies with vertebrae.
 
@@ -675,9 +685,7 @@ def replay(
         output (FILE.csv): File to write, one row per tick of the replay.
         record_view (FILE.rrd): File of pictures of the replay, for rerun.
     """
-    for option, path in (("--output", output), ("--record-view", record_view)):
-        if path is not None and path.resolve() == recorded.resolve():
-            raise OptionError(option, f"{path} would overwrite the run")
+    _check_outputs((recorded, scene), output=output, record_view=record_view)
     # The loop is loaded only for a run of it.
     from softrobot_twin.command_line import replay_command
     return replay_command.replay(recorded, scene, set_ or (), output, record_view)

@@ -59,8 +59,14 @@ def sampled_axes(simulation: Simulation, ranges: Sequence[str] = ()) -> tuple[Ax
     for places, bounds in column_drives(simulation, "--range", ranges, 2):
         low[places], high[places] = bounds
     axes = sorted(joint_axes(simulation, low, high), key=lambda axis: axis.places)
-    for axis in axes:
-        _check_axis(simulation, axis)
+    for axis in (one for one in axes if not np.isfinite([one.least, one.most]).all()):
+        section, quantity = simulation.actuators.kinds[axis.places[0]].section, driven_by(simulation, axis)
+        end = "greatest" if np.isfinite(axis.least) else "least"
+        raise WorkspaceError(
+            simulation.scene.path,
+            f"{section}: {axis.name} has no {end} {quantity.word} [{quantity.unit}]; name it in "
+            f"the scene, or by --range {column(axis.name, quantity)}=LOW:HIGH",
+        )  # fmt: skip
     if not axes:
         raise WorkspaceError(simulation.scene.path, "there are no actuators to sample")
     return tuple(axes)
@@ -93,18 +99,6 @@ def driven_by(simulation: Simulation, axis: Axis) -> Quantity:
     """
     actuators = simulation.actuators
     return actuators.driven_quantities(actuators.is_effort_driven)[axis.places[0]]
-
-
-def _check_axis(simulation: Simulation, axis: Axis) -> None:
-    if np.isfinite([axis.least, axis.most]).all():
-        return
-    section, quantity = simulation.actuators.kinds[axis.places[0]].section, driven_by(simulation, axis)
-    end = "greatest" if np.isfinite(axis.least) else "least"
-    raise WorkspaceError(
-        simulation.scene.path,
-        f"{section}: {axis.name} has no {end} {quantity.word} [{quantity.unit}]; name it in "
-        f"the scene, or by --range {column(axis.name, quantity)}=LOW:HIGH",
-    )  # fmt: skip
 
 
 def shifted_sobol(dimension: int, count: int, seed: int) -> np.ndarray:

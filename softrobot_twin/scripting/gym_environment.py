@@ -389,18 +389,17 @@ def _draws_of(scene: Scene, randomized: Randomized) -> tuple[tuple[Parameter | J
     draws, ends = [], (dict[str, float](), dict[str, float]())
     for key, how in randomized.items():
         own = parameters(scene, key) if isinstance(key, str) else (key,)
-        if callable(how):
-            draws += [(one, how) for one in own]
-            continue
-        name = key if isinstance(key, str) else key.key
-        numbers = finite_numbers(name, how)
-        if len(numbers) != 2 or numbers[0] > numbers[1]:
-            raise CommandError(name, f"is drawn from {how!r}, which must be a least and a greatest "
-                               f"value [{own[0].unit}], or a function of a random generator")
-        draws += [(one, partial(np.random.Generator.uniform, low=numbers[0], high=numbers[1])) for one in own]
-        for changes, end in zip(ends, numbers, strict=True):
-            for one in own:
-                changes |= one.changes(end)
+        if not callable(how):
+            name = key if isinstance(key, str) else key.key
+            numbers = finite_numbers(name, how)
+            if len(numbers) != 2 or numbers[0] > numbers[1]:
+                raise CommandError(name, f"is drawn from {how!r}, which must be a least and a greatest "
+                                   f"value [{own[0].unit}], or a function of a random generator")
+            how = partial(np.random.Generator.uniform, low=numbers[0], high=numbers[1])
+            for changes, end in zip(ends, numbers, strict=True):
+                for one in own:
+                    changes |= one.changes(end)
+        draws += [(one, how) for one in own]
     for changes in ends:
         changed_scene(scene, changes)
     return tuple(draws)

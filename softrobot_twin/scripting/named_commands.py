@@ -502,6 +502,23 @@ def one_number(name: str, value: Any) -> float:
     return numbers[0]
 
 
+def positive_number(name: str, value: Any, unit: str = "") -> float:
+    """A number above zero.
+
+    Args:
+        name: Name of the value, for the error.
+        value: The value.
+        unit: Its unit.
+
+    Raises:
+        CommandError: It is no finite number above zero.
+    """
+    number = one_number(name, value)
+    if number <= 0.0:
+        raise CommandError(name, f"{value} {unit}".rstrip() + " must be above 0")
+    return number
+
+
 def whole_number(name: str, value: Any, least: int = 1, most: int = 10**9, more: str = "") -> int:
     """A whole number.
 

@@ -305,8 +305,7 @@ def _starts_of(workers: Any) -> list[Any]:
     """What starts each worker, when it is given its robots."""
     if hasattr(workers, "nthreads"):
         return [partial(_OnCluster, workers, address) for address in workers.nthreads()]
-    count = core_count() if workers is None else whole_number(
-        "workers", workers, more=", or a client of Dask")
+    count = core_count() if workers is None else whole_number("workers", workers, more=", or a client of Dask")
     return [_Here] if count == 1 else [partial(WorkerProcess, _Robots)] * count
 
 
