@@ -161,8 +161,7 @@ def test_numbers_are_checked_before_there_is_a_robot(call, said):
     ({"touches": {"fingertip_force_N": [0, 0, 1], "fingertip_place_m": [0, 0, 0]}},
      "fingertip is given twice"),
     ({"poses": [0, 0, 0]}, "poses: takes names"), ({"touches": 1.0}, "touches: takes names"),
-    ({"time_step": -1.0}, "must be above 0"),
-    ({"time_step": float("nan")}, "time_step: holds nan"),
+    ({"time_step": -1.0}, "must be above 0"), ({"time_step": float("nan")}, "time_step: holds nan"),
     ({"time_step": "fast"}, "time_step: must be a number"),
 ])
 def test_what_surrounds_a_step_is_checked_before_anything_moves(held, more, said):
