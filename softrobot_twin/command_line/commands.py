@@ -576,7 +576,7 @@ def reduce(
     the robot will meet: loads, tilts and the whole range. After Ctrl-C the command goes on.
 
     Examples:
-        softrobot_twin reduce config/scenes/diamond.yaml --error 1% \\
+        softrobot_twin reduce config/scenes/diamond_reduced.yaml --error 1% \\
             --targets tip=-0.02:0.02,-0.02:0.02,0.122:0.140
 
     Args:
