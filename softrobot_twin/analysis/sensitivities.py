@@ -25,7 +25,7 @@ import numpy as np
 
 from softrobot_twin.analysis.apparent_compliance import CondensedHold, HeldTangent, Saddle
 from softrobot_twin.constraints.row_stack import RowStack
-from softrobot_twin.errors import NamedError, SceneError
+from softrobot_twin.errors import CommandError, NamedError, SceneError
 from softrobot_twin.mechanics.touch_loads import TouchLoads
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.scene_parameters import JointParameter, Parameter
@@ -262,9 +262,14 @@ class Sensitivities(HeldTangent):
             holds_setpoints: See `of_parameters`.
 
         Raises:
+            CommandError: `holds_setpoints` has not one truth value for each actuator.
             SensitivityError: The derivative does not exist at this state.
         """
         self._system()
+        holds, count = np.asarray(holds_setpoints), self._model.actuators.count
+        if holds.dtype != bool or holds.shape not in ((), (count,)):
+            raise CommandError("holds_setpoints", f"{holds_setpoints!r:.60} must be true or false, "
+                               f"of all actuators or of each of {count}")
         if self._middle is None:
             self._middle = self._evaluated(self._own_terms)
         value = parameter.read(self._model.scene)

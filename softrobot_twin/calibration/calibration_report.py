@@ -145,9 +145,9 @@ def _known(texts: Iterable[str]) -> dict[str, Given]:
             numbers = float(value or "0"), float(deviation)
         except ValueError:
             numbers = np.nan, np.nan
-        if not (np.isfinite(numbers[0]) and 0.0 < numbers[1] < np.inf):
+        if not (np.isfinite(numbers[0]) and 0.0 < numbers[1] < np.inf) or key in found:
             raise CalibrationError(f"--known {text}", "must be KEY=DEVIATION or KEY=VALUE±DEVIATION, with a "
-                                   "deviation above zero")  # fmt: skip
+                                   "deviation above zero, and each key once")  # fmt: skip
         found[key] = numbers if sign else numbers[1]
     return found
 

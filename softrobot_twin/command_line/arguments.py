@@ -183,8 +183,8 @@ def _add_argument(group, parameter: inspect.Parameter, hint, metavar: str | None
     given: dict[str, Any] = {"help": text}
     if metavar is not None:
         given["metavar"] = tuple(metavar.split()) if " " in metavar else metavar
-    if parameter.default is not parameter.empty:
-        given["default"] = parameter.default
+    if parameter.default is not parameter.empty:  # An option that is given again adds to a list.
+        given["default"] = list(parameter.default) if parameter.default == () else parameter.default
     name = parameter.name.rstrip("_")
     if not is_option:
         flag = parameter.name
@@ -211,7 +211,8 @@ def _read_by(hint, is_option: bool) -> dict[str, Any]:
     if get_origin(hint) is tuple:
         return {"nargs": len(get_args(hint)), **_read_by(get_args(hint)[0], is_option)}
     if get_origin(hint) is Sequence:
-        return {"nargs": "+" if is_option else "*", **_read_by(get_args(hint)[0], is_option)}
+        own = {"nargs": "+", "action": "extend"} if is_option else {"nargs": "*"}
+        return own | _read_by(get_args(hint)[0], is_option)
     return {"type": hint} if hint in (float, Path) else {}
 
 

@@ -46,11 +46,11 @@ def refuse(reason: str, **given: object) -> None:
 
     Args:
         reason: Why they have none here.
-        **given: Value of each option by its name; None, False and () stand for one that was not
-            given.
+        **given: Value of each option by its name; None, False and no values stand for one that was
+            not given.
     """
     for option, value in given.items():
-        if value not in (None, False, ()):
+        if value not in (None, False, (), []):
             raise OptionError(f"--{option.rstrip('_').replace('_', '-')}", reason)
 
 
@@ -79,13 +79,18 @@ def number(
     return read
 
 
-count = number(int, lambda value: value >= 0, "must not be negative")
-positive_count = number(int, lambda value: value > 0, "must be above zero")
+MOST = 10_000_000
+"""Greatest count of anything."""
+seed = number(int, lambda value: value >= 0, "must not be negative")
+count = number(int, lambda value: 0 <= value <= MOST, f"must lie in 0..{MOST:,}")
+positive_count = number(int, lambda value: 1 <= value <= MOST, f"must lie in 1..{MOST:,}")
+fraction = number(float, lambda value: 0.0 <= value < 1.0, "must be at least 0 and below 1")
 rate = number(float, lambda value: 0.1 <= value <= 10_000.0, "must lie in 0.1..10000 Hz")
 seconds = number(float, lambda value: 1.0 <= value <= 3600.0, "must lie in 1..3600 s")
 duration = number(float, lambda value: 0.0 < value <= 86_400.0, "must lie above 0 and up to 86400 s")
 positive = number(float, lambda value: 0.0 < value < math.inf, "must be above zero")
 instant = number(float, lambda value: 0.0 <= value < math.inf, "must be finite and not negative")
+angle = number(float, math.isfinite, "must be finite")
 tilt = number(float, lambda value: 0.0 < value <= 180.0,
               "must lie above 0 and up to 180 degrees", math.radians(1.0))
 
@@ -164,7 +169,9 @@ def _accepted(value, is_good: bool, reason: str):
     return value
 
 
+Seed: TypeAlias = Annotated[int, Read(seed)]
 Count: TypeAlias = Annotated[int, Read(count)]
+Fraction: TypeAlias = Annotated[float, Read(fraction)]
 GivenFile: TypeAlias = Annotated[Path, Read(given_file)]
 PositiveCount: TypeAlias = Annotated[int, Read(positive_count)]
 Rate: TypeAlias = Annotated[float, Read(rate)]
@@ -172,7 +179,8 @@ Length: TypeAlias = Annotated[float, Read(length)]
 Positive: TypeAlias = Annotated[float, Read(positive)]
 Tilt: TypeAlias = Annotated[float, Read(tilt)]
 TargetBoxes: TypeAlias = Sequence[Annotated[TargetBox, Read(target_box)]]
-View: TypeAlias = tuple[float, float]
+Points: TypeAlias = Sequence[Annotated[tuple[float, float, float], Read(point, nargs="+")]]
+View: TypeAlias = tuple[Annotated[float, Read(angle)], float]
 Unit: TypeAlias = Annotated[str, Read(choices=tuple(sorted(UNITS)))]
 
 
@@ -183,7 +191,7 @@ def mesh(
     step_time: Annotated[float, Read(step_time)] | None = None, output: Path | None = None,
     unit: Unit | None = None,
     element: Annotated[str, Read(choices=("linear", "smoothed", "quadratic"))] = "quadratic",
-    repair: bool = False, turn: int | None = None,
+    repair: bool = False, turn: Count | None = None,
 ) -> int:  # fmt: skip
     """Fill a part from a CAD program with tetrahedra.
 
@@ -300,9 +308,9 @@ def simulate(
     from softrobot_twin.study import offline_run
     from softrobot_twin.study.direct_run import (
         DEFAULT_RATE,
-        MOST_STEPS,
         simulate_alone,
         simulate_commands,
+        step_count,
     )
     from softrobot_twin.tables.input_tables import Axes
 
@@ -321,16 +329,19 @@ def simulate(
         return simulate_commands(scene, commands, output, steps_a_second, drawn, read_as)
     refuse("requires --targets or --commands", axes=axes, backwards=backwards)
     time = seconds or (steps or 0) / steps_a_second
-    if time * steps_a_second > MOST_STEPS:
-        raise OptionError("--seconds" if seconds else "--steps",
-                          f"makes more than {MOST_STEPS:,} steps at {steps_a_second:g} Hz")
+    step_count("--seconds" if seconds else "--steps", time, steps_a_second)
     return simulate_alone(scene, time, output, steps_a_second, drawn)
 
 
 def _check_outputs(inputs: Sequence[Path | None], **outputs: Path | None) -> None:
-    """Refuses an output that would overwrite an input or another output, or is a folder."""
-    taken = {str(path.resolve()): path for path in inputs if path is not None}
-    for option, path in outputs.items():
+    """Refuses an input that is given twice, and an output that would overwrite one or another output,
+    or is a folder."""
+    taken = dict[str, Path]()
+    for one in filter(None, inputs):
+        if taken.setdefault(str(one.resolve()), one) is not one:
+            raise OptionError(str(one), "is given twice")
+    for name, path in outputs.items():
+        option = name.replace("_", "-")
         if path is None:
             continue
         try:
@@ -390,14 +401,11 @@ def explain(
     from softrobot_twin.study.explain import explain as print_scene
     from softrobot_twin.study.stiffness import print_stiffness
 
-    if stiffness:
-        refuse("cannot be combined with --stiffness", effects=effects)
-    for option, is_wanted, prints in (
-        ("stiffness", stiffness, print_stiffness), ("effects", effects, print_effects)
-    ):  # fmt: skip
-        if is_wanted:
-            refuse(f"cannot be combined with --{option}", picture=picture)
-            return prints(scene, at or ())
+    _check_outputs((scene,), picture=picture)
+    if stiffness or effects:
+        refuse(f"cannot be combined with --{'stiffness' if stiffness else 'effects'}",
+               effects=stiffness and effects, picture=picture)
+        return (print_stiffness if stiffness else print_effects)(scene, at or ())
     refuse("requires --stiffness or --effects", at=at)
     if picture is None:
         refuse("requires --picture", picture_view=picture_view)
@@ -443,7 +451,7 @@ def calibrate(
 
 def workspace(
     scene: GivenFile, *, output: Path, picture: Path | None = None, samples: PositiveCount = 200,
-    seed: Count = 0, range_: Sequence[str] = (), workers: PositiveCount | None = None,
+    seed: Seed = 0, range_: Sequence[str] = (), workers: PositiveCount | None = None,
     scheduler: str | None = None,
 ) -> int:  # fmt: skip
     """Sample where a robot gets, and how stiff it is there.
@@ -547,6 +555,7 @@ def choose(
     """
     from softrobot_twin.study.choice import choose as choose_setting
 
+    _check_outputs((scene, accuracy), write=write)
     return choose_setting(scene, rate, accuracy, write, reduced=reduced)
 
 
@@ -554,13 +563,11 @@ def reduce(
     scene: GivenFile, *, body: str | None = None, output: Path | None = None,
     snapshots: PositiveCount | None = None, range_: Sequence[str] = (), targets: TargetBoxes = (),
     along: GivenFile | None = None, around: Positive | None = None, loads: Positive = 0.0,
-    load_points: Annotated[
-        Sequence[tuple[float, float, float]], Read(point, nargs="+", action="extend")
-    ] | None = None,
-    surface_loads: PositiveCount | None = None, tilts: Tilt = 0.0, seed: Count = 0,
-    error: Annotated[float, Read(share)] | None = None, energy: float | None = None,
+    load_points: Points | None = None,
+    surface_loads: PositiveCount | None = None, tilts: Tilt = 0.0, seed: Seed = 0,
+    error: Annotated[float, Read(share)] | None = None, energy: Fraction | None = None,
     modes: PositiveCount | None = None, spare_modes: Count = SPARE_MODES,
-    vibration_modes: Count | None = None, tolerance: float = TOLERANCE, states: Count = FRESH_STATES,
+    vibration_modes: Count | None = None, tolerance: Fraction = TOLERANCE, states: Count = FRESH_STATES,
     workers: PositiveCount | None = None, scheduler: str | None = None,
 ) -> int:  # fmt: skip
     """Make the reduced model of a deformable body.
@@ -569,7 +576,7 @@ def reduce(
     the robot will meet: loads, tilts and the whole range. After Ctrl-C the command goes on.
 
     Examples:
-        softrobot_twin reduce config/scenes/diamond.yaml --error 1% \\
+        softrobot_twin reduce config/scenes/diamond_reduced.yaml --error 1% \\
             --targets tip=-0.02:0.02,-0.02:0.02,0.122:0.140
 
     Args:
@@ -606,6 +613,7 @@ def reduce(
     """
     from softrobot_twin.reduction import body_training
 
+    _check_outputs((scene, along), output=output)
     if scheduler is not None:
         refuse("has no effect with --scheduler", workers=workers)
     if not loads:
@@ -629,7 +637,7 @@ def reduce(
 
 
 def reduce_vertebrae(
-    scene: GivenFile, *, again: bool = False, seed: Count = 1, states: Count = TEST_STATES
+    scene: GivenFile, *, again: bool = False, seed: Seed = 1, states: Count = TEST_STATES
 ) -> int:  # fmt: skip
     """Make the superelements of bodies with vertebrae.
 
@@ -658,7 +666,7 @@ class NoRosError(SoftRobotTwinError):
 
 def replay(
     recorded: Path, *, scene: GivenFile | None = None,
-    set_: Annotated[Sequence[str] | None, Read(action="extend")] = None,
+    set_: Sequence[str] | None = None,
     output: Path | None = None, record_view: Path | None = None,
 ) -> int:  # fmt: skip
     """Run a recorded run of a twin again.
@@ -677,9 +685,7 @@ def replay(
         output (FILE.csv): File to write, one row per tick of the replay.
         record_view (FILE.rrd): File of pictures of the replay, for rerun.
     """
-    for option, path in (("--output", output), ("--record-view", record_view)):
-        if path is not None and path.resolve() == recorded.resolve():
-            raise OptionError(option, f"{path} would overwrite the run")
+    _check_outputs((recorded, scene), output=output, record_view=record_view)
     # The loop is loaded only for a run of it.
     from softrobot_twin.command_line import replay_command
     return replay_command.replay(recorded, scene, set_ or (), output, record_view)
@@ -695,7 +701,7 @@ def enable_interrupts() -> None:
 def demo(
     *, robot: str = "diamond", output: Path = Path("out/demo"),
     seconds: Annotated[float, Read(seconds)] = 30.0,
-    set_: Annotated[Sequence[str] | None, Read(action="extend")] = None, view: bool = True,
+    set_: Sequence[str] | None = None, view: bool = True,
 ) -> int:  # fmt: skip
     """Drive a simulated robot live over ROS 2.
 

@@ -72,10 +72,9 @@ def convert(file: Path, output: Path, units: str | None, seconds: float, replace
     try:
         conversion = converted(root, output, units)
     except NotConverted as error:
-        raise ConversionError(file, f"its gravity {error}") from None
+        raise ConversionError(file, f"its root node: {error}") from None
     conversion.missing[:0] = [(None, reason) for reason in stopped]
-    absent = root.fields.get("absent")
-    if absent:
+    if absent := root.fields.get("absent"):
         conversion.notes.append(f"modules that are not installed do nothing here: {', '.join(absent)}")
     if not any(map(conversion.scene.get, ("bodies", "beams", "rigid_bodies"))):
         raise ConversionError(file, _why_no_body(conversion))
@@ -151,8 +150,11 @@ def converted(root: SceneNode, output: Path, units: str | None) -> Conversion:
         units: Name of its units; None to find them by gravity.
     """
     given = root.fields.get("gravity")
-    gravity = None if given is None else numbers(given)[:3]
-    conversion = Conversion(root, units_of(gravity, _extent(root), units), output)
+    gravity, step = None if given is None else numbers(given)[:3], root.fields.get("dt")
+    steps = numbers(0.01 if step is None else step)
+    if len(steps) != 1 or not 0.0 < steps[0] < np.inf:
+        raise NotConverted(f"dt {step!r} must be a time above zero [s]")
+    conversion = Conversion(root, units_of(gravity, _extent(root), units), output, float(steps[0]))
     vector = [0.0, -9.81, 0.0] if gravity is None else gravity
     conversion.scene = {"name": made_name(output.stem, "part"), "gravity": conversion.length(vector)}
     conversion.run()

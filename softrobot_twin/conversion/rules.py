@@ -104,6 +104,7 @@ class Conversion:
         root: The recorded tree.
         units: Its units.
         output: The scene file that is written.
+        time_step: The step of the file [s].
         scene: Its sections.
         bodies: Deformable bodies, by the identity of their state.
         frames: Names of rigid bodies or of a beam for each frame of a rigid state, by its identity.
@@ -120,6 +121,7 @@ class Conversion:
     root: SceneNode
     units: Units
     output: Path
+    time_step: float
     scene: dict[str, Any] = field(default_factory=dict)
     bodies: dict[int, BodyRecord] = field(default_factory=dict)
     frames: dict[int, list[str]] = field(default_factory=dict)
@@ -132,12 +134,6 @@ class Conversion:
     commands: dict[str, float] = field(default_factory=dict)
     targets: dict[str, np.ndarray] = field(default_factory=dict)
     _names: set[str] = field(default_factory=set)
-
-    @property
-    def time_step(self) -> float:
-        """The scene's step [s]."""
-        given = self.root.fields.get("dt")
-        return float(np.ravel(given)[0]) if given is not None else 0.01
 
     @property
     def is_static(self) -> bool:

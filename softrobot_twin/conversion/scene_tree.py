@@ -249,6 +249,8 @@ def numbers(value: Any, width: int = 1) -> np.ndarray:
         flat = np.asarray(_flat(value), dtype=float)
     except (TypeError, ValueError):
         raise NotConverted(f"{str(value)[:60]!r} is no list of numbers") from None
+    if np.isnan(flat).any():
+        raise NotConverted(f"{str(value)[:60]!r} has what is no number")
     if width == 1:
         return flat
     if len(flat) % width:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -52,16 +52,21 @@ def sampled_axes(simulation: Simulation, ranges: Sequence[str] = ()) -> tuple[Ax
         One axis for each actuator, and for each motor in place of its cables.
 
     Raises:
-        ActuationError: A range does not fit the scene.
+        ActuationError: A range does not fit the scene, or two move the same actuator.
         WorkspaceError: There is nothing to sample, or an actuator has no bounds.
     """
     low, high = simulation.limits.drive_min.copy(), simulation.limits.drive_max.copy()
-    for text in ranges:
-        places, bounds = column_drives(simulation, "--range", text, 2)
+    for places, bounds in column_drives(simulation, "--range", ranges, 2):
         low[places], high[places] = bounds
     axes = sorted(joint_axes(simulation, low, high), key=lambda axis: axis.places)
-    for axis in axes:
-        _check_axis(simulation, axis)
+    for axis in (one for one in axes if not np.isfinite([one.least, one.most]).all()):
+        section, quantity = simulation.actuators.kinds[axis.places[0]].section, driven_by(simulation, axis)
+        end = "greatest" if np.isfinite(axis.least) else "least"
+        raise WorkspaceError(
+            simulation.scene.path,
+            f"{section}: {axis.name} has no {end} {quantity.word} [{quantity.unit}]; name it in "
+            f"the scene, or by --range {column(axis.name, quantity)}=LOW:HIGH",
+        )  # fmt: skip
     if not axes:
         raise WorkspaceError(simulation.scene.path, "there are no actuators to sample")
     return tuple(axes)
@@ -94,18 +99,6 @@ def driven_by(simulation: Simulation, axis: Axis) -> Quantity:
     """
     actuators = simulation.actuators
     return actuators.driven_quantities(actuators.is_effort_driven)[axis.places[0]]
-
-
-def _check_axis(simulation: Simulation, axis: Axis) -> None:
-    if np.isfinite([axis.least, axis.most]).all():
-        return
-    section, quantity = simulation.actuators.kinds[axis.places[0]].section, driven_by(simulation, axis)
-    end = "greatest" if np.isfinite(axis.least) else "least"
-    raise WorkspaceError(
-        simulation.scene.path,
-        f"{section}: {axis.name} has no {end} {quantity.word} [{quantity.unit}]; name it in "
-        f"the scene, or by --range {column(axis.name, quantity)}=LOW:HIGH",
-    )  # fmt: skip
 
 
 def shifted_sobol(dimension: int, count: int, seed: int) -> np.ndarray:
@@ -168,40 +161,46 @@ _ENDS = "a number", "two numbers, LOW:HIGH"
 
 
 def column_drives(
-    simulation: Simulation, option: str, text: str, count: int = 1
-) -> tuple[list[int], list[float]]:
-    """The actuators that a column of a commands file drives, and what holds them at its values.
+    simulation: Simulation, option: str, texts: Iterable[str], count: int = 1
+) -> Iterator[tuple[list[int], list[float]]]:
+    """The actuators that columns of a commands file drive, and what holds them at their values.
 
     Args:
         simulation: The scene.
-        option: Option that has the text.
-        text: ``<column>=<number>``, or ``<column>=<low>:<high>``.
-        count: How many numbers it has.
+        option: Option that has the texts.
+        texts: Each ``<column>=<number>``, or ``<column>=<low>:<high>``.
+        count: How many numbers each has.
 
-    Returns:
+    Yields:
         Places of the actuators, and increasing displacements or efforts; see `Actuators.drives`.
 
     Raises:
-        ActuationError: The column is unknown, or the numbers are none, not finite or not in order.
+        ActuationError: A column is unknown or moves what another one moves, or the numbers are none,
+            not finite or not in order.
     """
-    named, _, ends = text.partition("=")
-    columns, given = _actuator_column_places(simulation), f"{option} {text}"
-    if named not in columns:
-        raise ActuationError(given, f"is no column of {', '.join(columns)}")
-    try:
-        numbers = list(map(float, ends.split(":")))
-        if len(numbers) != count:
-            raise ValueError
-    except ValueError:
-        raise ActuationError(given, f"must end with {_ENDS[count - 1]}") from None
-    if not np.isfinite(numbers).all() or numbers != sorted(numbers):
-        raise ActuationError(given, f"must be finite{', the lower one first' * (count > 1)}")
-    places, is_setpoint = columns[named]
-    setpoints, drives = np.tile(simulation.rest_setpoints, (count, 1)), numbers
-    if is_setpoint:
-        setpoints[:, places] = np.array(numbers)[:, None]
-        drives = simulation.actuators.drives(setpoints)[:, places[0]].tolist()
-    return places, sorted(drives)
+    columns, set_by = _actuator_column_places(simulation), dict[int, str]()
+    for text in texts:
+        named, _, ends = text.partition("=")
+        given = f"{option} {text}"
+        if named not in columns:
+            raise ActuationError(given, f"is no column of {', '.join(columns)}")
+        try:
+            numbers = list(map(float, ends.split(":")))
+            if len(numbers) != count:
+                raise ValueError
+        except ValueError:
+            raise ActuationError(given, f"must end with {_ENDS[count - 1]}") from None
+        if not np.isfinite(numbers).all() or numbers != sorted(numbers):
+            raise ActuationError(given, f"must be finite{', the lower one first' * (count > 1)}")
+        places, is_setpoint = columns[named]
+        setpoints, drives = np.tile(simulation.rest_setpoints, (count, 1)), numbers
+        if is_setpoint:
+            setpoints[:, places] = np.array(numbers)[:, None]
+            drives = simulation.actuators.drives(setpoints)[:, places[0]].tolist()
+        for other in (set_by[place] for place in places if place in set_by):
+            raise ActuationError(given, f"moves what {other} moves")
+        set_by |= dict.fromkeys(places, text)
+        yield places, sorted(drives)
 
 
 def _actuator_column_places(simulation: Simulation) -> dict[str, tuple[list[int], bool]]:

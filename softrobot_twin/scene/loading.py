@@ -49,16 +49,19 @@ def read_changes(texts: Iterable[str]) -> dict[str, Any]:
         texts: Each a key and its value (YAML), such as ``cables[0].tension=[0, 5]``.
 
     Raises:
-        SceneError: A text is no key and value.
+        SceneError: A text is no key and value, or a key is given twice.
     """
     changes = {}
     for text in texts:
         key, sign, value = text.partition("=")
+        key = key.strip()
         if not sign:
             raise SceneError(None, text, "", "", "must be KEY=VALUE, such as "
                              "body.material.young_modulus=1e5")
+        if key in changes:
+            raise SceneError(None, key, value, "", "is given twice")
         try:
-            changes[key.strip()] = read_yaml(value)
+            changes[key] = read_yaml(value)
         except yaml.YAMLError as error:
             raise SceneError(None, key, value, "", f"is not YAML: {yaml_words(error)}") from None
     return changes

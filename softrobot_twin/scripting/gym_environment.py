@@ -29,7 +29,7 @@ from softrobot_twin.scene.scene_parameters import (
     changed_scene,
     parameters,
 )
-from softrobot_twin.scripting.named_commands import finite_numbers, unknown
+from softrobot_twin.scripting.named_commands import finite_numbers, one_number, unknown, whole_number
 from softrobot_twin.scripting.robot import Robot, load
 from softrobot_twin.simulation import CommandSetpoints, Simulation, State
 from softrobot_twin.study.scene_picture import take_snapshot
@@ -130,7 +130,7 @@ class ReachingEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
             raise unknown(str(effector), "effectors:", names)
         self.effector = effector or names[0]
         self.time_step = _within("time_step", time_step, 1.0e-6, 1.0e3)
-        self.most_steps = int(_within("most_steps", most_steps, 1, 10**9))
+        self.most_steps = whole_number("most_steps", most_steps)
         self.reached_within = _within("reached_within", reached_within, 0.0, math.inf)
         self.travel = _within("travel", travel, 0.0, 1.0)
         if render_mode not in (None, *self.metadata["render_modes"]):
@@ -138,7 +138,7 @@ class ReachingEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
         self.render_mode = render_mode
 
         self._draws = _draws_of(self.robot.scene, randomize or {})
-        self.redraw_every = int(_within("redraw_every", redraw_every, 1, 10**9))
+        self.redraw_every = whole_number("redraw_every", redraw_every)
         self.parameters = dict[str, float]()
         self._effector_index = names.index(self.effector)
         self._nominal = self.robot.simulation
@@ -198,11 +198,8 @@ class ReachingEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
             CommandError: An option is unknown, no place, or no state of the scene.
             SceneError: The robot cannot be built with what was drawn.
         """
+        target, state = self.read_options(options)
         super().reset(seed=seed)
-        given = dict(options or {})
-        target, state = given.pop("target", None), given.pop("state", None)
-        if given:
-            raise CommandError(next(iter(given)), "is no option of reset; there are: target, state")
         info: dict[str, Any] = {}
         if self._draws:
             self._episode_count = 0 if seed is not None else self._episode_count
@@ -218,7 +215,7 @@ class ReachingEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
             # Where the effector comes to rest at random setpoints.
             self._random_state(self.np_random)
             self.target = self.place
-        self.target = self.target if target is None else _place_of(target)
+        self.target = self.target if target is None else target
         self._stand_at(state)
         if self._draws or state is None:
             result = self.robot.settle(time_step=self.time_step, most_steps=_MOST_STEPS)
@@ -226,6 +223,26 @@ class ReachingEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
         self._start, self._step_count, self._has_begun = self.place, 0, True
         self._window = self._window_around()
         return self._observation(self._start), self._info(self._start) | info
+
+    def read_options(self, options: dict[str, Any] | None) -> tuple[np.ndarray | None, State | None]:
+        """The target [m] and the state of options, None for what they do not give.
+
+        Args:
+            options: See `reset`.
+
+        Raises:
+            CommandError: An option is unknown, no place, or no state of the scene.
+        """
+        given = dict(options or {})
+        target, state = given.pop("target", None), given.pop("state", None)
+        if given:
+            raise CommandError(next(iter(given)), "is no option of reset; there are: target, state")
+        if state is not None:
+            self._simulation.check_fits(state)
+        place = None if target is None else np.array(finite_numbers("target", target))
+        if place is not None and place.shape != (3,):
+            raise CommandError("target", f"has {len(place)} numbers, not x, y and z [m]")
+        return place, state
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Moves the setpoints for one time step.
@@ -372,18 +389,17 @@ def _draws_of(scene: Scene, randomized: Randomized) -> tuple[tuple[Parameter | J
     draws, ends = [], (dict[str, float](), dict[str, float]())
     for key, how in randomized.items():
         own = parameters(scene, key) if isinstance(key, str) else (key,)
-        if callable(how):
-            draws += [(one, how) for one in own]
-            continue
-        name = key if isinstance(key, str) else key.key
-        numbers = finite_numbers(name, how)
-        if len(numbers) != 2 or numbers[0] > numbers[1]:
-            raise CommandError(name, f"is drawn from {how!r}, which must be a least and a greatest "
-                               f"value [{own[0].unit}], or a function of a random generator")
-        draws += [(one, partial(np.random.Generator.uniform, low=numbers[0], high=numbers[1])) for one in own]
-        for changes, end in zip(ends, numbers, strict=True):
-            for one in own:
-                changes |= one.changes(end)
+        if not callable(how):
+            name = key if isinstance(key, str) else key.key
+            numbers = finite_numbers(name, how)
+            if len(numbers) != 2 or numbers[0] > numbers[1]:
+                raise CommandError(name, f"is drawn from {how!r}, which must be a least and a greatest "
+                                   f"value [{own[0].unit}], or a function of a random generator")
+            how = partial(np.random.Generator.uniform, low=numbers[0], high=numbers[1])
+            for changes, end in zip(ends, numbers, strict=True):
+                for one in own:
+                    changes |= one.changes(end)
+        draws += [(one, how) for one in own]
     for changes in ends:
         changed_scene(scene, changes)
     return tuple(draws)
@@ -407,17 +423,10 @@ def _drives_of(simulation: Simulation) -> tuple[Axis, ...]:
 
 
 def _within(name: str, value: float, least: float, most: float) -> float:
-    number = finite_numbers(name, value)[0]
+    number = one_number(name, value)
     if not least <= number <= most:
         raise CommandError(name, f"{value} must be from {least:g} to {most:g}")
     return number
-
-
-def _place_of(target: Any) -> np.ndarray:
-    numbers = finite_numbers("target", target)
-    if len(numbers) != 3:
-        raise CommandError("target", f"has {len(numbers)} numbers, not x, y and z [m]")
-    return np.array(numbers)
 
 
 gymnasium.register(id=ENVIRONMENT_ID, entry_point=f"{__name__}:ReachingEnvironment")

@@ -148,17 +148,14 @@ def _numbers_of(
     if first is not None:
         _check_mapping(word, first, "tip=[0, 0, 0.1]")
     given = dict(first or {})
-    twice = next((name for name in named if name in given), None)
-    if twice is not None:
+    for twice in given.keys() & named.keys():
         raise CommandError(twice, "is given twice")
     given.update(named)
     if not given:
         raise CommandError(word, "names nothing; hold() keeps all actuators where they are")
-    numbers = {
+    return MappingProxyType({
         str(name): finite_numbers(str(name), value, bool(may_be_free) and may_be_free in str(name))
-        for name, value in given.items()
-    }
-    return MappingProxyType(numbers)
+        for name, value in given.items()})
 
 
 def finite_numbers(name: str, value: Any, may_be_free: bool = False) -> Numbers:
@@ -176,15 +173,14 @@ def finite_numbers(name: str, value: Any, may_be_free: bool = False) -> Numbers:
         parts = [np.nan if part is None else finite_numbers(name, part)[0] for part in value]
         return tuple(parts)
     try:
-        array = np.asarray(value, dtype=float)
+        given = np.asarray(value)
+        if given.ndim > 1 or given.dtype.kind not in "iufO" or np.ma.is_masked(value):
+            raise TypeError
+        numbers = tuple(np.atleast_1d(given).astype(float).tolist())
     except (TypeError, ValueError):
         reason = f"must be a number or a list of numbers, not {_kind(value)}"
         raise CommandError(name, reason) from None
-    if array.ndim > 1 or isinstance(value, str | bytes | bool):
-        raise CommandError(name, f"must be a number or a list of numbers, not {_kind(value)}")
-    numbers = tuple(float(number) for number in np.atleast_1d(array))
-    bad = next((number for number in numbers if not np.isfinite(number)), None)
-    if bad is not None:
+    for bad in (number for number in numbers if not np.isfinite(number)):
         raise CommandError(name, f"holds {bad}, which is not finite")
     return numbers
 
@@ -207,11 +203,8 @@ def _check_mapping(word: str, given: Any, example: str) -> None:
 
 
 def _kind(value: Any) -> str:
-    shape = np.shape(value) if isinstance(value, np.ndarray) else ()
-    if shape:
-        return f"an array of shape {shape}"
-    shown = repr(value)
-    return shown if len(shown) < 60 else f"{shown[:57]}..."
+    is_array = isinstance(value, np.ndarray) and value.ndim
+    return f"an array of shape {value.shape}" if is_array else f"{value!r:.60}"
 
 
 class CommandReader:
@@ -493,16 +486,53 @@ def unknown(name: str, known_as: str, known: Sequence[str]) -> CommandError:
     return CommandError(name, f"is unknown here{hint} {known_as} {listed}")
 
 
-def one_number(name: str, numbers: Numbers) -> float:
-    """The only number of some.
+def one_number(name: str, value: Any) -> float:
+    """A number.
 
     Args:
         name: Name of the value, for the error.
-        numbers: The numbers.
+        value: The value.
 
     Raises:
-        CommandError: There are several, or none.
+        CommandError: It is no finite number, or there are several.
     """
+    numbers = finite_numbers(name, value)
     if len(numbers) != 1:
         raise CommandError(name, f"must be one number, not {len(numbers)}")
     return numbers[0]
+
+
+def positive_number(name: str, value: Any, unit: str = "") -> float:
+    """A number above zero.
+
+    Args:
+        name: Name of the value, for the error.
+        value: The value.
+        unit: Its unit.
+
+    Raises:
+        CommandError: It is no finite number above zero.
+    """
+    number = one_number(name, value)
+    if number <= 0.0:
+        raise CommandError(name, f"{value} {unit}".rstrip() + " must be above 0")
+    return number
+
+
+def whole_number(name: str, value: Any, least: int = 1, most: int = 10**9, more: str = "") -> int:
+    """A whole number.
+
+    Args:
+        name: Name of the value, for the error.
+        value: The value.
+        least: Least value.
+        most: Greatest value.
+        more: What else is possible, for the error.
+
+    Raises:
+        CommandError: It is no whole number, or out of range.
+    """
+    is_number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+    if not is_number or not least <= value <= most or value % 1:
+        raise CommandError(name, f"{value!r} must be a whole number from {least:,} to {most:,}{more}")
+    return int(value)

@@ -30,6 +30,7 @@ from softrobot_twin.scripting.named_commands import (
     NamedCommand,
     Setpoints,
     finite_numbers,
+    positive_number,
     unknown,
 )
 from softrobot_twin.simulation import CommandEfforts, Simulation
@@ -73,8 +74,7 @@ def variables_of(scene: Scene, asked: Variables) -> tuple[Parameter | JointParam
             first = (0.0,) if is_one else tuple(one.read(scene) for one in numbers)
             found.append(JointParameter(name, numbers[0].unit, numbers, first, parts))
     keys = [key for one in found for key in one.changes(0.0)]
-    twice = next((key for key in keys if keys.count(key) > 1), None)
-    if twice is not None:
+    for twice in (key for key in keys if keys.count(key) > 1):
         raise DesignError(twice, "is changed by two variables")
     return tuple(found)
 
@@ -125,11 +125,12 @@ def bounds_of(
     names, found = {one.key for one in variables}, dict[str, tuple[float, float]]()
     for key, pair in asked.items():
         keys = [key] if key in names else [one.key for one in parameters(scene, key)]
-        if np.shape(pair) != (2,):
-            raise DesignError(key, f"the bounds must be a pair of a least and a greatest value, not {pair!r:.40}")
-        found |= dict.fromkeys(keys, (float(pair[0]), float(pair[1])))
-    lacking = next((one for one in variables if one.key not in found), None)
-    if lacking is not None:
+        if np.shape(pair) != (2,) or not names.intersection(keys):
+            raise DesignError(key, "the bounds must be a pair of a least and a greatest value of a variable, "
+                              f"not {pair!r:.40}")
+        low, high = finite_numbers(key, pair)
+        found |= dict.fromkeys(keys, (low, high))
+    for lacking in (one for one in variables if one.key not in found):
         raise DesignError(lacking.key, f"has no bounds: give a least and a greatest value [{lacking.unit}]")
     return np.array([found[one.key] for one in variables])
 
@@ -267,6 +268,7 @@ def optimised(
     bounds: Bounds | tuple[float, float], commands: Sequence[NamedCommand], tolerance: float | None,
 ) -> Design:  # fmt: skip
     """Looks for a design; see `Robot.optimise`."""
+    tolerance = None if tolerance is None else positive_number("tolerance", tolerance)
     variables = variables_of(scene, asked)
     ends = bounds_of(scene, variables, bounds)
     if callable(objective):

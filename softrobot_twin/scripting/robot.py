@@ -5,7 +5,6 @@ A `Robot` adds names and units to a `Simulation`; a step of one is a step of the
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -37,8 +36,10 @@ from softrobot_twin.scripting.named_commands import (
     finite_numbers,
     hold,
     one_number,
+    positive_number,
     read_pose,
     unknown,
+    whole_number,
 )
 from softrobot_twin.scripting.named_design import (
     Bounds,
@@ -270,8 +271,7 @@ class Robot:
         cells = ((simulation.tet_count, "tetrahedra"), (simulation.hexahedron_count, "hexahedra"),
                  (simulation.beam_element_count, "beam elements"))  # fmt: skip
         parts = [f"{count} {word}" for count, word in cells if count]
-        bodies = [body.name for body in simulation.model.bodies]
-        bodies += [beam.name for beam in simulation.model.beams]
+        bodies = [one.name for one in (*simulation.model.bodies, *simulation.model.beams)]
         parts += [_listed("mass-spring bodies", [entry.name for entry in scene.mass_springs])]
         parts = [_listed("bodies", bodies), *parts]
         parts.append(_listed("rigid bodies", simulation.rigid_names))
@@ -297,8 +297,6 @@ class Robot:
 
     @state.setter
     def state(self, state: State) -> None:
-        if not isinstance(state, State):
-            raise CommandError("state", f"must be a state of this robot, not {state!r:.60}")
         self.simulation.restore(state)
         self._forget()
 
@@ -369,13 +367,14 @@ class Robot:
         self._sensitivities.by_effort = self._by_effort
         return self._sensitivities
 
-    def sensitivity(self, *keys: str, holds_setpoints: bool = True) -> LabelledMatrix:
+    def sensitivity(self, *keys: str, holds_setpoints: bool | np.ndarray = True) -> LabelledMatrix:
         """Derivatives of the positions of the effectors by numbers of the scene, in balance.
 
         Args:
             *keys: See `parameters`.
             holds_setpoints: Whether actuators hold their setpoints, such as the lengths of cables;
-                else their displacements from rest, such as shortenings.
+                else their displacements from rest, such as shortenings. Of all, or of each,
+                shape (actuator_count,).
 
         Returns:
             Rows ``tip_x_m`` and so on, a column for each key.
@@ -386,9 +385,8 @@ class Robot:
         """
         found = self.sensitivities.of_parameters(self.parameters(*keys), holds_setpoints)
         rows = [f"{name}_{axis}_m" for name in self.effector_names for axis in "xyz"]
-        columns = [one.key for one in found.parameters]
-        return LabelledMatrix(found.effectors.reshape(len(rows), -1), tuple(rows), tuple(columns),
-                              "change of the effectors [m] by one unit of a parameter")
+        return LabelledMatrix(found.effectors.reshape(len(rows), -1), tuple(rows), tuple(
+            one.key for one in found.parameters), "change of the effectors [m] by one unit of a parameter")
 
     def optimise(
         self, objective: Wanted | Objective, parameters: Variables,
@@ -504,12 +502,16 @@ class Robot:
         Raises:
             CommandError: A name is unknown, or a value does not fit it; the robot is as before.
         """
-        asked = self._reader.read(hold() if command is None else command, _positive("time_step", time_step, "s"))
+        time_step = positive_number("time_step", time_step, "s")
+        asked = self._reader.read(hold() if command is None else command, time_step)
         aims = self._reader.poses(poses)
         touched = self._reader.touches(touches)
         self._warn_of_unlikely(asked)
-        for name in (one for one in grips if one not in self.simulation.grip_names):
-            raise unknown(name, "grips:", self.simulation.grip_names)
+        for name, holds in grips.items():
+            if name not in self.simulation.grip_names:
+                raise unknown(name, "grips:", self.simulation.grip_names)
+            if not isinstance(holds, bool | np.bool_):
+                raise CommandError(name, f"{holds!r:.40} must be True to hold, or False to let go")
         self._aim(aims)
         for name, holds in grips.items():
             self.simulation.grip(name, holds)
@@ -555,12 +557,12 @@ class Robot:
         for column_of, value in sensors.items():
             if column_of not in columns:
                 raise unknown(column_of, "sensors:", columns)
-            told[columns.index(column_of)] = one_number(column_of, finite_numbers(column_of, value))
+            told[columns.index(column_of)] = one_number(column_of, value)
         simulation.finish_result()
         observer.look()
         model = observer.moment(simulation.marker_positions(), simulation.effector_positions())
         stamp = max(round(NANOSECONDS * self.time), observer.stamp + 1)
-        observer.update(seen, model, _positive("noise", noise, "m"), stamp, sensors=told)
+        observer.update(seen, model, positive_number("noise", noise, "m"), stamp, sensors=told)
         return {name: ExternalForce(*row) for name, *row in zip(
             observer.names, observer.found.wrenches[:, :3], observer.found.wrenches[:, 3:],
             observer.found.deviations, observer.places, map(bool, observer.found.is_detected), strict=True)}
@@ -604,7 +606,7 @@ class Robot:
         Raises:
             CommandError: See `step`.
         """
-        for _ in range(_count("most_steps", most_steps)):
+        for _ in range(whole_number("most_steps", most_steps)):
             result = self.step(command, time_step=time_step, poses=poses, touches=touches)
             if result.is_at_rest:
                 break
@@ -663,9 +665,7 @@ class Robot:
             return self._run_alone(steps, seconds, _rate(rate))
         hertz = _rate(rate)
         if command is None or isinstance(command, NamedCommand | Command):
-            count = _step_count(steps, seconds, hertz)
-            one = hold() if command is None else command
-            commands = [one] * count
+            commands = [hold() if command is None else command] * _step_count(steps, seconds, hertz)
         else:
             if not isinstance(command, Iterable):
                 raise CommandError("run", f"takes commands, a file or a table, not {command!r}")
@@ -750,8 +750,7 @@ class Robot:
         """
         place, found = self._place(effector), self._yielding()
         actuators = self.simulation.actuators
-        quantities = actuators.driven_quantities(found.is_by_effort)
-        columns = tuple(map(column, actuators.names, quantities))
+        columns = tuple(map(column, actuators.names, actuators.driven_quantities(found.is_by_effort)))
         return LabelledMatrix(found.jacobian[place], ("x_m", "y_m", "z_m"), columns,
                               f"motion of {effector} [m] by one unit of each actuator")
 
@@ -803,9 +802,9 @@ class Robot:
         Raises:
             CommandError: No linear model is built for such a scene, or an argument cannot be used.
         """
-        count = None if modes is None else _count("modes", modes)
-        tangent = ModalTangent(self.simulation, self._by_effort)
-        return tangent.at_state(count, _positive("time_step", time_step, "s"))
+        count = None if modes is None else whole_number("modes", modes)
+        step = positive_number("time_step", time_step, "s")
+        return ModalTangent(self.simulation, self._by_effort).at_state(count, step)
 
     def _place(self, effector: str) -> int:
         if effector not in self.effector_names:
@@ -837,6 +836,8 @@ class Robot:
             MissingExtraError: matplotlib is not installed.
             OutputError: The picture cannot be written.
         """
+        if view is not None and len(finite_numbers("view", view)) != 2:
+            raise CommandError("view", f"{view} must be an elevation and an azimuth [degrees]")
         shot = take_snapshot(self.simulation, self._contacts, self.name, self._targets)
         if path is not None:
             draw_snapshots([shot], path, self.name, view, labelled)
@@ -900,27 +901,8 @@ def _listed(word: str, names: Iterable[str]) -> str:
     return f"{word} {', '.join(names[:_MOST_NAMES])}{more}"
 
 
-def _number(name: str, value: Any) -> float:
-    """A finite number."""
-    return one_number(name, finite_numbers(name, value))
-
-
-def _positive(name: str, value: Any, unit: str) -> float:
-    """A number above zero."""
-    number = _number(name, value)
-    if number <= 0.0:
-        raise CommandError(name, f"{value} {unit} must be above 0")
-    return number
-
-
 def _rate(rate: float | None) -> float:
-    return DEFAULT_RATE if rate is None else _positive("rate", rate, "Hz")
-
-
-def _count(name: str, count: int) -> int:
-    if _number(name, count) != int(count) or count < 1:
-        raise CommandError(name, f"{count} must be a whole number above 0")
-    return int(count)
+    return DEFAULT_RATE if rate is None else positive_number("rate", rate, "Hz")
 
 
 def _step_count(steps: int | None, seconds: float | None, rate: float) -> int:
@@ -928,10 +910,8 @@ def _step_count(steps: int | None, seconds: float | None, rate: float) -> int:
     if steps is not None and seconds is not None:
         raise CommandError("seconds", "is given beside steps: give one of them")
     if seconds is None:
-        return 1 if steps is None else _count("steps", steps)
-    _positive("seconds", seconds, "s")
-    # The small number prevents an additional step due to rounding.
-    return max(1, math.ceil(seconds * rate - 1e-9))
+        return 1 if steps is None else whole_number("steps", steps, most=direct_run.MOST_STEPS)
+    return direct_run.step_count("seconds", positive_number("seconds", seconds, "s"), rate)
 
 
 def _refuse(what: str, **given: Any) -> None:

@@ -28,6 +28,7 @@ from softrobot_twin.scripting.gym_environment import (  # type: ignore[attr-defi
     ReachingEnvironment,
     gymnasium,
 )
+from softrobot_twin.scripting.named_commands import whole_number
 from softrobot_twin.scripting.robot import Robot, SceneWarning
 from softrobot_twin.simulation import State
 
@@ -78,11 +79,11 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.nd
             WorkerError: A worker ends before its robots are built.
         """
         self._workers: list[_Here | _OnCluster | WorkerProcess] = []
-        self.num_envs = _count("count", count)
+        self.num_envs = whole_number("count", count)
         self.scene, beside = _scene_of(scene, reduced)
         # What is wrong is refused here, by its own error, before any process starts.
         given = () if isinstance(states, int) else tuple(states)
-        first = ReachingEnvironment(self.scene, states=given, **of_each)
+        self._first = first = ReachingEnvironment(self.scene, states=given, **of_each)
         self.states = first.sample_states(states) if isinstance(states, int) else given
         first.reset(seed=0)
         simulation = first.robot.simulation
@@ -118,22 +119,23 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.nd
             Observations and infos, each info with a row for each robot.
 
         Raises:
-            CommandError: The seeds are not one for each robot, or the mask is none.
+            CommandError: The seeds are not one for each robot, the mask is none, or an option cannot
+                be used; no episode has begun then.
             WorkerError: A worker failed or was lost.
         """
-        super().reset(seed=seed if isinstance(seed, int) else None)
-        seeds = [None if seed is None else seed + i for i in range(self.num_envs)] \
-            if seed is None or isinstance(seed, int) else list(seed)
-        if len(seeds) != self.num_envs:
-            raise CommandError("seed", f"has {len(seeds)} numbers for {self.num_envs} robots")
+        own: Any = seed
+        is_one = not isinstance(own, Sequence | np.ndarray)
+        own = [None if own is None else own + i for i in range(self.num_envs)] if is_one else own
+        if len(own) != self.num_envs:
+            raise CommandError("seed", f"has {len(own)} numbers for {self.num_envs} robots")
+        seeds = [None if one is None else whole_number("seed", one, 0, 2**63) for one in own]
         given = dict(options or {})
-        mask = given.pop("reset_mask", None)
-        if mask is None:
-            each = [given for _ in self._shares]
-        elif np.shape(mask) == (self.num_envs,) and np.any(mask):
-            each = [given | {"reset_mask": np.asarray(mask, bool)[own]} for own in self._shares]
-        else:
+        mask = np.asarray(given.pop("reset_mask", True))
+        if mask.dtype != bool or mask.shape not in ((), (self.num_envs,)) or not mask.any():
             raise CommandError("reset_mask", f"must be {self.num_envs} booleans, some of them true")
+        self._first.read_options(given)
+        each = [given | {"reset_mask": mask[own]} if mask.ndim else given for own in self._shares]
+        super().reset(seed=seeds[0] if is_one else None)
         found = self._ask("reset", *([seeds[own] for own in self._shares], each))
         return np.concatenate([one[0] for one in found]), self._joined([one[1] for one in found])
 
@@ -303,15 +305,8 @@ def _starts_of(workers: Any) -> list[Any]:
     """What starts each worker, when it is given its robots."""
     if hasattr(workers, "nthreads"):
         return [partial(_OnCluster, workers, address) for address in workers.nthreads()]
-    count = core_count() if workers is None else _count("workers", workers)
+    count = core_count() if workers is None else whole_number("workers", workers, more=", or a client of Dask")
     return [_Here] if count == 1 else [partial(WorkerProcess, _Robots)] * count
-
-
-def _count(name: str, value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
-        more = " or a client of Dask" if name == "workers" else ""
-        raise CommandError(name, f"{value!r} must be a whole number from 1 on{more}")
-    return int(value)
 
 
 def _scene_of(scene: Path | str | Scene | Robot, reduced: bool) -> tuple[Scene, str]:

@@ -233,14 +233,23 @@ class Simulation(Readouts):
             CommandError: The state is of another scene or mesh.
         """
         self.finish_result()
-        self._check_fits(state)
+        self.check_fits(state)
         self.state = state
         for part in self.parts:
             part.restore(state)
         self._begin_anew()
 
-    def _check_fits(self, state: State) -> None:
-        """Refuses a state of other shapes."""
+    def check_fits(self, state: State) -> None:
+        """Refuses what is no state, or a state of other shapes.
+
+        Args:
+            state: A state of this simulation.
+
+        Raises:
+            CommandError: The state is of another scene or mesh.
+        """
+        if not isinstance(state, State):
+            raise CommandError("state", f"must be a state of this robot, not {state!r:.60}")
         if (
             state.positions.shape != self.state.positions.shape
             or state.setpoints.shape != self.state.setpoints.shape
@@ -261,7 +270,7 @@ class Simulation(Readouts):
             CommandError: It is of another scene or mesh.
         """
         state = state or other.state
-        self._check_fits(state)
+        self.check_fits(state)
         places = self.model.nodes.placed_like(other.model.nodes, state.positions)
         self.restore(replace(state, positions=places))
 

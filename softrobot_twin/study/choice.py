@@ -433,14 +433,14 @@ def choose(
     held = with_hold_radius(scene)
     levels = mesh_family(held, write.resolve().parent / f"{write.stem}_meshes")
     hexahedra = hexahedral_family(held)
-    known = _rows(levels, hexahedra, accuracy_file)
-    check_reference([row for row in known if row.knob == MESH], scene.name)
     models = Models(levels, hexahedra)
-    known = [row for row in known if row.mesh in models]
     found = beside(held.mesh_folder(held.body).resolve(), write.resolve().parent)
     given = [file for file in (named, *reduced) if file is not None]
     for model in reduced_models(given, found, models.every):
         models.add(model)
+    known = _rows(levels, hexahedra, accuracy_file)
+    check_reference([row for row in known if row.knob == MESH], scene.name)
+    known = [row for row in known if row.mesh in models]
     clock = None if measure is not None else SettingClock(held, rate, models.scene)
 
     def measure_setting(setting: Setting) -> Measured:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -29,6 +30,23 @@ from softrobot_twin.tables.run_columns import RunColumns, RunRow
 MOST_STEPS = 10_000_000
 
 
+def step_count(name: str, seconds: float, rate: float) -> int:
+    """Number of steps in a time, none of which is longer than the rate's period.
+
+    Args:
+        name: What gives the time, for the error.
+        seconds: The time [s].
+        rate: Steps per second [Hz].
+
+    Raises:
+        CommandError: There are more than `MOST_STEPS`.
+    """
+    if not seconds * rate <= MOST_STEPS:
+        raise CommandError(name, f"{seconds:g} s are more than {MOST_STEPS:,} steps at {rate:g} Hz")
+    # The small number prevents an additional step due to rounding.
+    return max(1, math.ceil(seconds * rate - 1e-9))
+
+
 def step_times(table: CommandTable, rate: float) -> np.ndarray:
     """End times of the steps [s]: evenly spaced, and no step is longer than the rate's period.
 
@@ -40,10 +58,7 @@ def step_times(table: CommandTable, rate: float) -> np.ndarray:
         CommandError: There are more than `MOST_STEPS`.
     """
     begin, end = table.times[0], table.times[-1]
-    if not (end - begin) * rate <= MOST_STEPS:
-        raise CommandError("time_s", f"{end - begin:g} s are more than {MOST_STEPS:,} steps at {rate:g} Hz")
-    # The small number prevents an additional step due to rounding.
-    count = max(1, int(np.ceil((end - begin) * rate - 1e-9)))
+    count = step_count("time_s", end - begin, rate)
     return begin + (end - begin) * np.arange(1, count + 1) / count
 
 

@@ -10,7 +10,7 @@ from rich.table import Table
 
 from softrobot_twin.analysis.apparent_compliance import ApparentCompliance, apparent_compliance
 from softrobot_twin.harness.equilibrium import bring_to_rest
-from softrobot_twin.harness.sampled_axes import ActuationError, column_drives
+from softrobot_twin.harness.sampled_axes import column_drives
 from softrobot_twin.harness.terminal import console, print_apart, table, terminal_status, warn
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.building.actuators import Actuators
@@ -93,13 +93,7 @@ def actuation(simulation: Simulation, given: Sequence[str]) -> np.ndarray:
         ActuationError: A column is unknown or twice there, or a value is no finite number.
     """
     drives = simulation.actuators.drives(simulation.rest_setpoints)
-    set_by: dict[int, str] = {}
-    for text in given:
-        places, (drive,) = column_drives(simulation, "--at", text)
-        for place in places:
-            if place in set_by:
-                raise ActuationError(f"--at {text}", f"moves what {set_by[place]} moves")
-            set_by[place] = text
+    for places, (drive,) in column_drives(simulation, "--at", given):
         drives[places] = drive
     return drives
 

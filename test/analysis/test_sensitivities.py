@@ -9,6 +9,7 @@ import yaml
 
 from softrobot_twin.analysis import sensitivities
 from softrobot_twin.analysis.sensitivities import Sensitivities, SensitivityError
+from softrobot_twin.errors import CommandError
 from softrobot_twin.scene import load_scene, scene_from_mapping
 from softrobot_twin.scene.scene_parameters import changed_scene, parameters
 from softrobot_twin.simulation import CommandSetpoints, Simulation
@@ -183,6 +184,9 @@ def test_a_state_out_of_balance_has_no_derivatives():
     chosen = parameters(simulation.scene, "body.material.young_modulus")
     with pytest.raises(SensitivityError, match="state: is not in balance: .* settle first"):
         Sensitivities(simulation).of_parameters(chosen)
+    for odd in ([True] * 3, "no", 0.5):
+        with pytest.raises(CommandError, match="holds_setpoints: .* of all actuators or of each of 2"):
+            Sensitivities(simulation).of_parameters(chosen, odd)
 
 
 def test_the_material_of_a_reduced_body_has_no_derivative():

@@ -206,16 +206,14 @@ REFUSED = [
     (dict(parameters={"two": {}}), "two: needs keys of numbers"),
     (dict(parameters={"one": VARIABLES["base"], "two": VARIABLES["base"]}), "is changed by two"),
     (dict(parameters=["cables.flexor.point"]), "cables.flexor.point"),
-    (dict(bounds={"base": (-1e-3, 1e-3)}), "end: has no bounds"),
-    (dict(bounds=(1e-3, 2e-3)), "base: is 0 m in the scene, outside of its bounds"),
-    (dict(bounds=(1e-3, -1e-3)), "base: has the bounds"),
-    (dict(bounds={"base": 1.0, "end": (0, 1)}), "must be a pair"),
+    (dict(bounds={"base": (-1e-3, 1e-3)}), "end: has no bounds"), (dict(tolerance=0), "tolerance: 0 must be"),
+    (dict(bounds=(1e-3, 2e-3)), "base: is 0 m in the scene"), (dict(bounds=(1e-3, -1e-3)), "has the bounds"),
+    (dict(bounds={"base": 1.0, "end": (0, 1)}), "must be a pair"), (dict(bounds=("low", 1)), "be a number"),
+    (dict(bounds={"cables.*.rate": (0, 1)}), "a pair .* of a variable"), (dict(objective=[]), "one pose"),
     (dict(objective=[(st.hold(), {"top": [0, 0, 0]})]), "top: is unknown"),
     (dict(objective=[(st.hold(), {"tip": [0, 0]})]), "must be 3 numbers"),
-    (dict(objective=[(st.hold(), {})]), "wants no place"),
+    (dict(objective=[(st.hold(), {})]), "wants no place"), (dict(commands=[st.hold()]), "belong to a function"),
     (dict(objective=[(st.targets(tip=[0, 0, 0]), {})]), "has no setpoints"),
-    (dict(objective=[]), "needs at least one parameter and one pose"),
-    (dict(commands=[st.hold()]), "belong to a function"),
 ]
 
 

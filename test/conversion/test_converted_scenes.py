@@ -324,6 +324,7 @@ def test_a_file_that_is_no_scene_gives_a_reason_and_exit_code_two(convert, name,
     ("patches.scn", "<CableEffector", "<CableEquality", "CableEquality +.*an equality"),
     ("planes.scn", '<PlaneForceField normal="0 0 2"', '<PlaneForceField bilateral="1"', "PlaneForceField +.*both sides"),
     ("bar.scn", 'indices="0 1"', 'indices="0 -1"', "CableConstraint +.*has -1, and indices begin with 0"),
+    ("bar.scn", 'dt="0.01"', 'dt="0"', "its root node: dt '0' must be a time above zero"),
     ("planes.scn", "60 0 20  50 0 10", "60 0 11  50 0 10", "UnilateralPlaneConstraint +.*corner of its triangle"),
 ])  # fmt: skip
 def test_what_an_actuator_or_a_plane_has_not_here_is_refused_by_its_line(convert, folder, scene, field, other, reason):
@@ -336,7 +337,8 @@ def test_what_an_actuator_or_a_plane_has_not_here_is_refused_by_its_line(convert
 @pytest.mark.parametrize("field, reason", [
     ('youngModulus="@other.youngModulus"/><MechanicalObject name="other" youngModulus="@FEM.youngModulus"', "in a circle"),
     ('youngModulus="soft"', "is no list of numbers"), ('youngModulus="1 2 3"', "3 moduli"),
-    ('youngModulus="0"', "is zero"), ('poissonRatio="0.5"', "must be below 0.5"), ('youngModulus="@nowhere.E"', "leads nowhere"),
+    ('youngModulus="0"', "is zero"), ('poissonRatio="0.5"', "must be below 0.5"), ('youngModulus="nan"', "no number"),
+    ('youngModulus="@nowhere.E"', "leads nowhere"),
     ('youngModulus="@m.outputValues"/><IndexValueMapper name="m" value="3"', "comes from IndexValueMapper"), ('poissonRatio="0 . 3"', "is no list of numbers"),
 ])  # fmt: skip
 def test_odd_values_are_refused_by_component_and_line(convert, folder, field, reason):

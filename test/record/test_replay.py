@@ -169,7 +169,7 @@ def test_what_a_replay_gave_is_written_in_the_columns_of_all_runs(recorded, tmp_
 def test_a_replay_never_replaces_its_run(recorded, option, capsys):
     before = recorded.path.read_bytes()
     assert main(["replay", str(recorded.path), option, str(recorded.path)]) == 2
-    assert f"{option}: {recorded.path} would overwrite the run" in capsys.readouterr().err
+    assert f"{option}: {recorded.path} would overwrite {recorded.path}" in capsys.readouterr().err
     assert recorded.path.read_bytes() == before
 
 

@@ -166,16 +166,12 @@ def test_a_pressure_is_driven_between_its_limits():
     assert environment.place[2] > height
 
 
-@pytest.mark.parametrize(("limits", "words"), [
-    (("shortening",), "cable_0.*finite limits: give shortening"),
-    (("rate",), "cable_0.*has no rate"),
-])  # fmt: skip
-def test_actuators_without_limits_are_refused_by_name(limits, words):
-    cables = [{key: value for key, value in cable.items() if key not in limits}
-              for cable in finger_entries()["cables"]]
-    robot = small_finger(cables=cables)
+@pytest.mark.parametrize(("limit", "words"), [
+    ("shortening", "cable_0.*finite limits: give shortening"), ("rate", "cable_0.*has no rate")])
+def test_actuators_without_limits_are_refused_by_name(limit, words):
+    cables = [{key: cable[key] for key in cable if key != limit} for cable in finger_entries()["cables"]]
     with pytest.raises(CommandError, match=words):
-        ReachingEnvironment(robot)
+        ReachingEnvironment(small_finger(cables=cables))
 
 
 def test_what_it_cannot_use_is_refused_by_name(environment):
@@ -184,16 +180,15 @@ def test_what_it_cannot_use_is_refused_by_name(environment):
         ReachingEnvironment(robot, effector="tup")
     with pytest.raises(CommandError, match="blind: has no effector"):
         ReachingEnvironment(st.build(**finger_entries() | {"name": "blind", "effectors": []}))
-    for name, value in (("time_step", 0.0), ("most_steps", 0), ("travel", 1.5),
-                        ("reached_within", -1.0), ("render_mode", "human")):
+    for name, value in (("time_step", 0.0), ("most_steps", 0), ("most_steps", 2.5), ("travel", 1.5),
+                        ("travel", [0.5, 9]), ("reached_within", -1.0), ("render_mode", "human")):
         with pytest.raises(CommandError, match=name):
             ReachingEnvironment(robot, **{name: value})
     with pytest.raises(CommandError, match="step: an episode begins with reset"):
         ReachingEnvironment(robot).step(np.zeros(2))
-    with pytest.raises(CommandError, match="goal: is no option"):
-        environment.reset(options={"goal": [0.0, 0.0, 0.0]})
-    with pytest.raises(CommandError, match="target: has 2 numbers"):
-        environment.reset(options={"target": [0.0, 0.0]})
+    for bad, words in (("goal", "is no option"), ("target", "has 2 numbers"), ("state", "must be a state")):
+        with pytest.raises(CommandError, match=f"{bad}: {words}"):
+            environment.reset(options={bad: [0.0, 0.0]})
     environment.reset(seed=1)
     for bad in (np.zeros(3), np.array([np.nan, 0.0]), ["fast", "slow"], np.array([1j, 0.0])):
         with pytest.raises(CommandError, match="action"):

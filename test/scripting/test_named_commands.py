@@ -137,8 +137,8 @@ def test_a_command_that_does_not_fit_is_refused_by_name_and_moves_nothing(finger
 
 
 @pytest.mark.parametrize(("call", "said"), [
-    (lambda: st.targets(tip=[0, 0, float("nan")]), "tip: holds nan"),
-    (lambda: st.targets(tip=[0, 0, None]), "tip: holds nan"),
+    *((lambda odd=odd: st.targets(tip=[0, 0, odd]), "tip: holds nan") for odd in (float("nan"), None)),
+    *((lambda odd=odd: st.targets(tip=[odd] * 3), "tip: must be a number or") for odd in ("1", 1j, True)),
     (lambda: st.setpoints(upper_length_m=float("inf")), "upper_length_m: holds inf"),
     (lambda: st.targets(tip="up"), "must be a number or a list of numbers, not 'up'"),
     (lambda: st.targets(tip=np.zeros((2, 3))), "not an array of shape (2, 3)"),
@@ -160,10 +160,8 @@ def test_numbers_are_checked_before_there_is_a_robot(call, said):
     ({"touches": {"fingertip_force_N": 1.0}}, "must be 3 numbers, not 1"),
     ({"touches": {"fingertip_force_N": [0, 0, 1], "fingertip_place_m": [0, 0, 0]}},
      "fingertip is given twice"),
-    ({"poses": [0, 0, 0]}, "poses: takes names"),
-    ({"touches": 1.0}, "touches: takes names"),
-    ({"time_step": -1.0}, "must be above 0"),
-    ({"time_step": float("nan")}, "time_step: holds nan"),
+    ({"poses": [0, 0, 0]}, "poses: takes names"), ({"touches": 1.0}, "touches: takes names"),
+    ({"time_step": -1.0}, "must be above 0"), ({"time_step": float("nan")}, "time_step: holds nan"),
     ({"time_step": "fast"}, "time_step: must be a number"),
 ])
 def test_what_surrounds_a_step_is_checked_before_anything_moves(held, more, said):

@@ -184,8 +184,9 @@ def test_a_picture_is_written_or_returned(finger, tmp_path):
     assert (tmp_path / "finger.png").read_bytes().startswith(b"\x89PNG")
     figure = finger.plot()
     assert figure.get_axes() or figure.texts
-    with pytest.raises(st.SoftRobotTwinError, match="finger.nothing"):
-        finger.plot(tmp_path / "finger.nothing")
+    for name, view, said in (("a.no", None, "a.no"), ("a.png", (1,), "view"), ("a.png", (0, np.nan), "view")):
+        with pytest.raises(st.SoftRobotTwinError, match=said):
+            finger.plot(tmp_path / name, view=view)
 
 
 def test_a_vtu_file_has_all_parts_and_their_displacements(held, tmp_path):

@@ -110,9 +110,10 @@ def test_a_lost_worker_is_named_with_its_scene_and_no_process_is_left(built):
 
 
 def test_what_fails_in_a_worker_is_told_with_its_cause(built):
-    environments = st.vector_env(built, 2, 1, states=2)
-    with pytest.raises(WorkerError, match="worker 1 of 1, robots 0 to 1: CommandError: goal: is no option"):
-        environments.reset(options={"goal": 1.0})
+    draw = lambda random, values=iter([0.01, np.nan]): next(values)
+    environments = st.vector_env(built, 2, 1, randomize={"cables[0].pull_point[2]": draw}, redraw_every=1)
+    with pytest.raises(WorkerError, match="worker 1 of 1, robots 0 to 1: SceneError: .*nan m: must be finite"):
+        environments.reset()
     assert environments.closed
 
 
@@ -183,16 +184,13 @@ def test_reduced_robots_in_motion_play_the_same_in_two_workers():
     assert np.isfinite(places).all() and np.ptp(places, axis=0).max() > 0.0
 
 
-def test_what_a_reduced_model_cannot_take_is_refused_before_any_worker_starts():
-    with pytest.raises(SceneError, match="was made of another material"):
-        st.vector_env(SCENES / "diamond_reduced.yaml", 2, 2, travel=0.3,
-                      randomize={"body.material.young_modulus": (150e3, 210e3)})
-
-
-def test_numbers_that_give_a_reduced_model_other_unknowns_are_refused_before_any_worker_starts():
-    with pytest.raises(CommandError, match=r"cables\[0\].points.*cannot be drawn: .*draw from the full"):
-        st.vector_env(SCENES / "diamond_reduced.yaml", 2, 2, travel=0.3,
-                      randomize={"cables[0].points[0][0]": (0.004, 0.005)})
+@pytest.mark.parametrize(("key", "ends", "error", "said"), [
+    ("body.material.young_modulus", (150e3, 210e3), SceneError, "was made of another material"),
+    # They would give it other unknowns.
+    ("cables[0].points[0][0]", (0.004, 0.005), CommandError, r"cannot be drawn: .*draw from the full")])
+def test_what_a_reduced_model_cannot_take_is_refused_before_any_worker_starts(key, ends, error, said):
+    with pytest.raises(error, match=said):
+        st.vector_env(SCENES / "diamond_reduced.yaml", 2, 2, travel=0.3, randomize={key: ends})
 
 
 def test_what_it_cannot_use_is_refused_by_name(built, entries):
@@ -202,9 +200,13 @@ def test_what_it_cannot_use_is_refused_by_name(built, entries):
     with pytest.raises(CommandError, match="blind: has no effector"):
         st.vector_env(st.build(**entries | {"name": "blind", "effectors": []}), 2, 2)
     environments = st.vector_env(built, 2, 1)
-    with pytest.raises(CommandError, match="seed: has 3 numbers for 2 robots"):
-        environments.reset(seed=[1, 2, 3])
+    for seed, said in (([1, 2, 3], "has 3 numbers for 2 robots"), ([1, -1], "-1 must be a whole number")):
+        with pytest.raises(CommandError, match=f"seed: {said}"):
+            environments.reset(seed=seed)
     environments.reset(seed=1)
+    for bad in ({"goal": 1.0}, {"target": [0.0, 0.0]}, {"state": "rest"}, {"reset_mask": [1, 0]}):
+        with pytest.raises(CommandError, match=next(iter(bad))):
+            environments.reset(options=bad)
     for bad in (np.zeros((3, 2)), np.full((2, 2), np.nan), np.full((2, 2), "fast")):
         with pytest.raises(CommandError, match=r"actions: must be finite numbers of shape \(2, 2\)"):
             environments.step(bad)

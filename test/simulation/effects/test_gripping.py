@@ -94,8 +94,9 @@ def test_a_file_and_python_tell_grips(hanging, tmp_path):
     assert [cell["cup_holds"] for cell in cells] == 2 * [0.0] + 10 * [1.0] + 5 * [0.0]
     scripted = st.Robot(robot.scene)
     assert scripted.step(grips={"cup": True}, time_step=H)["cup_holds"] == 1.0
-    with pytest.raises(CommandError, match="cap.*is cup meant"):
-        scripted.step(grips={"cap": True})
+    for grips, said in (({"cap": True}, "cap.*is cup meant"), ({"cup": "no"}, "cup: 'no' must be True")):
+        with pytest.raises(CommandError, match=said):
+            scripted.step(grips=grips)
     path.write_text("time_s,cup_holds\n0,0\n0.02,0.5\n")
     with pytest.raises(TableFileError, match="row 3: cup_holds = 0.5: must be 1 to hold or 0"):
         read_commands(path, robot)
