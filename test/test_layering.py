@@ -28,8 +28,7 @@ ALLOWED_ROOMS = {
     # Names of what is registered there: laws and factorizations; where a helix begins.
     "scene": {"geometry", "mechanics", "solvers"},
     "simulation": CORE - {"simulation"},
-    "analysis": CORE,
-    "tables": CORE,
+    "analysis": CORE, "tables": CORE,
     # The quadratic program of predictive control, and lengths of vectors.
     "control": {"analysis", "geometry", "simulation", "solvers", "tables"},
     "view": {"simulation"},
@@ -166,11 +165,9 @@ def test_rooms_inside_the_simulation_are_imported_one_way():
         parts, names = path.relative_to(PACKAGE).parts, found.module.split(".")[1:]
         if parts[0] != "simulation" or len(parts) < 3 or names[:1] != ["simulation"]:
             return False
-        other, own = names[1], STEP_ROOMS.index(parts[1])
-        return other not in {*STEP_ROOMS[: own + 1], *VOCABULARY}
+        return names[1] not in {*STEP_ROOMS[: STEP_ROOMS.index(parts[1]) + 1], *VOCABULARY}
     assert violations(broken) == []
-    rooms = {path.parent.name for path in (PACKAGE / "simulation").glob("*/__init__.py")}
-    assert rooms == set(STEP_ROOMS)
+    assert {path.parent.name for path in (PACKAGE / "simulation").glob("*/__init__.py")} == set(STEP_ROOMS)
 
 
 def test_nobody_imports_the_room_for_users_but_the_entrance_of_the_package():
