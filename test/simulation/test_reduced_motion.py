@@ -10,8 +10,8 @@ from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Hold, St
 from softrobot_twin.simulation.effects.touches import Touched
 
 from .building.test_reduced_body import saved, spanning_basis
-from .test_linear_model import ALPHA, STEP, TENSIONS, at_rest, deviations, finger_mapping
 from .test_reduced_contact import modes_of, saved_beside
+from test.analysis.test_linear_model import ALPHA, STEP, TENSIONS, at_rest, deviations, finger_mapping
 from test.builder import builder
 
 SCHEMES = {"backward_euler": {}, "generalized_alpha": {"time_scheme": "generalized_alpha"}}
