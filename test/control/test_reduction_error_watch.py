@@ -42,7 +42,7 @@ def test_the_process_tells_the_error_that_the_full_model_has_then_what_failed(be
     assert watch.linearizations == judge.linearizations >= 2
     watch.request_of = lambda *_: "no state"
     offer_until(watch, bent, lambda: watch.cause)
-    assert watch.cause.startswith("it failed: AttributeError: ")
+    assert watch.cause.startswith("it failed: CommandError: state: ")
     assert watch.newest == watch.states == {}
 
 
