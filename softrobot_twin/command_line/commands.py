@@ -334,8 +334,7 @@ def simulate(
 
 
 def _check_outputs(inputs: Sequence[Path | None], **outputs: Path | None) -> None:
-    """Refuses an input that is given twice, and an output that would overwrite one or another output,
-    or is a folder."""
+    """Refuses inputs that are given twice, and outputs that would overwrite a file given or are folders."""
     taken = dict[str, Path]()
     for one in filter(None, inputs):
         if taken.setdefault(str(one.resolve()), one) is not one:

@@ -148,7 +148,7 @@ def _numbers_of(
     if first is not None:
         _check_mapping(word, first, "tip=[0, 0, 0.1]")
     given = dict(first or {})
-    for twice in given.keys() & named.keys():
+    for twice in (name for name in named if name in given):
         raise CommandError(twice, "is given twice")
     given.update(named)
     if not given:

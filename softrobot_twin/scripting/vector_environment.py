@@ -123,19 +123,18 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.nd
                 be used; no episode has begun then.
             WorkerError: A worker failed or was lost.
         """
-        own: Any = seed
-        is_one = not isinstance(own, Sequence | np.ndarray)
-        own = [None if own is None else own + i for i in range(self.num_envs)] if is_one else own
-        if len(own) != self.num_envs:
-            raise CommandError("seed", f"has {len(own)} numbers for {self.num_envs} robots")
-        seeds = [None if one is None else whole_number("seed", one, 0, 2**63) for one in own]
+        given_seeds = seed if isinstance(seed, Sequence | np.ndarray) else [
+            None if seed is None else seed + i for i in range(self.num_envs)]
+        if len(given_seeds) != self.num_envs:
+            raise CommandError("seed", f"has {len(given_seeds)} numbers for {self.num_envs} robots")
+        seeds = [None if one is None else whole_number("seed", one, 0, 2**63) for one in given_seeds]
         given = dict(options or {})
         mask = np.asarray(given.pop("reset_mask", True))
         if mask.dtype != bool or mask.shape not in ((), (self.num_envs,)) or not mask.any():
             raise CommandError("reset_mask", f"must be {self.num_envs} booleans, some of them true")
         self._first.read_options(given)
         each = [given | {"reset_mask": mask[own]} if mask.ndim else given for own in self._shares]
-        super().reset(seed=seeds[0] if is_one else None)
+        super().reset(seed=None if given_seeds is seed else seeds[0])
         found = self._ask("reset", *([seeds[own] for own in self._shares], each))
         return np.concatenate([one[0] for one in found]), self._joined([one[1] for one in found])
 

@@ -122,20 +122,21 @@ def test_seconds_and_rate_give_the_number_of_steps(finger):
 
 
 def test_poses_and_touches_act_in_all_steps(held):
-    table = held.run(poses={"palm": [0.0, 0.01, 0.01]}, steps=3, rate=50,
-                     touches={"fingertip_force_N": [0, 0, -0.1]})
+    table = held.run(poses={"palm": [0.0, 0.01, 0.01]}, steps=3, rate=50, touches={"fingertip_force_N": [0, 0, -0.1]})
     assert table["palm_x_m"].tolist() == pytest.approx([-0.008, -0.006, -0.004])
     assert table["fingertip_force_z_N"].tolist() == pytest.approx([-0.1] * 3)
 
 
 @pytest.mark.parametrize(("arguments", "said"), [
     ((st.hold(),), {"steps": 2, "seconds": 1.0, "said": "give one of them"}),
-    ((st.hold(),), {"steps": 10**12, "said": "must be a whole number from 1 to 10,000,000"}),
-    ((st.hold(),), {"seconds": -1.0, "said": "above 0"}), ((st.hold(),), {"rate": 0.0, "said": "above 0"}),
+    *(((st.hold(),), {"steps": odd, "said": f"steps: {odd} must be a whole number from 1 to 10,000,000"})
+      for odd in (0, 2.5, 10**12)),
+    ((st.hold(),), {"seconds": -1.0, "said": "seconds: -1.0 s must be above 0"}),
+    ((st.hold(),), {"rate": 0.0, "said": "rate: 0.0 Hz must be above 0"}),
     ((st.hold(),), {"rate": "fast", "said": "rate: must be a number"}),
-    ((st.hold(),), {"steps": 2.5, "said": "steps: 2.5 must be a whole number"}),
     ((st.hold(),), {"seconds": 1e12, "said": "seconds: 1e+12 s are more than 10,000,000 steps at 50 Hz"}),
-    ((5,), {"said": "takes commands, a file"}), (([st.hold()],), {"steps": 3, "said": "steps: has no meaning"}),
+    ((5,), {"said": "takes commands, a file or a table, not 5"}),
+    (([st.hold()],), {"steps": 3, "said": "steps: has no meaning"}),
     (({"time_s": [0, 1], "tip_x_m": [0.1] * 2, "tip_y_m": [0] * 2, "tip_z_m": [0] * 2},),
      {"rate": 10.0, "said": "rate: has no meaning"}),
     (("there_is_no_such.csv",), {"said": "there_is_no_such.csv"}),

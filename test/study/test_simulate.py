@@ -77,16 +77,14 @@ def test_lengths_and_their_tensions_lead_to_the_same_state(tmp_path, column, tar
                    tmp_path / "by_length.csv")
     (reached,) = rows_of(tmp_path / "by_length.csv")
     assert all(float(reached[f"{name}_tension_N"]) > 0.01 for name in names)
-    np.testing.assert_allclose([float(reached[f"{name}_length_m"]) for name in names], wound,
-                               atol=1e-9)
+    np.testing.assert_allclose([float(reached[f"{name}_length_m"]) for name in names], wound, atol=1e-9)
     by_tension = targets(",".join(["time_s", *(f"{name}_tension_N" for name in names)]) + "\n"
                          + ",".join(["0", *(reached[f"{name}_tension_N"] for name in names)]) + "\n")
     call("simulate", column, "--targets", by_tension, "--settle", 30, "--output",
             tmp_path / "by_tension.csv")
     (again,) = rows_of(tmp_path / "by_tension.csv")
     np.testing.assert_allclose(tip_of(again), tip_of(reached), atol=1e-6)
-    np.testing.assert_allclose([float(again[f"{name}_length_m"]) for name in names], wound,
-                               atol=1e-6)
+    np.testing.assert_allclose([float(again[f"{name}_length_m"]) for name in names], wound, atol=1e-6)
     moved = np.linalg.norm(tip_of(reached) - simulation.effector_positions()[0])
     assert moved > 1e-3, "the cables must move the tip for this to say anything"
 

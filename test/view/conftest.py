@@ -109,8 +109,7 @@ class Recorded:
         if together:
             return together
         apart = [self.at_steps(path, "Scalars:scalars") for path in self._parts_of(plot)]
-        return {step: [value for curve in apart for value in curve.get(step, [])]
-                for step in apart[0]}
+        return {step: [value for curve in apart for value in curve.get(step, [])] for step in apart[0]}
 
     def curve_names(self, plot: str) -> list[str]:
         """Names of the curves of a plot."""
