@@ -28,10 +28,10 @@ ALLOWED_ROOMS = {
     # Names of what is registered there: laws and factorizations; where a helix begins.
     "scene": {"geometry", "mechanics", "solvers"},
     "simulation": CORE - {"simulation"},
-    "analysis": CORE, "tables": CORE,
+    "analysis": CORE, "tables": CORE | {"analysis"},
     # The quadratic program of predictive control, and lengths of vectors.
     "control": {"analysis", "geometry", "simulation", "solvers", "tables"},
-    "view": {"simulation"},
+    "view": {"mechanics", "simulation"},
     "record": BELOW_CONTROL | {"control"},
     "ros": BELOW_CONTROL | {"control", "view", "record"},
     "harness": BELOW_CONTROL,

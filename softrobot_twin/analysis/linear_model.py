@@ -29,7 +29,7 @@ from scipy.sparse.linalg import LinearOperator, eigsh
 from softrobot_twin.analysis.sensitivities import Sensitivities
 from softrobot_twin.errors import CommandError
 from softrobot_twin.mechanics.remembering_elements import RememberingElements
-from softrobot_twin.simulation.building.table_columns import column
+from softrobot_twin.simulation.building.actuator_kinds import column
 from softrobot_twin.simulation.command import DEFAULT_TIME_STEP
 from softrobot_twin.simulation.simulation import Simulation
 from softrobot_twin.simulation.step.time_integration import Weights

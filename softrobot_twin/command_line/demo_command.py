@@ -34,7 +34,6 @@ from softrobot_twin.ros.demo import (
 )
 from softrobot_twin.shared_files import ScenePath
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.building.table_columns import TIME
 from softrobot_twin.study.calibration_demo import poses_of_device
 from softrobot_twin.study.demo_table import demo_columns, write_demo_table
 from softrobot_twin.study.touch_report import draw_presses, touch_report, untouched
@@ -45,6 +44,7 @@ from softrobot_twin.study.tracking import (
     tracking_report,
     write_report,
 )
+from softrobot_twin.tables.column_names import TIME
 
 RESULTS = ("report.json", "tracking.png", "presses.png", "run.rrd",
            *(f"{run}.csv" for run in (*RUNS, *CONTROLLED_RUNS)), "commands.csv", "calibration.png")

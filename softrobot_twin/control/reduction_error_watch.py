@@ -1,9 +1,8 @@
 """The errors of a running twin's reduced bodies, estimated by a process of lowest priority.
 
 The process holds the scene with the modes in use, with the spare ones too, and with all nodes. It
-gets states of the twin, and answers both estimates: by the spare modes (`simulation/
-reduction_error.py`), and by the full model, whose nodes it places by the coordinates of the bodies
-(`simulation/effects/reduction_error.py`). The tick computes none of this; see `idle_process.py`.
+gets states of the twin, and answers both estimates: by the spare modes, and by the full model, whose
+nodes it places by the coordinates of the bodies (`analysis/reduction_error.py`). The tick computes none of this; see `idle_process.py`.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from softrobot_twin.control.idle_process import STATE, IdleWatch, Replies, Reque
 # The other process lowers its priority before numpy is imported.
 if TYPE_CHECKING:
     from softrobot_twin.simulation import Simulation
-    from softrobot_twin.simulation.effects.reduction_error import BodyError, ReductionState
+    from softrobot_twin.analysis.reduction_error import BodyError, ReductionState
 
 READY = "ready"
 """Kind of the first reply: the models are built."""
@@ -77,16 +76,16 @@ def serve(requests: Requests, reply: Replies) -> None:
             duration [s])`` for each state; errors and linearizations are those of the full model.
     """
     from softrobot_twin.simulation import Simulation
-    from softrobot_twin.simulation.effects.reduction_error import FullModelError
+    from softrobot_twin.analysis.reduction_error import FullModelError, ReductionStates
 
     scene = requests.read()
     if scene is None:
         return
     simulation = Simulation(scene, with_warnings=False)
-    judge = FullModelError(simulation)
+    judge, reduction = FullModelError(simulation), ReductionStates(simulation)
     reply(READY)
     while (state := requests.read()) is not None:
         begin = perf_counter()
         simulation.restore(state)
-        states, errors = simulation.reduction_state(), judge.errors(state)
+        states, errors = reduction.read(), judge.errors(state)
         reply(STATE, states, errors, judge.linearizations, perf_counter() - begin)

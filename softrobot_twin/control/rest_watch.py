@@ -12,11 +12,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.building.table_columns import (
-    column,
-    force_columns,
-    position_columns,
-)
+from softrobot_twin.simulation.building.actuator_kinds import column
+from softrobot_twin.tables.column_names import force_columns, position_columns
 
 if TYPE_CHECKING:
     from softrobot_twin.control.twin_loop import TwinLoop

@@ -10,8 +10,7 @@ import numpy as np
 
 from softrobot_twin.errors import NamedError
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.building.actuator_kinds import Quantity
-from softrobot_twin.simulation.building.table_columns import column
+from softrobot_twin.simulation.building.actuator_kinds import Quantity, column
 
 
 class ActuationError(NamedError):

@@ -13,13 +13,9 @@ from softrobot_twin.record.replay import Replay
 from softrobot_twin.record.run_file import CALL, SUFFIX, TICK, RunFile
 from softrobot_twin.record.run_values import numbers
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.building.table_columns import (
-    SETPOINTS,
-    TIME,
-    column,
-    force_columns,
-    position_columns,
-)
+from softrobot_twin.simulation.building.actuator_kinds import column
+from softrobot_twin.simulation.command import SETPOINTS
+from softrobot_twin.tables.column_names import TIME, force_columns, position_columns
 from softrobot_twin.tables.input_tables import (
     Axes,
     Columns,

@@ -22,6 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from softrobot_twin.analysis.reduction_error import ReductionStates
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.harness.equilibrium import bring_to_rest
 from softrobot_twin.harness.sampled_axes import shifted_sobol
@@ -215,7 +216,7 @@ def accuracy_of(scene: Scene, count: int, seed: int) -> Accuracy:
         if not brought_to(reduced, setpoints - rest_full + rest_reduced):
             lost += 1
             continue
-        at, states = _places(full, own), reduced.reduction_state().values()
+        at, states = _places(full, own), ReductionStates(reduced).read().values()
         rows.append((np.linalg.norm(_places(reduced, others) - at, axis=1),
                      np.linalg.norm(at - start, axis=1), max(state.range for state in states)))
     if not rows:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
+from softrobot_twin.analysis.reduction_error import ReductionStates
 from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
 from softrobot_twin.control.dynamic_control import DynamicControl
 from softrobot_twin.control.live_calibration import LiveCalibration
@@ -26,7 +27,6 @@ from softrobot_twin.ros.ticking_node import Clash, publisher_names
 from softrobot_twin.scene.schema import Contact
 from softrobot_twin.simulation import Status
 from softrobot_twin.simulation.building.actuators import Actuators
-from softrobot_twin.simulation.effects.reduction_error import LARGE_BY_SIZE, LARGE_SHARE
 from softrobot_twin.simulation.result import GRIP, RATE
 from softrobot_twin.tables.channels import measured
 
@@ -278,7 +278,7 @@ class TwinDiagnostics:
             **_attributes(window, "resting", "overloaded", "late", "projected"),
             "qp_solver": " ".join(sorted(window.qp_solvers)),
         }
-        reduced = simulation.reduction_state(with_errors=False)
+        reduced = ReductionStates(simulation).read(with_errors=False)
         if self.reduction is not None:
             for name, state in self.reduction.states.items():
                 reduced[name] = state._replace(range=reduced[name].range)

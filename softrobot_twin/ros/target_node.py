@@ -36,7 +36,7 @@ from softrobot_twin.ros.ticking_node import TickingNode
 from softrobot_twin.ros.topics import TARGET_TOPICS as TOPICS
 from softrobot_twin.ros.topics import open_publisher
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.building.table_columns import EFFORTS, HOLD
+from softrobot_twin.simulation.command import EFFORTS, HOLD
 from softrobot_twin.tables.input_tables import CommandTable, between_rows, read_commands
 
 _WAIT_WARNING = 5.0

@@ -72,7 +72,7 @@ from softrobot_twin.scene.loading import load_scene
 from softrobot_twin.shared_files import ScenePath
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.appearance import Pose
-from softrobot_twin.simulation.building.table_columns import column
+from softrobot_twin.simulation.building.actuator_kinds import column
 from softrobot_twin.tables.channels import BUILT_IN, registered, measured
 
 if TYPE_CHECKING:

@@ -14,8 +14,9 @@ from softrobot_twin.geometry.quadratic_mesh import QuadraticMesh
 from softrobot_twin.harness.output_file import OutputError, output_file
 from softrobot_twin.mechanics.rotation import rotation_from_quaternion
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.appearance import rigid_poses, rigid_skins
+from softrobot_twin.simulation.appearance import rigid_poses
 from softrobot_twin.simulation.building.deformable_body import Body
+from softrobot_twin.view.drawn_parts import rigid_skins
 
 
 class _Part(NamedTuple):

@@ -25,7 +25,8 @@ from softrobot_twin.simulation import (
     Simulation,
     Touched,
 )
-from softrobot_twin.simulation.building.table_columns import EFFORTS, SETPOINTS, column
+from softrobot_twin.simulation.building.actuator_kinds import column
+from softrobot_twin.simulation.command import EFFORTS, SETPOINTS
 from softrobot_twin.tables.channels import NOT_UNIT, WANTED, Channel
 from softrobot_twin.tables.input_tables import drives_of
 

@@ -68,7 +68,7 @@ from softrobot_twin.simulation import (
     StepResult,
 )
 from softrobot_twin.simulation.appearance import Pose
-from softrobot_twin.simulation.building.table_columns import column, position_columns
+from softrobot_twin.simulation.building.actuator_kinds import column
 from softrobot_twin.simulation.command import DEFAULT_TIME_STEP
 from softrobot_twin.study import direct_run
 from softrobot_twin.study.direct_run import DEFAULT_RATE, run_commands
@@ -76,6 +76,7 @@ from softrobot_twin.study.offline_run import columns_of, commands_of, unlikely_w
 from softrobot_twin.study.offline_run import run as run_targets
 from softrobot_twin.study.passive_run import BodyReadouts, no_commands
 from softrobot_twin.study.scene_picture import draw_snapshots, figure_of, take_snapshot
+from softrobot_twin.tables.column_names import position_columns
 from softrobot_twin.tables.input_tables import (
     TARGETS_EXAMPLE,
     open_columns,

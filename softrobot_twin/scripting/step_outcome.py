@@ -11,7 +11,8 @@ from softrobot_twin.errors import CommandError
 from softrobot_twin.scripting.named_commands import unknown
 from softrobot_twin.simulation import Command, Simulation, Status, StepReport, StepResult
 from softrobot_twin.simulation.appearance import Pose, named_poses
-from softrobot_twin.simulation.building.table_columns import STEP, column
+from softrobot_twin.simulation.building.actuator_kinds import column
+from softrobot_twin.tables.column_names import STEP
 from softrobot_twin.tables.run_columns import TEXT_COLUMNS, RunColumns
 
 if TYPE_CHECKING:

@@ -1,33 +1,23 @@
-"""Surfaces by which bodies and obstacles are drawn: triangles, and positions of their points."""
+"""Surfaces by which deformable bodies, beams and cavities are drawn, and poses of rigid bodies."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from softrobot_twin.geometry.surface_reading import read_surface
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
-from softrobot_twin.mechanics.reduced_points import ReducedPoints
 from softrobot_twin.mechanics.rotation import quaternion_from_rotation
-from softrobot_twin.mechanics.sealed_gas import SealedGas
-from softrobot_twin.mechanics.springs import Springs
 from softrobot_twin.scene import Scene
-from softrobot_twin.scene.shapes import Plane
 from softrobot_twin.simulation.building.beam_bodies import BeamBody, swept_surface
-from softrobot_twin.simulation.building.cavity_actuator import CavityActuator
 from softrobot_twin.simulation.building.deformable_body import Body
 from softrobot_twin.simulation.building.mapped_surfaces import surface_on_mesh
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.building.reduced_body import Placed
-from softrobot_twin.simulation.building.scene_layout import FACETS, triangulated
-from softrobot_twin.simulation.state import State
 
 # A beam is drawn with at least this many pieces, each element with no more than the second number.
 DRAWN_PIECES, MOST_PIECES = 32, 16
-# A plane is shown as a square that extends this many scene sizes to each side.
-PATCH = 1.5
 
 
 class Skin(NamedTuple):
@@ -79,96 +69,18 @@ def beam_skin(beam: BeamBody) -> Skin:
     return Skin(beam.name, triangles, points)
 
 
-class CavityDisplay:
-    """What is drawn of cavities: walls, pressures and volumes; sealed ones come last.
-
-    Attributes:
-        skins: Walls of each cavity.
-    """
-
-    def __init__(self, model: Model):
-        """Find the cavities.
-
-        Args:
-            model: The built scene.
-        """
-        actuators = model.actuators
-        self._driven = actuators.of_section(CavityActuator.section)
-        self._gas = [term for term in model.forces if term.name == SealedGas.name]
-        groups = [group for group in actuators.groups
-                  if group.kind.section == CavityActuator.section]  # fmt: skip
-        skins = [Skin(surface.name, surface.triangles, surface.vertices, tuple(limits))
-                 for group in groups
-                 for surface, limits in zip(group.term.surfaces, group.effort_bounds, strict=True)]  # fmt: skip
-        self._walls = [group.term.walls for group in groups]
-        for gas in self._gas:
-            self._walls.append(gas.walls)
-            skins += [Skin(surface.name, surface.triangles, surface.vertices) for surface in gas.walls.surfaces]
-        self.skins = tuple(skins)
-
-    def pressures(self, state: State) -> np.ndarray:
-        """Gauge pressures [Pa], shape (cavity_count,).
-
-        Args:
-            state: The state.
-        """
-        sealed = (gas.pressures(state.positions) for gas in self._gas)
-        return np.concatenate([state.efforts[self._driven], *sealed])
-
-    def volumes(self, state: State) -> np.ndarray:
-        """Volumes [m³], shape (cavity_count,).
-
-        Args:
-            state: The state.
-        """
-        return np.concatenate([np.empty(0), *(walls.volumes(state.positions)
-                                              for walls in self._walls)])  # fmt: skip
-
-
-def spring_places(model: Model, node_positions: np.ndarray) -> dict[str, np.ndarray]:
-    """Masses on points, springs, and tubes and fibres, which are threads, where there are any.
+def body_skin(body: Body, scene: Scene, notes: list[str]) -> Skin:
+    """The `visual` surface; without it the contact surface; without both the mesh's own.
 
     Args:
-        model: The built scene.
-        node_positions: Node positions [m], shape (node_count, 3).
-
-    Returns:
-        Points of each ``mass`` [m], shape (mass_count, 3), and both ends of each ``thread`` and
-        ``spring``, shape (count, 2, 3); what the scene has none of is left out.
-    """
-    scene = model.scene
-    first = sum(body.scene_node_count for body in model.bodies)
-    masses = node_positions[first : first + sum(len(entry.points) for entry in scene.mass_springs)]
-    ends = np.concatenate([np.empty((0, 2, 3)), *(term.ends(node_positions) for term in model.terms
-                                                  if type(term) is Springs)])  # fmt: skip
-    # Those of the scene's springs come first, those of its masses last; threads between.
-    first, last = len(scene.springs), len(ends) - sum(len(one.springs) for one in scene.mass_springs)
-    springs = np.concatenate([ends[:first], ends[last:]])
-    found = {"mass": masses, "thread": ends[first:last], "spring": springs}
-    return {kind: places for kind, places in found.items() if len(places)}
-
-
-def skins(bodies: tuple[Body, ...], scene: Scene, beams: tuple[BeamBody, ...], notes: list[str]) -> tuple:
-    """The surface by which each deformable body is drawn, then that of each beam.
-
-    Args:
-        bodies: The bodies.
+        body: The body.
         scene: The scene.
-        beams: The beams.
         notes: List to which is appended what of a file was split.
-
-    Returns:
-        A skin for each.
 
     Raises:
         MeshError: A surface file cannot be used.
         SceneError: A surface does not fit its body.
     """
-    return (*(_skin(body, scene, notes) for body in bodies), *map(beam_skin, beams))
-
-
-def _skin(body: Body, scene: Scene, notes: list[str]) -> Skin:
-    """The `visual` surface; without it the contact surface; without both the mesh's own."""
     mesh = body.entry.mesh
     for name in ("visual", "contact_surface"):
         entry = getattr(body.entry, name)
@@ -182,66 +94,6 @@ def _skin(body: Body, scene: Scene, notes: list[str]) -> Skin:
             )
             return Skin(body.name, triangles, body.shown(on_mesh))
     return own_skin(body)
-
-
-def fixed_places(body: Body, node_positions: np.ndarray) -> np.ndarray:
-    """Places of the fixed nodes on a body's surface.
-
-    Nodes that move with a rigid body are not among them.
-
-    Args:
-        body: The body.
-        node_positions: Node positions [m], shape (node_count, 3).
-
-    Returns:
-        Positions [m], shape (fixed_count, 3).
-    """
-    fixed = body.whole.fixed.copy()
-    for nodes in body.riding.values():
-        fixed[nodes] = False
-    nodes = np.intersect1d(np.flatnonzero(fixed), body.mesh.surface_triangles)
-    if not len(nodes):
-        return np.empty((0, 3))
-    return body.shown_nodes(nodes).positions(node_positions)
-
-
-def fixed_ends(beams: tuple[BeamBody, ...]) -> np.ndarray:
-    """Places of the fixed ends of beams [m], shape (fixed_count, 3).
-
-    Args:
-        beams: The beams.
-    """
-    ends = [beam.places[0 if end == "start" else -1] for beam in beams for end in beam.entry.fixed]
-    return np.array(ends, float).reshape(-1, 3)
-
-
-class SolidSkin(NamedTuple):
-    """The surface of something rigid.
-
-    Attributes:
-        name: The name of the body or obstacle.
-        points: Its points [m], shape (point_count, 3).
-        triangles: Indices of them, shape (triangle_count, 3).
-    """
-
-    name: str
-    points: np.ndarray
-    triangles: np.ndarray
-
-
-def rigid_skins(model: Model, facets: float = FACETS) -> tuple[SolidSkin, ...]:
-    """The rigid bodies, each in the coordinates of its scene entry.
-
-    Args:
-        model: The built scene.
-        facets: Length of the facets of round shapes, as a share of their radius.
-
-    Returns:
-        A surface for each.
-    """
-    shapes = ((part, *triangulated(part.shape, facets)) for part in model.rigid)
-    return tuple(SolidSkin(part.name, points + part.centre_of_mass, triangles)
-                 for part, points, triangles in shapes)  # fmt: skip
 
 
 class Pose(NamedTuple):
@@ -278,47 +130,3 @@ def rigid_poses(model: Model, positions: np.ndarray) -> tuple[np.ndarray, np.nda
         origins[index], rotation = part.entry_pose(positions)
         quaternions[index] = quaternion_from_rotation(rotation)
     return origins, quaternions
-
-
-def obstacle_skins(model: Model, facets: float = FACETS) -> tuple[SolidSkin, ...]:
-    """The obstacles, in the world; of a plane, a square beside the bodies.
-
-    Args:
-        model: The built scene.
-        facets: Length of the facets of round shapes, as a share of their radius.
-
-    Returns:
-        A surface for each.
-
-    Raises:
-        MeshError: A surface file cannot be used.
-    """
-    skins = []
-    for entry in model.scene.obstacles:
-        # Repairs of its file are reported when the contact is built.
-        shape = entry.shape.solid(model.scene.file_path, [])
-        if isinstance(shape, Plane):
-            points, triangles = shape.square(_middle(entry, model), PATCH * model.nodes.size)
-        else:
-            points, triangles = triangulated(shape, facets)
-        turn = Rotation.from_euler("xyz", entry.rotation)
-        skins.append(SolidSkin(entry.name, turn.apply(points) + entry.position, triangles))
-    return tuple(skins)
-
-
-def _middle(entry, model: Model) -> np.ndarray:
-    """Middle of the bodies in the coordinates of an obstacle [m], shape (3,)."""
-    middle = model.nodes.rest_positions[_body_nodes(model)].mean(axis=0)
-    return Rotation.from_euler("xyz", entry.rotation).inv().apply(middle - entry.position)
-
-
-def _body_nodes(model: Model) -> np.ndarray:
-    """Nodes that are points of bodies; tips of rigid bodies' frames and coordinates are not."""
-    are_points = np.ones(len(model.nodes.rest_positions), bool)
-    for kind in model.nodes.kinds:
-        if isinstance(kind, ReducedPoints):
-            are_points[kind.coordinate_nodes] = False
-        else:
-            tips = kind.first_node + np.arange(len(are_points) - kind.first_node)
-            are_points[tips[np.arange(len(tips)) % 4 != 0]] = False
-    return np.flatnonzero(are_points)

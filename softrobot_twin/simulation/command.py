@@ -9,6 +9,8 @@ import numpy as np
 
 from softrobot_twin.errors import CommandError
 
+TARGETS, SETPOINTS, EFFORTS, HOLD = "targets", "setpoints", "efforts", "hold"
+"""Names of what drives a step, by which tables tell it."""
 DEFAULT_TIME_STEP = 0.02
 """Duration of a step where nothing else is asked [s]: of Python, of the command line and of a
 node."""

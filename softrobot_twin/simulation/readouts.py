@@ -7,15 +7,14 @@ import numpy as np
 from softrobot_twin.mechanics.observed_loads import ObservedLoads
 from softrobot_twin.mechanics.touch_loads import TouchState
 from softrobot_twin.simulation.appearance import (
-    CavityDisplay,
     Pose,
     beam_skin,
+    body_skin,
     named_poses,
     own_skin,
     rigid_poses,
-    skins,
-    spring_places,
 )
+from softrobot_twin.simulation.building.actuator_kinds import column
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.building.sensor_kinds import (
     ANGLE,
@@ -26,14 +25,6 @@ from softrobot_twin.simulation.building.sensor_kinds import (
     VOLUME,
     in_order,
     kind_of,
-)
-from softrobot_twin.simulation.building.table_columns import column
-from softrobot_twin.simulation.effects.reduction_error import (
-    ReductionErrors,
-    ReductionState,
-    has_spare_modes,
-    reduced_states,
-    reduction_state,
 )
 from softrobot_twin.simulation.effects.stiffness_targets import stiffness_of_scene
 from softrobot_twin.simulation.effects.trusted_ranges import reduced_bodies
@@ -85,21 +76,15 @@ class Readouts:
         dof_count: Number of unknowns: three for each free node, six for each free frame. Frames are
             rigid bodies, vertebrae and nodes of beams.
         has_reduced_bodies: Whether a body has the coordinates of a basis as its unknowns.
-        surface_triangles: Triangles of the surfaces of bodies and beams, as indices into
-            `surface_positions`, shape (triangle_count, 3).
         skins: Surface by which each deformable body is drawn: its own, or the finer one of the
             scene; then those of the beams.
-        cavities: Walls, pressures and volumes of the cavities, sealed ones last.
         parts: The optional effects around its steps.
     """
 
     model: Model
     state: State
-    surface_triangles: np.ndarray
     skins: tuple
-    cavities: CavityDisplay
     parts: tuple[StepPart, ...]
-    _reduction_errors: ReductionErrors | None = None
 
     def _take(self, model: Model) -> None:
         """Take the built scene, and what never changes of it."""
@@ -143,17 +128,10 @@ class Readouts:
         self.has_reduced_bodies = bool(reduced_bodies(model))
 
     def _find_surface(self) -> None:
-        self._surfaces = [*map(own_skin, self.model.bodies), *map(beam_skin, self.model.beams)]
-        triangles, count = [np.empty((0, 3), np.int64)], 0
-        for surface in self._surfaces:
-            triangles.append(surface.triangles + count)
-            count += int(surface.triangles.max(initial=-1)) + 1
-        self.surface_triangles = np.concatenate(triangles)
-        told: list[str] = []
-        self.skins = skins(self.model.bodies, self.scene, self.model.beams, told)
-        known = self.model.notes
+        beams, known, told = [*map(beam_skin, self.model.beams)], self.model.notes, list[str]()
+        self._surfaces = [*map(own_skin, self.model.bodies), *beams]
+        self.skins = (*(body_skin(body, self.scene, told) for body in self.model.bodies), *beams)
         known.extend(note for note in self.scene.source.notes(told) if note not in known)
-        self.cavities = CavityDisplay(self.model)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -164,28 +142,6 @@ class Readouts:
     def touches(self) -> TouchState | None:
         """The touches now; None in a scene without any."""
         return TouchState.of(self.state.memory)
-
-    def reduction_state(self, with_errors: bool = True) -> dict[str, ReductionState]:
-        """How far each reduced body can be believed now, by its name.
-
-        At the first call with errors the simulation with spare modes is built.
-
-        Args:
-            with_errors: Whether errors of bodies in the coordinates of a basis are estimated, which
-                takes the time of a step with the spare modes; else they are NaN.
-        """
-        states = {name: reduction_state(self.model, name, self.state.positions) for name in self.model.superelements}
-        if self.has_reduced_bodies:
-            errors = self.reduction_errors() if with_errors else None
-            states |= reduced_states(self.model, self.state, errors)
-        return states
-
-    def reduction_errors(self) -> ReductionErrors | None:
-        """What estimates the error of reduced bodies, built at the first call; None without any
-        spare modes."""
-        if self._reduction_errors is None and has_spare_modes(self.model):
-            self._reduction_errors = ReductionErrors(self)
-        return self._reduction_errors
 
     def effector_positions(self) -> np.ndarray:
         """Positions of the effectors [m], shape (effector_count, 3)."""
@@ -243,6 +199,17 @@ class Readouts:
         """
         return self.model.actuators.paths(self.state.positions)
 
+    @property
+    def surface_triangles(self) -> np.ndarray:
+        """Triangles of the surfaces of bodies and beams, as indices into `surface_positions`.
+
+        Shape (triangle_count, 3).
+        """
+        own = [surface.triangles for surface in self._surfaces]
+        firsts = np.cumsum([0, *(triangles.max(initial=-1) + 1 for triangles in own)])
+        shifted = [triangles + first for triangles, first in zip(own, firsts)]
+        return np.concatenate([np.empty((0, 3), np.int64), *shifted])
+
     def surface_positions(self) -> np.ndarray:
         """Positions of the surface's nodes [m], shape (surface_node_count, 3)."""
         own = [surface.positions(self.state.positions) for surface in self._surfaces]
@@ -251,14 +218,6 @@ class Readouts:
     def skin_positions(self) -> tuple[np.ndarray, ...]:
         """Points of the skin of each deformable body and beam [m], each (point_count, 3)."""
         return tuple(skin.positions(self.state.positions) for skin in self.skins)
-
-    def cavity_positions(self) -> tuple[np.ndarray, ...]:
-        """Points of each cavity's walls [m], each of shape (point_count, 3)."""
-        return tuple(skin.positions(self.state.positions) for skin in self.cavities.skins)
-
-    def spring_places(self) -> dict[str, np.ndarray]:
-        """Places of what is drawn of masses, springs, tubes and fibres [m], by their kinds."""
-        return spring_places(self.model, self.state.positions)
 
     def rigid_poses(self) -> tuple[np.ndarray, np.ndarray]:
         """Poses of the coordinates in which the scene gives the rigid bodies' shapes.

@@ -1,11 +1,6 @@
-"""What is warned of before the first step: entries without effect, and wrong units.
+"""What is warned of in a built scene before the first step: coarse meshes, and wrong units.
 
-Millimetres read as metres, kPa as Pa, degrees as radians: each is far from its natural scale.
-
-Also whether a body that its cables hold is stable at given tensions too: what locking may hide. A
-coarse mesh of linear tetrahedra is far too stiff in bending, and stays straight where the body
-buckles. Elements that do not lock show it: wound in far enough, the body is stable as long as its
-cables hold their lengths, and collapses at the same tensions.
+Millimetres read as metres and kPa as Pa are far from their natural scale, and the body may sag too far.
 """
 
 from __future__ import annotations
@@ -18,16 +13,12 @@ import numpy as np
 
 from softrobot_twin.geometry.hexahedral_mesh import HEXAHEDRON_FACES, OPPOSITE_FACES, HexahedralMesh
 from softrobot_twin.scene import Scene
-from softrobot_twin.scene.entry import values_below
-from softrobot_twin.simulation.building.actuators import Actuators
 from softrobot_twin.simulation.building.beam_bodies import build_section
 from softrobot_twin.simulation.building.deformable_body import of_kind
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.building.reduced_body import ReducedBody
 from softrobot_twin.simulation.step.share_rule import OVERSHOOT
 
-# A slide's travel of more than this number of sizes of the largest body is reported.
-MOST_SIZES = 20.0
 SIZE_RANGE = (0.002, 5.0)
 """Usual range of the size of soft robots [m]."""
 DENSITY_RANGE = (20.0, 10_000.0)
@@ -57,89 +48,27 @@ LONGEST_MOVE = 0.1
 """Largest displacement of a node in one of them, as a share of the size."""
 TOLERANCE = 1.0e-4
 """An equilibrium is found when no node moves by more than this share of the size."""
-UNLIKELY_SHARE = 10.0
-"""A setpoint or effort of more than this many times a large one is reported as unlikely."""
-FOR_JOINTS = 5
-"""Linearizations of a step that joints of rigid bodies take."""
 
 
-def scene_warnings(scene: Scene, size: float) -> Iterator[str]:
-    """Entries without effect, and entries in the wrong unit.
-
-    Args:
-        scene: The scene.
-        size: Diagonal of its largest body's bounding box [m]; infinite for a single point.
-
-    Yields:
-        A sentence for each.
-    """
-    yield from _idle_damping(scene)
-    yield from _untouched_obstacles(scene)
-    yield from _angles_in_degrees(scene)
-    yield from _long_lengths(scene, size)
-    yield from _loose_joints(scene)
-    yield from _coarse_ropes(scene)
-
-
-def _idle_damping(scene: Scene) -> Iterator[str]:
-    if scene.integration != "quasi_static":
-        return
-    for section in ("deformables", "beams", "springs", "mass_springs"):
-        for key, entry in scene.keyed(section):
-            rate = entry.damping
-            if not isinstance(rate, float):
-                rate = max(rate.mass, rate.stiffness)
-            if rate > 0.0:
-                yield (f"{key}.damping has no effect: integration is quasi_static, where nothing has a "
-                       "speed; first_order and dynamic scenes are damped")  # fmt: skip
-
-
-def _untouched_obstacles(scene: Scene) -> Iterator[str]:
-    named = {name for touching in scene.touching for name in touching.pair}
-    named |= {name for cable in scene.cables for name in cable.wraps}
-    for key, obstacle in scene.keyed("obstacles"):
-        if obstacle.name not in named:
-            yield (f"{key} ({obstacle.name}) has no effect: contact.between names no "
-                   "pair with it, so everything passes through it")  # fmt: skip
-
-
-def _angles_in_degrees(scene: Scene) -> Iterator[str]:
-    """Rotations of more than a turn; those of meshes are reported when the mesh is read."""
-    for key, name, value in values_below(scene):
-        if name != "rotation" or key.endswith("mesh.rotation"):
-            continue
-        largest = max(map(abs, value))
-        if largest > 2.0 * math.pi:
-            yield (f"{key} holds {largest:g} rad, more than a turn: are the angles in "
-                   "degrees?")  # fmt: skip
-
-
-def _long_lengths(scene: Scene, size: float) -> Iterator[str]:
-    """Lengths that are not part of the largest body, but larger than it."""
-    found = [(f"{key}.hold_radius", one.hold_radius, size) for key, one in scene.keyed("cables")]
-    found += [(f"{key}.travel", max(map(abs, slide.travel)), MOST_SIZES * size)
-              for key, slide in scene.keyed("slides")]  # fmt: skip
-    if scene.contact:
-        found += [("contact.alarm_distance", scene.contact.alarm_distance, size),
-                  ("contact.contact_distance", scene.contact.contact_distance, size)]  # fmt: skip
-    for key, length, most in found:
-        if length > most:
-            yield (f"{key} = {length:g} m is very large: the largest body is {size:.4g} m large; "
-                   "is it in metres?")  # fmt: skip
-
-
-def single_layers(scene: Scene, model: Model) -> Iterator[str]:
-    """Hexahedra between a held face and one that is held too, or may stick: their sides cannot bulge.
-
-    Such a cell strains along one axis alone, by the modulus (1 - ν) E/((1 + ν)(1 - 2 ν)). No measure of
-    a step shows it: strain does not vary in the cell.
+def coarse_meshes(scene: Scene, model: Model) -> Iterator[str]:
+    """Layers of hexahedra, and elements of beams, that are too large for what they are to show.
 
     Args:
         scene: The scene.
         model: The built scene.
 
     Yields:
-        A sentence for each body.
+        A sentence for each.
+    """
+    yield from _single_layers(scene, model)
+    yield from _coarse_ropes(scene)
+
+
+def _single_layers(scene: Scene, model: Model) -> Iterator[str]:
+    """Hexahedra between a held face and one that is held too, or may stick: their sides cannot bulge.
+
+    Such a cell strains along one axis alone, by the modulus (1 - ν) E/((1 + ν)(1 - 2 ν)). No measure of
+    a step shows it: strain does not vary in the cell.
     """
     sticky = {name for one in scene.touching if scene.contact.friction_of(one) for name in one.pair}
     for body in (one for one in model.bodies if isinstance(one.mesh.corner_mesh, HexahedralMesh)):
@@ -197,42 +126,6 @@ def _coarse_ropes(scene: Scene) -> Iterator[str]:
                        f"long, {other} has a radius of {radius:.3g} m: drawn around it, {name} follows it "
                        "coarsely, and friction holds too little; for that take at least "
                        f"{math.ceil(3.0 * length / radius - 1.0e-6)} elements, three to a radius")  # fmt: skip
-
-
-def _loose_joints(scene: Scene) -> Iterator[str]:
-    """Joints of rigid bodies that one linearization leaves open."""
-    count = scene.solver.newton_iterations
-    if count < FOR_JOINTS and any(body.joined for body in scene.rigid_bodies):
-        yield (f"solver.newton_iterations = {count}: where joined rigid bodies turn, each linearization "
-               f"leaves a gap in their stiff bearings; {FOR_JOINTS} or more close it")  # fmt: skip
-
-
-def unlikely_commands(
-    actuators: Actuators, setpoints: np.ndarray, efforts: np.ndarray | None = None
-) -> str | None:
-    """A warning of setpoints or efforts that suggest a wrong unit, else None.
-
-    Args:
-        actuators: The actuators of the scene.
-        setpoints: Each in the unit of its kind, shape (..., count); NaN where none is given.
-        efforts: The same of efforts.
-    """
-    drives = np.abs(actuators.drives(setpoints))
-    quantities = actuators.driven_quantities(np.zeros(actuators.count, bool))
-    asked = [(drives, actuators.limits.drive_scale, quantities)]
-    if efforts is not None:
-        asked.append((np.abs(efforts), actuators.effort_scale,
-                      actuators.driven_quantities(np.ones(actuators.count, bool))))  # fmt: skip
-    for values, scale, quantities in asked:
-        if not actuators.count:
-            break
-        shares = np.nan_to_num(values / scale, nan=0.0).reshape(-1, actuators.count).max(axis=0)
-        if shares.max(initial=0.0) > UNLIKELY_SHARE:
-            worst = int(shares.argmax())
-            word, unit = quantities[worst]
-            return (f"{actuators.names[worst]}: a {word} of {shares[worst] * scale[worst]:.3g} "
-                    f"{unit} is {shares[worst]:.3g} times a large one: is it in {unit}?")
-    return None
 
 
 def unit_slips(model: Model) -> list[str]:

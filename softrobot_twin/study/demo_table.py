@@ -12,18 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from softrobot_twin.harness.output_file import csv_output
-from softrobot_twin.simulation.building.actuator_kinds import ActuatorKind
-from softrobot_twin.simulation.building.table_columns import (
-    DRIVEN_BY,
-    SETPOINTS,
-    STEP,
-    TARGETS,
-    TIME,
-    column,
-    position_columns,
-    target_name,
-)
+from softrobot_twin.simulation.building.actuator_kinds import ActuatorKind, column
+from softrobot_twin.simulation.command import SETPOINTS, TARGETS
 from softrobot_twin.study.tracking import TrackingRecord
+from softrobot_twin.tables.column_names import DRIVEN_BY, STEP, TIME, position_columns, target_name
 
 
 def demo_columns(

@@ -14,6 +14,8 @@ import numpy as np
 from rich.table import Table
 
 from softrobot_twin.analysis.mesh_error import MeshError, MeshErrorEstimator, MeshErrorUnknown
+from softrobot_twin.analysis.prestress import prestress
+from softrobot_twin.analysis.reduction_error import FullModelError, ReductionStates
 from softrobot_twin.constraints.contact import Contacts
 from softrobot_twin.control.dynamic_control import DynamicControl
 from softrobot_twin.control.force_observer import USUAL_NOISE, ForceObserver
@@ -39,8 +41,7 @@ from softrobot_twin.simulation.building.beam_bodies import BeamBody
 from softrobot_twin.simulation.building.cavity_actuator import wall_details
 from softrobot_twin.simulation.building.deformable_body import AtRest, MaterialPart, law_at_rest
 from softrobot_twin.simulation.command import DEFAULT_TIME_STEP
-from softrobot_twin.simulation.effects.reduction_error import FullModelError
-from softrobot_twin.simulation.mounting import MountingError, prestress
+from softrobot_twin.simulation.mounting import MountingError
 from softrobot_twin.simulation.scene_warnings import expected_sag
 from softrobot_twin.simulation.step.time_integration import DEFAULT_RADIUS
 from softrobot_twin.solvers.dense_stiffness import without_rows
@@ -142,7 +143,7 @@ def print_reduction_errors(simulation: Simulation, largest_range: float) -> None
     if not simulation.has_reduced_bodies:
         return
     with terminal_status("comparing with the full model"):
-        by_spare_modes = simulation.reduction_state()
+        by_spare_modes = ReductionStates(simulation).read()
         # In motion there is no balance whose error could be told.
         by_full_model = ({} if simulation.model.is_dynamic
                          else FullModelError(simulation).errors(simulation.state))  # fmt: skip

@@ -13,7 +13,7 @@ import numpy as np
 from softrobot_twin.harness.output_file import csv_output
 from softrobot_twin.harness.terminal import console, table, terminal_status, tracked, warn
 from softrobot_twin.simulation import Command, Simulation, Status, StepResult
-from softrobot_twin.simulation.scene_warnings import unlikely_commands
+from softrobot_twin.simulation.building.actuators import Actuators
 from softrobot_twin.simulation.step.step_report import ITERATIONS
 from softrobot_twin.simulation.step.time_budget import MOST_ITERATIONS
 from softrobot_twin.study.explain import print_mesh_error, print_reduction_errors
@@ -111,6 +111,8 @@ def columns_of(simulation: Simulation, table: TargetTable) -> RunColumns:
 
 # A target this many sizes of the robot away is possible, but more often in millimetres.
 _FAR = 10.0
+# A setpoint or effort of more than this many times a large one is reported as unlikely.
+_UNLIKELY = 10.0
 
 
 def unlikely_warning(simulation: Simulation, commands: Iterable[Command]) -> str | None:
@@ -132,8 +134,30 @@ def unlikely_warning(simulation: Simulation, commands: Iterable[Command]) -> str
         if farthest > _FAR * size:
             return (f"a target is {farthest:.3g} m away from its effector, and the robot is "
                     f"{size:.3g} m large: are the targets in metres?")
-    return unlikely_commands(simulation.actuators, np.array(setpoints),
+    return _unlikely_commands(simulation.actuators, np.array(setpoints),
                              np.array(efforts) if efforts else None)
+
+
+def _unlikely_commands(
+    actuators: Actuators, setpoints: np.ndarray, efforts: np.ndarray | None = None
+) -> str | None:
+    """A warning of setpoints or efforts, shape (..., count), that suggest a wrong unit, else None."""
+    drives = np.abs(actuators.drives(setpoints))
+    quantities = actuators.driven_quantities(np.zeros(actuators.count, bool))
+    asked = [(drives, actuators.limits.drive_scale, quantities)]
+    if efforts is not None:
+        asked.append((np.abs(efforts), actuators.effort_scale,
+                      actuators.driven_quantities(np.ones(actuators.count, bool))))  # fmt: skip
+    for values, scale, quantities in asked:
+        if not actuators.count:
+            break
+        shares = np.nan_to_num(values / scale, nan=0.0).reshape(-1, actuators.count).max(axis=0)
+        if shares.max(initial=0.0) > _UNLIKELY:
+            worst = int(shares.argmax())
+            word, unit = quantities[worst]
+            return (f"{actuators.names[worst]}: a {word} of {shares[worst] * scale[worst]:.3g} "
+                    f"{unit} is {shares[worst]:.3g} times a large one: is it in {unit}?")
+    return None
 
 
 @contextmanager

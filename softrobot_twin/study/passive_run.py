@@ -14,7 +14,7 @@ import numpy as np
 from softrobot_twin.mechanics.beam_masses import BeamWeight
 from softrobot_twin.mechanics.inertia import borne_masses
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.building.table_columns import position_columns
+from softrobot_twin.tables.column_names import position_columns
 from softrobot_twin.tables.input_tables import CommandTable
 
 

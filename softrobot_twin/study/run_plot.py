@@ -16,7 +16,8 @@ import numpy as np
 from softrobot_twin.harness.figure import figure_file, load_pyplot
 from softrobot_twin.harness.length_units import SHOWN
 from softrobot_twin.harness.terminal import console
-from softrobot_twin.simulation.building.table_columns import (
+from softrobot_twin.simulation.result import Status
+from softrobot_twin.tables.column_names import (
     DRIVEN_BY,
     STATUS,
     STEP,
@@ -29,7 +30,6 @@ from softrobot_twin.simulation.building.table_columns import (
     target_name,
     unit_of,
 )
-from softrobot_twin.simulation.result import Status
 from softrobot_twin.tables.input_tables import TableFileError, open_columns
 from softrobot_twin.tables.run_columns import ACTIVE_LIMITS, COMPUTE_TIME, TEXT_COLUMNS
 

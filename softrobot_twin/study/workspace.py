@@ -43,8 +43,9 @@ from softrobot_twin.harness.sample_workers import (
 from softrobot_twin.harness.sampled_axes import WorkspaceError, sampled_axes, sampled_setpoints
 from softrobot_twin.harness.terminal import console, print_apart, table, terminal_status, warn
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.building.table_columns import STATUS, column, position_columns
+from softrobot_twin.simulation.building.actuator_kinds import column
 from softrobot_twin.simulation.result import Status
+from softrobot_twin.tables.column_names import STATUS, position_columns
 from softrobot_twin.tables.run_columns import (
     ACTIVE_LIMITS,
     actuator_cells,

@@ -17,12 +17,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from softrobot_twin.simulation.building.actuator_kinds import Quantity
+from softrobot_twin.simulation.building.actuator_kinds import Quantity, column
 from softrobot_twin.simulation.building.sensor_kinds import ANGLE, FORCE, LENGTH, PRESSURE, VOLUME
-from softrobot_twin.simulation.building.table_columns import (
+from softrobot_twin.simulation.command import Command
+from softrobot_twin.simulation.result import StepResult
+from softrobot_twin.simulation.simulation import Simulation
+from softrobot_twin.tables.column_names import (
     AXES,
     base_load_columns,
-    column,
     displacement_columns,
     force_columns,
     force_deviation_columns,
@@ -35,9 +37,6 @@ from softrobot_twin.simulation.building.table_columns import (
     stiffness_columns,
     torque_columns,
 )
-from softrobot_twin.simulation.command import Command
-from softrobot_twin.simulation.result import StepResult
-from softrobot_twin.simulation.simulation import Simulation
 
 
 NOT_UNIT = 1.0e-2

@@ -6,7 +6,7 @@ interpolated. A table may mix lengths of cables with pressures of cavities: all 
 setpoints if each is what that actuator's setpoint holds, and efforts if each is that actuator's
 effort. Actuators without a column hold their setpoints.
 
-Both have the columns of `table_columns`. What a run wrote can be given back as either: the columns
+Both have the columns of `column_names`. What a run wrote can be given back as either: the columns
 that drove it are read, the others are results and are left out.
 """
 
@@ -30,18 +30,25 @@ from scipy.spatial.transform import Rotation, Slerp
 from softrobot_twin.errors import NamedError, SoftRobotTwinError
 from softrobot_twin.scene.refusal_messages import nearest
 from softrobot_twin.simulation import Hold, Simulation, Touched
-from softrobot_twin.simulation.building.actuator_kinds import ActuatorKind, Quantity, actuator_kinds
+from softrobot_twin.simulation.building.actuator_kinds import ActuatorKind, Quantity, actuator_kinds, column
 from softrobot_twin.simulation.building.actuators import Actuators
 from softrobot_twin.simulation.building.limits import ANGLE
-from softrobot_twin.simulation.building.table_columns import (
-    DRIVEN_BY,
+from softrobot_twin.simulation.command import (
+    DEFAULT_TIME_STEP,
     EFFORTS,
     HOLD,
     SETPOINTS,
     TARGETS,
+    Command,
+    CommandEfforts,
+    CommandSetpoints,
+    FollowTargets,
+)
+from softrobot_twin.tables.channels import NOT_UNIT, WANTED, Channel
+from softrobot_twin.tables.column_names import (
+    DRIVEN_BY,
     TIME,
     body_name,
-    column,
     displacement_columns,
     force_columns,
     holds_column,
@@ -52,14 +59,6 @@ from softrobot_twin.simulation.building.table_columns import (
     target_name,
     unit_of,
 )
-from softrobot_twin.simulation.command import (
-    DEFAULT_TIME_STEP,
-    Command,
-    CommandEfforts,
-    CommandSetpoints,
-    FollowTargets,
-)
-from softrobot_twin.tables.channels import NOT_UNIT, WANTED, Channel
 
 
 class TableFileError(SoftRobotTwinError):
@@ -502,11 +501,11 @@ def read_targets(source: Path | str | Mapping, simulation: Simulation, axes: Axe
     if any(own in columns for own in target_columns(simulation)):
         _refuse_partial(columns, simulation.effector_names)
         given = {one.target: _targets_of(columns, simulation, one) for one in WANTED}
-        names = list(simulation.sensor_columns)
-        for own, name in simulation.sensor_columns.items():
+        names = simulation.sensor_columns
+        for own, name in names.items():
             if own in columns and not simulation.wanted_sensors[name]:
                 raise columns.error(own, "the sensor has no weight in the scene: it is told, not wanted")
-        given["sensors"] = columns.pop_given(names, np.nan)
+        given["sensors"] = columns.pop_given(list(names), np.nan)
         wanted = {name: rows for name, rows in given.items() if rows is not None}
         values = wanted.pop(TARGETS, np.full((len(columns), len(simulation.effector_names), 3), np.nan))
     else:

@@ -1,7 +1,7 @@
 """The columns of what runs write, in one order for all runs however they are driven.
 
 Each column is there only where the scene or the run has what it tells: contacts, targets, reduced
-bodies. Names are those of `table_columns`, so that a run's file can be given back as input.
+bodies. Names are those of `column_names`, so that a run's file can be given back as input.
 """
 
 from __future__ import annotations
@@ -13,28 +13,27 @@ from typing import NamedTuple
 
 import numpy as np
 
+from softrobot_twin.analysis.reduction_error import ReductionStates, has_spare_modes
 from softrobot_twin.simulation import appearance
-from softrobot_twin.simulation.building.actuator_kinds import ActuatorKind, Quantity
+from softrobot_twin.simulation.building.actuator_kinds import ActuatorKind, Quantity, column
 from softrobot_twin.simulation.building.actuators import Actuators
 from softrobot_twin.simulation.building.limits import ANGLE, TORQUE
-from softrobot_twin.simulation.building.table_columns import (
+from softrobot_twin.simulation.command import Command, FollowTargets
+from softrobot_twin.simulation.effects.trusted_ranges import reduced_bodies
+from softrobot_twin.simulation.result import StepResult
+from softrobot_twin.simulation.simulation import Simulation
+from softrobot_twin.tables.channels import Channel, channels
+from softrobot_twin.tables.column_names import (
     DRIVEN_BY,
     STATUS,
     STEP,
     TIME,
     body_name,
-    column,
     position_columns,
     quaternion_columns,
     target_column,
     target_name,
 )
-from softrobot_twin.simulation.command import Command, FollowTargets
-from softrobot_twin.simulation.effects.reduction_error import has_spare_modes
-from softrobot_twin.simulation.effects.trusted_ranges import reduced_bodies
-from softrobot_twin.simulation.result import StepResult
-from softrobot_twin.simulation.simulation import Simulation
-from softrobot_twin.tables.channels import Channel, channels
 
 PATH = Quantity("path", "m")
 COMPUTE_TIME = "compute_time_s"
@@ -191,7 +190,7 @@ class RunColumns:
         """
         self._simulation, model = simulation, simulation.model
         self._pairs = pair_names(simulation)
-        self._judged: tuple[str, ...] = ()
+        self._judged, self._reduction = tuple[str, ...](), ReductionStates(simulation)
         if with_reduction_errors and has_spare_modes(model):
             self._judged = tuple(body.name for body in reduced_bodies(model))
         self._parts = [
@@ -298,7 +297,7 @@ class RunColumns:
             resultants, sums = forces.resultants, forces.magnitude_sums
         errors: tuple[float, ...] = ()
         if self._judged:
-            states = self._simulation.reduction_state()
+            states = self._reduction.read()
             errors = tuple(states[name].error for name in self._judged)
         poses = rigid_poses(self._simulation, result.state.positions)
         return RunRow(step, time, result, command, poses, resultants, sums, errors, observed)

@@ -13,7 +13,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.appearance import SolidSkin, fixed_ends, fixed_places, obstacle_skins, rigid_skins
 from softrobot_twin.simulation.building.scene_layout import FACETS
 from softrobot_twin.simulation.effects.touches import touch_term
 from softrobot_twin.view.colours import (
@@ -27,6 +26,15 @@ from softrobot_twin.view.colours import (
     tension_colours,
 )
 from softrobot_twin.view.frame import Drawn, Entity
+from softrobot_twin.view.drawn_parts import (
+    CavityDisplay,
+    SolidSkin,
+    fixed_ends,
+    fixed_places,
+    obstacle_skins,
+    rigid_skins,
+    spring_places,
+)
 
 OPEN_TENSION = 10.0
 """Upper end of the colour scale when no cable has a tension limit [N]."""
@@ -60,13 +68,13 @@ def tension_range(simulation: Simulation) -> tuple[float, float]:
     return 0.0, float(limits.max(initial=0.0)) or OPEN_TENSION
 
 
-def pressure_range(simulation: Simulation) -> tuple[float, float]:
+def pressure_range(cavities: CavityDisplay) -> tuple[float, float]:
     """Deepest vacuum and greatest pressure that the scene allows [Pa], gauge.
 
     Args:
-        simulation: The simulation.
+        cavities: The cavities.
     """
-    limits = np.array([skin.limits for skin in simulation.cavities.skins])
+    limits = np.array([skin.limits for skin in cavities.skins])
     limits = limits[np.isfinite(limits)]
     vacuum, most = float(limits.min(initial=0.0)), float(limits.max(initial=0.0))
     return (vacuum, most) if vacuum < most else (0.0, OPEN_PRESSURE)
@@ -125,12 +133,13 @@ class DrawList:
 
     Attributes:
         size: About the size of the largest body [m], by which lines and marks are scaled.
+        cavities: The cavities.
         entities: What is drawn, without what changes.
     """
 
     def __init__(self, simulation: Simulation, force_scale: float = 0.1, facets: float = FACETS):
         self._simulation, self._force_scale = simulation, force_scale
-        self.size = size_of(simulation)
+        self.size, self.cavities = size_of(simulation), CavityDisplay(simulation.model)
         every = (self._bodies(), self._actuators(), self._springs(), self._cavities(),
                  self._rigid(facets), self._obstacles(facets), self._contacts(), self._touches(),
                  self._observed(), self._axes(), self._fixed(), self._points())  # fmt: skip
@@ -151,7 +160,7 @@ class DrawList:
     def _bodies(self) -> Effect:
         """Deformable bodies; all beams are one surface: each takes time that many ribs have not."""
         simulation, every = self._simulation, self._simulation.skins
-        soft, clear = len(simulation.model.bodies), bool(simulation.cavities.skins)
+        soft, clear = len(simulation.model.bodies), bool(self.cavities.skins)
         colour = CLEAR_SURFACE_COLOUR if clear else SURFACE_COLOUR
         entities = [
             Entity(f"/robot/surface/{skin.name}", "surface", colour, labels=[skin.name],
@@ -210,21 +219,21 @@ class DrawList:
         looks: dict[str, Any] = {"mass": ("/robot/masses", "points", _SPRING_COLOUR, 4.0),
                                  "thread": ("/robot/threads", "lines", _SPRING_COLOUR, 0.8),
                                  "spring": ("/robot/springs", "lines", _SPRING_COLOUR, 2.0)}  # fmt: skip
-        entities = [Entity(*looks[kind], kind=kind) for kind in simulation.spring_places()]
-        return entities, lambda _: map(Drawn, simulation.spring_places().values())
+        entities = [Entity(*looks[kind], kind=kind) for kind in spring_places(simulation)]
+        return entities, lambda _: map(Drawn, spring_places(simulation).values())
 
     def _cavities(self) -> Effect:
-        simulation, cavities = self._simulation, self._simulation.cavities
-        look = partial(pressure_colours, pressure_range=pressure_range(simulation))
+        simulation, cavities = self._simulation, self.cavities
+        look = partial(pressure_colours, pressure_range=pressure_range(cavities))
         driven = {entry.name for entry in simulation.scene.cavities}
         return [
             Entity(f"/robot/cavities/{skin.name}", "surface", triangles=skin.triangles,
                    labels=[skin.name], anchors=[_nearest(points)], colours_of=look, kind="cavity",
                    noun="cavity" if skin.name in driven else "sealed cavity")
-            for skin, points in zip(cavities.skins, simulation.cavity_positions(), strict=True)
+            for skin, points in zip(cavities.skins, cavities.positions(simulation.state), strict=True)
         ], lambda _: map(
             lambda points, pressure: Drawn(points, values=np.array([pressure])),
-            simulation.cavity_positions(), cavities.pressures(simulation.state),
+            cavities.positions(simulation.state), cavities.pressures(simulation.state),
         )  # fmt: skip
 
     def _rigid(self, facets: float) -> Effect:
@@ -356,7 +365,7 @@ def size_of(simulation: Simulation) -> float:
     """
     points = np.vstack([
         _NOWHERE, *simulation.skin_positions(), *simulation.actuator_paths().values(),
-        *(own.reshape(-1, 3) for own in simulation.spring_places().values()),
+        *(own.reshape(-1, 3) for own in spring_places(simulation).values()),
     ])  # fmt: skip
     whole = float(np.linalg.norm(np.ptp(points, axis=0))) if len(points) else 0.0
     largest = simulation.model.nodes.size

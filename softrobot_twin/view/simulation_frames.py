@@ -56,8 +56,8 @@ class SimulationFrames:
         self._drawing = DrawList(simulation, force_scale)
         self._curves = [curves for curves in self._all_curves() if curves[2]]
         title = simulation.scene.name
-        if simulation.cavities.skins:
-            title += f"; cavities: {pressure_legend(pressure_range(simulation))}"
+        if self._drawing.cavities.skins:
+            title += f"; cavities: {pressure_legend(pressure_range(self._drawing.cavities))}"
         self.stage = Stage(
             simulation.scene.name, title,
             self._drawing.entities,
@@ -67,7 +67,7 @@ class SimulationFrames:
     def _all_curves(self) -> Iterator[Curves]:
         """All that may be drawn as curves but times; a robot may have none of a kind."""
         simulation = self._simulation
-        actuators, cavities = simulation.actuators, simulation.cavities
+        actuators, cavities = simulation.actuators, self._drawing.cavities
         yield ("Effector error [mm]", "/plots/effector_error",
                ("to the target", "of linearizing, estimated", "of the mesh, estimated"),
                lambda _, errors: 1e3 * np.array(errors))  # fmt: skip

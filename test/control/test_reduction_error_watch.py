@@ -4,10 +4,10 @@ import os
 
 import pytest
 
+from softrobot_twin.analysis.reduction_error import FullModelError, ReductionStates
 from softrobot_twin.control.reduction_error_watch import ReductionErrorWatch
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import CommandSetpoints, Simulation
-from softrobot_twin.simulation.effects.reduction_error import FullModelError
 from test.control.error_watches import offer_until
 
 
@@ -37,7 +37,7 @@ def test_the_process_tells_the_error_that_the_full_model_has_then_what_failed(be
     judge = FullModelError(bent)
     for name, error in judge.errors(bent.state).items():
         assert watch.newest[name] == pytest.approx(error, rel=1e-6)
-    for name, state in bent.reduction_state().items():
+    for name, state in ReductionStates(bent).read().items():
         assert watch.states[name] == pytest.approx(state, rel=1e-6, nan_ok=True)
     assert watch.linearizations == judge.linearizations >= 2
     watch.request_of = lambda *_: "no state"

@@ -29,7 +29,7 @@ from softrobot_twin.record.run_file import (
     text_to_cdr,
 )
 from softrobot_twin.scene.loading import read_yaml, written_out
-from softrobot_twin.simulation.building.table_columns import is_output
+from softrobot_twin.tables.column_names import is_output
 
 from .conftest import ROOT, START, TICKS, TIP, TOPIC, Live, drive
 from test.scene_changes import entries_of, yaml_file

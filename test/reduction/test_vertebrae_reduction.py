@@ -12,6 +12,7 @@ import pytest
 import yaml
 
 from softrobot_twin.__main__ import main
+from softrobot_twin.analysis.reduction_error import ReductionStates
 from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.polynomials import Monomials
 from softrobot_twin.reduction.superelement_fit import SampledRange, SoftPartModel
@@ -199,12 +200,12 @@ def test_the_measured_error_is_saved(workshop, tmp_path, capsys):
     scene_file = tmp_path / "fetch.yaml"
     before = Simulation(load_scene(scene_file))
     before.step(Hold())
-    assert np.isnan(before.reduction_state()["fetch"].measured_median)
+    assert np.isnan(ReductionStates(before).read()["fetch"].measured_median)
     assert main(["reduce-vertebrae", str(scene_file), "--states", "3"]) == 0
     assert "at 3 fresh states of the whole range, seed 1001" in capsys.readouterr().out
     after = Simulation(load_scene(scene_file))
     after.step(Hold())
-    state = after.reduction_state()["fetch"]
+    state = ReductionStates(after).read()["fetch"]
     assert 0.0 < state.measured_median <= state.measured_worst < 0.1
 
 
@@ -320,11 +321,11 @@ def test_motion_comes_to_rest_at_the_equilibrium(reduced):
 def test_a_state_outside_of_the_sampled_range_is_told(reduced):
     simulation = reduced(changed({"cavities.*.pressure": [0.0, 9e3], "cavities.*.rate": LEFT_OUT}))
     inside = simulation.step(CommandSetpoints(np.full(6, 2e3), 0.02))
-    near = simulation.reduction_state()["fetch"]
+    near = ReductionStates(simulation).read()["fetch"]
     assert 0.0 < inside.report.sampled_range <= 1.0
     assert not any(SAMPLED in limit for limit in inside.report.active_limits)
     outside = repeat_step(simulation, CommandSetpoints(np.full(6, 8e3), 0.02), 4)
-    far = simulation.reduction_state()["fetch"]
+    far = ReductionStates(simulation).read()["fetch"]
     assert outside.report.sampled_range > 1.0
     assert f"fetch.{SAMPLED}" in outside.report.active_limits
     assert far.range > 1.0 >= near.range

@@ -28,8 +28,8 @@ from softrobot_twin.ros.demo import (
 )
 from softrobot_twin.scene import load_scene
 from softrobot_twin.shared_files import ScenePath
-from softrobot_twin.simulation.building.table_columns import position_columns, target_name
 from softrobot_twin.study.run_plot import read_series
+from softrobot_twin.tables.column_names import position_columns, target_name
 from test.places import ROOT
 
 NODES = ("twin", "device", "target")

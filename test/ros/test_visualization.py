@@ -9,7 +9,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from softrobot_twin.ros.topics import NEWEST
 from softrobot_twin.ros.twin_node import TwinNode
 from softrobot_twin.ros.visualization import RobotMarkers
-from softrobot_twin.simulation.appearance import obstacle_skins
+from softrobot_twin.view.drawn_parts import obstacle_skins
 
 TOPIC = "/twin/visualization"
 

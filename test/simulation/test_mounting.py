@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 import yaml
 
+from softrobot_twin.analysis.prestress import prestress
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene import load_scene, scene_from_mapping
 from softrobot_twin.scene.scene_parameters import changed_scene
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation
-from softrobot_twin.simulation.mounting import MountingError, prestress
+from softrobot_twin.simulation.mounting import MountingError
 from test.places import SCENES
 from test.scene_changes import repeat_step, solved
 

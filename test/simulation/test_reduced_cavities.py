@@ -8,7 +8,7 @@ from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.reduced_elements import SampledPoints, all_points
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandSetpoints, Status
-from softrobot_twin.simulation.appearance import CavityDisplay
+from softrobot_twin.view.drawn_parts import CavityDisplay
 from softrobot_twin.simulation.building.cavity_walls import check_walls_of_reduced
 from softrobot_twin.simulation.building.reduced_body import (
     BodyReduction,

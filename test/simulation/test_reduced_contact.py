@@ -5,6 +5,7 @@ import meshio
 import numpy as np
 import pytest
 
+from softrobot_twin.analysis.reduction_error import FullModelError
 from softrobot_twin.geometry.surface import boundary_triangles
 from softrobot_twin.scene.scene_changes import reduced_scene
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
@@ -13,7 +14,6 @@ from softrobot_twin.simulation.building.reduced_body import (
     reduction_fingerprints,
     write_body_reduction,
 )
-from softrobot_twin.simulation.effects.reduction_error import FullModelError
 
 from .building.test_reduced_body import every_point, spanning_basis
 from .test_slides import CART, FOOT, SLIDE

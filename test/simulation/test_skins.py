@@ -12,7 +12,7 @@ from softrobot_twin.geometry.surface_reading import read_surface
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.mechanics.cavity_surfaces import surface_area
 from softrobot_twin.simulation import Simulation, State
-from softrobot_twin.simulation.appearance import rigid_skins
+from softrobot_twin.view.drawn_parts import rigid_skins
 from test.builder import builder
 from test.places import SCENES
 

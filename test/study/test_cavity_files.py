@@ -7,7 +7,7 @@ import yaml
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Hold, Simulation
-from softrobot_twin.simulation.building.table_columns import column
+from softrobot_twin.simulation.building.actuator_kinds import column
 from softrobot_twin.study.bench_measurement import (
     NothingToFollowError,
     circle_targets,
@@ -18,6 +18,7 @@ from softrobot_twin.study.bench_measurement import (
 from softrobot_twin.study.scene_picture import take_snapshot
 from softrobot_twin.tables.input_tables import TableFileError, read_commands, read_targets
 from softrobot_twin.tables.run_columns import actuator_cells, actuator_columns
+from softrobot_twin.view.drawn_parts import CavityDisplay
 from test.builder import builder
 from test.run_files import rows_of
 from test.scene_changes import LEFT_OUT, change_scene, changed, yaml_file
@@ -62,7 +63,7 @@ def test_what_a_regulator_holds_is_written_once_and_its_volume_beside_it(simulat
                        "air_volume_m3"]
     cells = dict(zip(columns, actuator_cells(result, simulation.actuators), strict=True))
     assert cells["air_pressure_Pa"] == pytest.approx(400.0) == result.efforts[1]
-    (volume,) = simulation.cavities.volumes(simulation.state)
+    (volume,) = CavityDisplay(simulation.model).volumes(simulation.state)
     assert cells["air_volume_m3"] == pytest.approx(volume, rel=1e-12)
     assert cells["air_growth_m3"] == pytest.approx(volume - 5.47e-6, rel=1e-3)
 

@@ -6,10 +6,10 @@ import yaml
 
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.building.table_columns import UNITS, unit_of
 from softrobot_twin.simulation.command import CommandEfforts, Hold
 from softrobot_twin.study.direct_run import run_commands
 from softrobot_twin.study.offline_run import run_file
+from softrobot_twin.tables.column_names import UNITS, unit_of
 from softrobot_twin.tables.input_tables import TableFileError, read_commands, read_targets
 from softrobot_twin.tables.run_columns import COMPUTE_TIME, TEXT_COLUMNS, RunColumns
 from test.run_files import TARGETS, rows_of

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.simulation import Hold, Simulation
-from softrobot_twin.simulation.appearance import obstacle_skins, rigid_skins
+from softrobot_twin.view.drawn_parts import CavityDisplay, obstacle_skins, rigid_skins
 from softrobot_twin.view import ViewError
 from softrobot_twin.view.simulation_frames import SimulationFrames
 from test.places import SCENES
@@ -49,7 +49,7 @@ def test_a_stage_has_what_the_robot_has_and_nothing_else(name, things, plots):
     assert {plot.path.split("/")[2] for plot in stage.plots} - {"effector_error", "residual"} == plots
     drawn = {one.path.split("/")[2] for one in stage.entities if one.path.startswith("/robot")}
     assert ("cables" in drawn) == ("pull_points" in drawn) == ("cable_lengths" in plots)
-    assert ("cavities" in drawn) == bool(simulation.cavities.skins) == ("cavities:" in stage.title)
+    assert ("cavities" in drawn) == bool(CavityDisplay(simulation.model).skins) == ("cavities:" in stage.title)
     still = {one.path for one in stage.entities} - frame.drawn.keys()
     assert all(path.startswith(("/obstacles", "/robot/fixed")) for path in still)
 
@@ -71,19 +71,19 @@ def test_cables_have_paths_tensions_and_pull_points():
 
 def test_cavities_have_walls_pressures_and_volumes_in_their_units():
     simulation, stage, frame, _ = shown("springy")
-    pressures = simulation.cavities.pressures(simulation.state)
-    for skin, points, pressure in zip(simulation.cavities.skins, simulation.cavity_positions(),
+    cavities = CavityDisplay(simulation.model)
+    pressures = cavities.pressures(simulation.state)
+    for skin, points, pressure in zip(cavities.skins, cavities.positions(simulation.state),
                                       pressures, strict=True):
         wall = frame.drawn[f"/robot/cavities/{skin.name}"]
         np.testing.assert_array_equal(wall.points, points)
         assert wall.values == [pressure]
     plots = {plot.path: plot.names for plot in stage.plots}
-    name = simulation.cavities.skins[0].name
-    assert plots["/plots/cavity_pressures"][0] == f"{name} [kPa]"
-    assert plots["/plots/cavity_volumes"][0] == f"{name} [cm³]"
+    for plot, unit in (("pressures", "kPa"), ("volumes", "cm³")):
+        assert plots[f"/plots/cavity_{plot}"][0] == f"{cavities.skins[0].name} [{unit}]"
     np.testing.assert_allclose(frame.curves["/plots/cavity_pressures"], 1e-3 * pressures)
     np.testing.assert_allclose(frame.curves["/plots/cavity_volumes"],
-                               1e6 * simulation.cavities.volumes(simulation.state))
+                               1e6 * cavities.volumes(simulation.state))
 
 
 def test_other_actuators_have_curves_of_setpoint_and_effort_in_their_units():

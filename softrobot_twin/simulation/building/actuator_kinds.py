@@ -36,6 +36,16 @@ class Quantity(NamedTuple):
     unit: str
 
 
+def column(name: str, quantity: Quantity) -> str:
+    """Column of a quantity of an actuator or pulley, such as ``north_length_m``.
+
+    Args:
+        name: Name of the actuator or pulley.
+        quantity: The quantity, with its word and unit.
+    """
+    return f"{name}_{quantity.word}_{quantity.unit}".removesuffix("_")
+
+
 @dataclass
 class ActuatorGroup:
     """The actuators of one kind in a scene. `group_of` makes one, and fills in what is usual.

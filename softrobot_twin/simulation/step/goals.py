@@ -25,8 +25,11 @@ from softrobot_twin.errors import CommandError
 from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.building.sensor_kinds import in_order
-from softrobot_twin.simulation.building.table_columns import EFFORTS, HOLD, SETPOINTS, TARGETS
 from softrobot_twin.simulation.command import (
+    EFFORTS,
+    HOLD,
+    SETPOINTS,
+    TARGETS,
     Command,
     CommandEfforts,
     CommandSetpoints,

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import yaml
 
+from softrobot_twin.analysis.reduction_error import FullModelError, ReductionStates
 from softrobot_twin.scene import load_scene, scene_from_mapping
 from softrobot_twin.scene.scene_changes import without_reductions
 from softrobot_twin.scene.schema import Touch
 from softrobot_twin.simulation import CommandSetpoints, Simulation, State
-from softrobot_twin.simulation.effects.reduction_error import FullModelError
 from softrobot_twin.simulation.effects.touches import Touched
 from test.scene_changes import repeat_step
 
@@ -57,7 +57,7 @@ def test_the_full_model_tells_the_error_within_a_tenth(judge, factor, force):
         ratios.append(found.distance / true)
         moved = np.linalg.norm(reduced.effector_positions() - rest)
         assert found.share == pytest.approx(found.distance / moved)
-        by_spare_modes.append(reduced.reduction_state()["body"].error / true)
+        by_spare_modes.append(ReductionStates(reduced).read()["body"].error / true)
         assert 2 <= errors.linearizations <= 4
     np.testing.assert_allclose(ratios, 1.0, atol=0.1)
     if any(force):
@@ -113,7 +113,7 @@ def test_bodies_beside_a_reduced_one_keep_their_nodes(half_trained, first):
     np.testing.assert_allclose(judge.better.surface_positions(), surface, atol=1e-12)
     # Errors are those of the effectors on the reduced body.
     assert list(judge.errors(simulation.state)) == ["body"]
-    found = simulation.reduction_state()
+    found = ReductionStates(simulation).read()
     assert list(found) == ["body"] and 0.0 < found["body"].error < 1.0e-3
 
 
@@ -135,4 +135,4 @@ def test_in_contact_the_full_model_tells_the_error_too(half_trained):
     true = np.linalg.norm(reduced.effector_positions() - full.effector_positions())
     judge = FullModelError(reduced)
     assert judge.errors(reduced.state)["body"].distance == pytest.approx(true, rel=0.1)
-    assert 0.0 < reduced.reduction_state()["body"].error < true
+    assert 0.0 < ReductionStates(reduced).read()["body"].error < true

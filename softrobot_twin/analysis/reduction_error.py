@@ -38,15 +38,13 @@ from softrobot_twin.mechanics.reduced_points import ReducedPoints
 from softrobot_twin.mechanics.touch_loads import TouchState
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.scene_changes import without_reductions
+from softrobot_twin.simulation import CommandSetpoints, Simulation, State, StepResult
 from softrobot_twin.simulation.building.deformable_body import of_kind
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.building.vertebrae import VertebraBody
-from softrobot_twin.simulation.command import LONG, CommandSetpoints
+from softrobot_twin.simulation.command import LONG
 from softrobot_twin.simulation.effects.touches import Touched
 from softrobot_twin.simulation.effects.trusted_ranges import coordinate_ranges, reduced_bodies
-from softrobot_twin.simulation.result import StepResult
-from softrobot_twin.simulation.state import State
-from softrobot_twin.simulation.step.step_part import Steppable
 
 # A linearization that moves the effectors by at most this share of their distance from the reduced
 # model is the last, and the most linearizations.
@@ -79,7 +77,7 @@ class BetterModel:
         linearizations: Linearizations that the last estimate took.
     """
 
-    def __init__(self, simulation: Steppable, scene: Scene, most_linearizations: int):
+    def __init__(self, simulation: Simulation, scene: Scene, most_linearizations: int):
         """Build the better model.
 
         Args:
@@ -89,7 +87,7 @@ class BetterModel:
         """
         self.model: Model = simulation.model
         one_each = scene.changed(solver={"newton_iterations": 1})
-        self.better = type(simulation)(one_each, with_warnings=False)
+        self.better = Simulation(one_each, with_warnings=False)
         self.linearizations, self._most = 0, most_linearizations
 
     def lifted(self, state: State) -> State:
@@ -148,7 +146,7 @@ class BetterModel:
 class FullModelError(BetterModel):
     """The error by the full model, with all nodes of its reduced bodies as unknowns."""
 
-    def __init__(self, simulation: Steppable):
+    def __init__(self, simulation: Simulation):
         """Build the full model of a simulation's scene."""
         scene = without_reductions(simulation.scene)
         super().__init__(simulation, scene, MOST_LINEARIZATIONS)
@@ -157,13 +155,13 @@ class FullModelError(BetterModel):
 class ReductionErrors(BetterModel):
     """The error by the spare modes of the reduced bodies, in one linearization."""
 
-    def __init__(self, simulation: Steppable):
+    def __init__(self, simulation: Simulation):
         """Build a simulation with the spare modes in use."""
         scene = simulation.scene.with_deformables({"reduced": {"spare_modes": True}})
         super().__init__(simulation, scene, 1)
 
 
-def step_held(simulation: Steppable, state: State) -> StepResult:
+def step_held(simulation: Simulation, state: State) -> StepResult:
     """One step of another model of a scene, with what holds its actuators and touches it kept.
 
     Args:
@@ -200,26 +198,6 @@ def shares_of_displacement(model: Model, moves: np.ndarray, state: State) -> np.
     places = effectors.positions(state.positions)
     distances = np.linalg.norm(places - effectors.positions(model.nodes.rest_positions), axis=1)
     return np.divide(moves, distances, out=np.full_like(moves, np.nan), where=distances > 0.0)
-
-
-def reduced_states(model: Model, state: State, errors: ReductionErrors | None) -> dict[str, ReductionState]:
-    """How far each body in the coordinates of a basis can be believed at a state, by its name.
-
-    Args:
-        model: The scene.
-        state: Its state.
-        errors: Estimates the error; None without spare modes.
-    """
-    found = {} if errors is None else errors.errors(state)
-    error_of = {body.name: found.get(body.name, UNKNOWN) for body in reduced_bodies(model)}
-    return {
-        body.name: ReductionState(
-            coordinates.share(state.positions), error_of[body.name].distance,
-            *map(float, body.reduction.measured), error_of[body.name].share,
-            LARGE_BY_SIZE * model.nodes.size,
-        )
-        for body, coordinates in zip(reduced_bodies(model), coordinate_ranges(model), strict=True)
-    }  # fmt: skip
 
 
 def largest_on_each_body(model: Model, values: np.ndarray) -> dict[str, float]:
@@ -278,14 +256,41 @@ class ReductionState(NamedTuple):
         return " and ".join(reasons)
 
 
-def reduction_state(model: Model, name: str, positions: np.ndarray) -> ReductionState:
-    """How far a body that is reduced to vertebrae can be believed.
+class ReductionStates:
+    """Tells how far the reduced bodies of a simulation can be believed where it stands."""
 
-    Args:
-        model: The scene.
-        name: A body that is reduced to vertebrae.
-        positions: Node positions [m], shape (node_count, 3).
-    """
+    def __init__(self, simulation: Simulation):
+        """Keep the simulation; its spare modes are built at the first reading of errors.
+
+        Args:
+            simulation: The simulation.
+        """
+        self._simulation, self._bodies = simulation, reduced_bodies(simulation.model)
+        self._errors: ReductionErrors | None = None
+
+    def read(self, with_errors: bool = True) -> dict[str, ReductionState]:
+        """How far each reduced body can be believed now, by its name.
+
+        Args:
+            with_errors: Whether errors of bodies in the coordinates of a basis are estimated, which
+                takes the time of a step with the spare modes; else they are NaN.
+        """
+        model, state = self._simulation.model, self._simulation.state
+        found = {name: _of_vertebrae(model, name, state.positions) for name in model.superelements}
+        if with_errors and self._errors is None and has_spare_modes(model):
+            self._errors = ReductionErrors(self._simulation)
+        errors = self._errors.errors(state) if with_errors and self._errors else {}
+        for body, coordinates in zip(self._bodies, coordinate_ranges(model), strict=True):
+            error = errors.get(body.name, UNKNOWN)
+            found[body.name] = ReductionState(
+                coordinates.share(state.positions), error.distance, *map(float, body.reduction.measured),
+                error.share, LARGE_BY_SIZE * model.nodes.size,
+            )  # fmt: skip
+        return found
+
+
+def _of_vertebrae(model: Model, name: str, positions: np.ndarray) -> ReductionState:
+    """How far a body that is reduced to vertebrae can be believed, by its name."""
     superelements = model.superelements[name]
     reduction = next(body.reduction for body in of_kind(model.bodies, VertebraBody) if body.name == name)
     superelements.evaluate(positions)

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from softrobot_twin.analysis import reduction_error
+from softrobot_twin.analysis.reduction_error import ReductionState, ReductionStates, has_spare_modes
 from softrobot_twin.mechanics.element_batches import BATCH
 from softrobot_twin.scene import load_scene
 from softrobot_twin.scene.scene_changes import without_reductions
@@ -11,9 +13,7 @@ from softrobot_twin.simulation import (
     CommandSetpoints,
     Simulation,
     Status,
-    readouts,
 )
-from softrobot_twin.simulation.effects.reduction_error import ReductionState
 from test.scene_changes import repeat_step
 
 ANY_TIME = 1.0e3
@@ -57,7 +57,7 @@ def drawn(most, count, seed):
 
 def judged(pair, shortenings):
     """Error, its estimate [m], share of the displacement, and range at each."""
-    full, reduced = pair
+    (full, reduced), states = pair, ReductionStates(pair[1])
     rest, rows = full.model.effectors.positions(full.model.nodes.rest_positions), []
     for simulation in pair:
         simulation.reset()
@@ -65,7 +65,7 @@ def judged(pair, shortenings):
         truth = wound(full, shortening).effector_positions
         result = wound(reduced, shortening)
         error = np.linalg.norm(result.effector_positions - truth)
-        state = reduced.reduction_state()["body"]
+        state = states.read()["body"]
         rows.append([error, state.error, state.range, error / np.linalg.norm(truth - rest),
                      state.share, "body.sampled_range" in result.report.active_limits])  # fmt: skip
     return np.array(rows).T
@@ -119,12 +119,12 @@ def test_the_range_is_in_each_report_and_none_without_reduced_bodies(pair):
 
 
 def test_steps_build_no_second_model_and_reading_changes_nothing(half_trained, monkeypatch):
-    build, built = readouts.ReductionErrors, []
+    build, built = reduction_error.ReductionErrors, []
     monkeypatch.setattr(
-        readouts, "ReductionErrors", lambda *given: built.append(given[0]) or build(*given)
+        reduction_error, "ReductionErrors", lambda *given: built.append(given[0]) or build(*given)
     )
     read, unread = (Simulation(load_scene(half_trained), with_warnings=False) for _ in range(2))
-    lengths = read.rest_setpoints - [0.004, 0.0, 0.006, 0.001]
+    states, lengths = ReductionStates(read), read.rest_setpoints - [0.004, 0.0, 0.006, 0.001]
     for number in range(6):
         command = CommandSetpoints(lengths, 0.05)
         results = [simulation.step(command) for simulation in (read, unread)]
@@ -132,7 +132,7 @@ def test_steps_build_no_second_model_and_reading_changes_nothing(half_trained, m
         np.testing.assert_array_equal(*(result.efforts for result in results))
         if number >= 2:
             before = read.state
-            assert np.isfinite(read.reduction_state()["body"].error)
+            assert np.isfinite(states.read()["body"].error)
             assert read.state is before
     assert built == [read]
 
@@ -144,7 +144,7 @@ def test_the_estimate_holds_lengths_where_tensions_are_commanded(pair):
     tensions = wound(reduced, [0.010, 0.010, 0.010, 0.002], True).efforts
     result = reduced.step(CommandEfforts(tensions, ANY_TIME))
     assert not result.status.is_failure
-    error = reduced.reduction_state()["body"].error
+    error = ReductionStates(reduced).read()["body"].error
     assert 0.0 < error < 0.01 * np.linalg.norm(
         result.effector_positions - reduced.model.effectors.positions(
             reduced.model.nodes.rest_positions))  # fmt: skip
@@ -162,9 +162,9 @@ def test_spare_modes_in_use_are_the_better_model_that_tells_no_error(pair, half_
         errors.append([np.linalg.norm(place - places[0]) for place in places[1:]])
     used, all_modes = np.mean(errors, axis=0)
     assert all_modes < 0.7 * used
-    state = extended.reduction_state()["body"]
+    state = ReductionStates(extended).read()["body"]
     assert np.isnan(state.error) and np.isnan(state.share) and state.range > 0.0
-    assert extended.reduction_errors() is None
+    assert not has_spare_modes(extended.model)
 
 
 def test_the_strain_range_is_watched_at_the_sampled_points(half_trained):

@@ -9,31 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 
-from softrobot_twin.simulation.building.actuator_kinds import Quantity
-
 TIME = "time_s"
 STEP = "step"
 STATUS = "status"
 DRIVEN_BY = "driven_by"
 """Column that tells what drove a step: ``targets``, ``setpoints``, ``efforts`` or ``hold``."""
 
-TARGETS, SETPOINTS, EFFORTS, HOLD = "targets", "setpoints", "efforts", "hold"
-
 AXES = ("x", "y", "z")
 _TURN = ("qx", "qy", "qz", "qw")
 
 UNITS = ("m_per_s2", "N_per_m", "m_per_N", "m3", "Nm", "Pa", "rad", "m", "N", "J", "s")
 """Ends of columns that are units; an end that holds another one comes before it."""
-
-
-def column(name: str, quantity: Quantity) -> str:
-    """Column of a quantity of an actuator or pulley, such as ``north_length_m``.
-
-    Args:
-        name: Name of the actuator or pulley.
-        quantity: The quantity, with its word and unit.
-    """
-    return f"{name}_{quantity.word}_{quantity.unit}".removesuffix("_")
 
 
 def _columns(form: str, parts: Sequence[str] = AXES) -> Callable[[str], tuple[str, ...]]:
