@@ -235,8 +235,8 @@ class Follower(InverseActuation):
             # Wanted stiffnesses are no places, and curve in other ways.
             return
         W, _ = with_contacts_closed(linear, forces)
-        efforts = linear.efforts(held.efforts, forces)
-        bears = ~self._one_sided | (efforts > NO_EFFORT * efforts.max(initial=0.0))
+        loads = linear.efforts(held.efforts, forces) / self._effort_scales
+        bears = ~self._one_sided | (loads > NO_EFFORT * loads.max(initial=0.0))
         # Slides translate effectors, and curve nothing.
         jacobian = jacobian_by_drives(
             W, linear.groups.effectors, bears & ~self._by_effort, bears & ~self._is_moved,
@@ -351,7 +351,7 @@ class Follower(InverseActuation):
                 self._branch = None
                 return held
             # Where the tangent is augmented, a small box may hold no optimum; balance comes first.
-            return held._replace(solved=not self._situation.is_balanced)
+            return held._replace(solved=not self._is_balanced)
         if not self._learns:
             return found
         is_first, self._is_first = self._is_first, False
@@ -599,7 +599,7 @@ class Follower(InverseActuation):
         upper = asked.bounds.displacement_max
         if asked.stiffness is None:
             slack = np.zeros(count, dtype=bool) if self._branch is None else self._branch
-            loads = linear.efforts(held.efforts, forces)
+            loads = linear.efforts(held.efforts, forces) / self._effort_scales
             bears = loads > NO_EFFORT * loads.max(initial=0.0)
             may_change = slack | (bears & (held.displacements >= upper - self._at_limit))
         else:

@@ -424,8 +424,8 @@ class TargetGoal(Goal):
         """See `Goal`. A cable that is not commanded and has no tension holds nothing back: its winch
         may be at a limit, which binds nothing."""
         def hangs() -> np.ndarray:
-            efforts = actuation.efforts
-            slack = self._model.actuators.one_sided & (efforts <= NO_EFFORT * efforts.max(initial=0.0))
+            loads = actuation.efforts / self._limits.effort_scale
+            slack = self._model.actuators.one_sided & (loads <= NO_EFFORT * loads.max(initial=0.0))
             return slack & np.isnan(self.commanded)
 
         return super().limits_met(actuation, is_slack or hangs)

@@ -808,7 +808,8 @@ class InverseWithFriction(Follower):
         But for contacts, effectors would be displaced by a multiple of what is missed.
         """
         linear, held, (a, e, _) = task.linear, task.held, task.linear.groups
-        bears = np.abs(held.efforts[a]) > NO_EFFORT * np.abs(held.efforts[a]).max(initial=0.0)
+        loads = np.abs(held.efforts[a]) / self._effort_scales
+        bears = loads > NO_EFFORT * loads.max(initial=0.0)
         free = np.flatnonzero(~task.commanded[a] & (bears | ~self._one_sided[a]))
         if not len(free):
             return None
