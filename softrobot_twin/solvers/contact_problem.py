@@ -56,6 +56,21 @@ class ContactProblem(NamedTuple):
         return self._replace(W=self.Yt @ self.Yt.T if self.W is None else self.W, Yt=None)
 
 
+    def in_units(self, lengths: np.ndarray) -> ContactProblem:
+        """The same problem in other units of the actuators: tolerances are of metres and newtons.
+
+        Args:
+            lengths: Unit of each actuator's displacement in a new one, by which efforts are divided,
+                shape (actuator_count,).
+        """
+        rows = np.append(lengths, np.ones(len(self.violation) - len(lengths)))
+        return self._replace(
+            W=None if self.W is None else self.W * np.outer(rows, rows),
+            violation=self.violation * rows, lower=self.lower / lengths, upper=self.upper / lengths,
+            Yt=None if self.Yt is None else self.Yt * rows[:, None],
+        )  # fmt: skip
+
+
 def with_frictionless_contacts(problem: ContactProblem) -> ContactProblem:
     """The problem whose contacts without friction are rows with the bounds 0 and ∞.
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.solvers.daqp_program import solve_program
-from softrobot_twin.solvers.inverse_problem import MOVES_NOTHING, TINY, Bounds
+from softrobot_twin.solvers.inverse_problem import Bounds, own_compliances
 from softrobot_twin.solvers.warm_start import optimum_from_active_set
 
 # Two cables on one path make W singular; with this share of its diagonal they share the load.
@@ -27,30 +27,26 @@ ROUND_OFF = 1.0e-12
 
 
 @njit(**KERNEL)
-def compliance_scale(W, actuator_count):
+def compliance_scale(W, sizes):
     """Scale 1/√W_ii of each actuator [√(N/m)]; one where an actuator moves nothing.
 
     Args:
         W: Compliance, the rows of the actuators first [m/N], shape (n, n).
-        actuator_count: Number of actuators.
+        sizes: Large displacement of each actuator in its unit, shape (actuator_count,).
 
     Returns:
         Shape (actuator_count,).
     """
-    most, scale = TINY, np.ones(actuator_count)
-    for i in range(actuator_count):
-        most = max(most, W[i, i])
-    for i in range(actuator_count):
-        if W[i, i] > MOVES_NOTHING * most:
-            scale[i] = 1.0 / np.sqrt(W[i, i])
-    return scale
+    own = np.empty(len(sizes))
+    own_compliances(W, 0, sizes, own)
+    return 1.0 / np.sqrt(own)
 
 
 @njit(**KERNEL)
-def _proved_efforts(W, free_violation, prescribed, effort_min, effort_max):
+def _proved_efforts(W, free_violation, prescribed, effort_min, effort_max, sizes):
     """Efforts of `solve_direct`, and whether they are proved; the guess: no bound is active."""
     n = len(prescribed)
-    scale = compliance_scale(W, n)
+    scale = compliance_scale(W, sizes)
     P, gradient, lower, upper = np.empty((n, n)), np.empty(n), np.empty(n), np.empty(n)
     size = 0.0
     for i in range(n):
@@ -81,6 +77,7 @@ def solve_direct(
     prescribed: np.ndarray,
     effort_min: np.ndarray,
     effort_max: np.ndarray,
+    sizes: np.ndarray | None = None,
 ) -> np.ndarray | None:
     """Efforts that hold actuators at their commanded displacements.
 
@@ -90,24 +87,26 @@ def solve_direct(
         prescribed: Commanded displacement δ_set of each actuator [m], shape (n,).
         effort_min: Least effort [N], shape (n,).
         effort_max: Greatest effort, at which the displacement is reduced [N], shape (n,).
+        sizes: Large displacement of each actuator in its unit, shape (n,); 1 by default.
 
     Returns:
         Efforts [N], shape (n,), or None when the solver finds none.
     """
     # Contiguous, so that the kernel is compiled once whatever W was cut from.
-    contiguous = np.ascontiguousarray(W)
+    contiguous, n = np.ascontiguousarray(W), len(prescribed)
+    sizes = np.ones(n) if sizes is None else sizes
     proved, efforts = _proved_efforts(
-        contiguous, free_violation, prescribed, effort_min, effort_max
+        contiguous, free_violation, prescribed, effort_min, effort_max, sizes
     )
     if proved:
         return efforts
-    n = len(prescribed)
-    return solve_by_daqp(W[:n, :n], free_violation[:n] - prescribed, effort_min, effort_max)
+    return solve_by_daqp(W[:n, :n], free_violation[:n] - prescribed, effort_min, effort_max, sizes)
 
 
 def solve_by_daqp(
-    W: np.ndarray, violation: np.ndarray, effort_min: np.ndarray, effort_max: np.ndarray
-) -> np.ndarray | None:
+    W: np.ndarray, violation: np.ndarray, effort_min: np.ndarray, effort_max: np.ndarray,
+    sizes: np.ndarray | None = None,
+) -> np.ndarray | None:  # fmt: skip
     """Efforts that hold prescribed displacements, found by DAQP without a guess.
 
     Args:
@@ -115,18 +114,20 @@ def solve_by_daqp(
         violation: δ_free - δ_set [m], shape (n,).
         effort_min: Least effort [N], shape (n,).
         effort_max: Greatest effort [N], shape (n,).
+        sizes: See `solve_direct`.
 
     Returns:
         Efforts [N], shape (n,), or None when the solver finds none.
     """
-    scale = compliance_scale(np.ascontiguousarray(W), len(W))
+    scale = compliance_scale(np.ascontiguousarray(W), np.ones(len(W)) if sizes is None else sizes)
     no_rows = np.zeros((0, len(scale)))
     return _solve(W, scale, scale * violation, no_rows, effort_min, effort_max, (), ())
 
 
 def solve_towards(
-    W: np.ndarray, free_violation: np.ndarray, tensions: np.ndarray, bounds: Bounds
-) -> np.ndarray | None:
+    W: np.ndarray, free_violation: np.ndarray, tensions: np.ndarray, bounds: Bounds,
+    sizes: np.ndarray | None = None,
+) -> np.ndarray | None:  # fmt: skip
     """Efforts nearest to commanded ones, min ½ (λ - λ*)ᵀW(λ - λ*), within bounds on both sides.
 
     Args:
@@ -134,11 +135,12 @@ def solve_towards(
         free_violation: Shortening after free motion [m], shape (n,).
         tensions: Commanded efforts λ* [N], shape (n,).
         bounds: Bounds on displacements [m] and efforts [N].
+        sizes: See `solve_direct`.
 
     Returns:
         Efforts [N], shape (n,), or None when the solver finds none.
     """
-    scale = compliance_scale(np.ascontiguousarray(W), len(W))
+    scale = compliance_scale(np.ascontiguousarray(W), np.ones(len(W)) if sizes is None else sizes)
     rows = W * np.outer(scale, scale)
     gradient = -rows @ (tensions / scale) - SHARING * (tensions / scale)
     return _solve(

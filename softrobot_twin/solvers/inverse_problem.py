@@ -104,6 +104,7 @@ def build_inverse_problem(
     force_max: np.ndarray = NO_FORCES,
     centre: np.ndarray | None = None,
     proximal_weight: float = 0.0,
+    sizes: np.ndarray | None = None,
 ) -> QPCC:
     """Stack the inverse problem in the unknowns z = (λ_a, u, λ_c).
 
@@ -117,6 +118,7 @@ def build_inverse_problem(
         proximal_weight: p, relative to the weight of the energy. Directions that the targets leave
             open then go only the share 1 / (1 + p) towards the least energy in one step. Without
             any target the energy alone decides, and p has no effect.
+        sizes: Large displacement of each actuator in its unit, shape (a,); 1 by default.
 
     Returns:
         The problem. Bounds on displacements are bounds of its rows, those on efforts and moves
@@ -129,6 +131,7 @@ def build_inverse_problem(
     P, g = tracking_and_energy(
         motion, W, system.is_move, system.effectors, effector_weights, energy_weight,
         proximal_weight, np.zeros(motion.shape[1]) if centre is None else np.array(centre),
+        np.ones(len(A)) if sizes is None else sizes,
     )  # fmt: skip
     least, most, lower, upper = bounds
     least, most = least - system.actuators, most - system.actuators
@@ -165,7 +168,27 @@ def with_effort_rows(problem: QPCC, stiffness: np.ndarray, reference: np.ndarray
 
 
 @njit(**KERNEL)
-def tracking_and_energy(motion, W, is_move, effectors, weights, energy_weight, proximal_weight, centre):
+def own_compliances(W, start, sizes, own):
+    """Write W_ii of each actuator, 1 where an actuator moves nothing.
+
+    Actuators have several units: W_ii / d_i² [1/J] compares them.
+
+    Args:
+        W: Compliance, shape (n, n).
+        start: Row of the first actuator.
+        sizes: Large displacement d_i of each, in its unit, shape (count,).
+        own: Takes the compliances, shape (count,).
+    """
+    most = TINY
+    for i in range(len(sizes)):
+        most = max(most, W[start + i, start + i] / sizes[i] ** 2)
+    for i in range(len(sizes)):
+        moves = W[start + i, start + i] > MOVES_NOTHING * most * sizes[i] ** 2
+        own[i] = W[start + i, start + i] if moves else 1.0
+
+
+@njit(**KERNEL)
+def tracking_and_energy(motion, W, is_move, effectors, weights, energy_weight, proximal_weight, centre, sizes):
     """Hessian and gradient of ½ ‖Q^½ δ_e‖² / s + ½ ε (‖z‖²_W + p ‖z - z̄‖²_W).
 
     The unit of a multiplier is the one that stores one joule, 1/√W_ii [√(N/m)]; the unit of a move
@@ -181,6 +204,7 @@ def tracking_and_energy(motion, W, is_move, effectors, weights, energy_weight, p
         energy_weight: ε.
         proximal_weight: p.
         centre: z̄, shape (n,).
+        sizes: See `own_compliances`, shape (a,).
 
     Returns:
         The Hessian P, shape (n, n), and the gradient g at z = 0, shape (n,).
@@ -202,14 +226,8 @@ def tracking_and_energy(motion, W, is_move, effectors, weights, energy_weight, p
         for j in range(n):
             if stores[i] and stores[j]:
                 energy[i, j] = W[i, j]
-        own[i] = energy[i, i]
-    # A row that nothing displaces gets a compliance of one.
-    for start, stop in ((0, actuators), (actuators, n)):
-        most = TINY
-        for i in range(start, stop):
-            most = max(most, own[i])
-        for i in range(start, stop):
-            own[i] = own[i] if own[i] > MOVES_NOTHING * most else 1.0
+    own_compliances(energy, 0, sizes, own[:actuators])
+    own_compliances(energy, actuators, np.ones(n - actuators), own[actuators:])
     s, moves, most = 0.0, 0.0, 0.0
     for i in range(actuators):
         if stores[i]:

@@ -30,7 +30,7 @@ NO_CONTACTS, NO_FORCES = np.zeros(0, dtype=bool), np.zeros(0)
 def proved_efforts(
     W, effectors, errors, weights, energy_weight, proximal_weight, centre, violation,
     displacement_min, displacement_max, effort_min, effort_max, is_move, stiffness, reference, held,
-    active,
+    active, sizes,
 ):  # fmt: skip
     """What `build_inverse_problem` and `optimum_from_active_set` find without contacts.
 
@@ -57,6 +57,7 @@ def proved_efforts(
             only what is better is proved.
         active: Active bounds in the guess, of efforts, of displacements, and of the efforts of
             augmented actuators, shape (2 a + k,).
+        sizes: Large displacement of each actuator in its unit, shape (a,).
 
     Returns:
         Whether they are proved; the efforts [N], shape (a,); and the active bounds.
@@ -87,7 +88,7 @@ def proved_efforts(
         return False, least, active
     none, no_rows = np.empty(0), np.empty((0, count))
     P, g = tracking_and_energy(
-        motion, A, is_move[:count], errors, weights, energy_weight, proximal_weight, centre
+        motion, A, is_move[:count], errors, weights, energy_weight, proximal_weight, centre, sizes
     )
     proved, efforts, objective, _, active, _ = optimum_from_active_set(
         P, g, least, most, rows, lower, upper, no_rows, none, none,

@@ -427,6 +427,29 @@ def test_a_cavity_presses_its_body_against_an_obstacle(inflatable, friction, con
         assert result.efforts[0] > free.efforts[0]
 
 
+def beside_a_motor(mapping):
+    mapping["beams"] = [{
+        "name": "arm", "points": [[0.1, 0.0, 0.0], [0.1, 0.0, 0.004]], "elements": 2, "section": {"circle": {"radius": 1e-4}},
+        "material": {"young_modulus": 1e5, "poisson_ratio": 0.4, "density": 1e3},
+        "joined": [{"at": "start", "to": "world", "by": "hinge", "axis": [0.0, 1.0, 0.0]}],
+    }]  # fmt: skip
+    mapping["hinge_motors"] = [{"name": "motor", "beam": "arm", "at": "start", "angle": [-1.0, 1.0]}]
+
+
+@pytest.mark.parametrize("beside", [beside_a_motor, under_a_ceiling(0.0)])
+def test_a_small_volume_is_kept_beside_actuators_and_contacts_of_other_units(inflatable, beside):
+    tiny = {"size": (0.004, 0.004, 0.012), "cells": SMALL["cells"], "hole": SMALL["hole"]}
+    efforts = []
+    for changes in ((), (beside,)):
+        simulation = inflatable(*changes, control="volume", body=tiny)
+        wanted = simulation.rest_setpoints.copy()
+        wanted[simulation.actuator_names.index("air")] *= 1.1
+        result = settled(simulation, CommandSetpoints(wanted, STEP))
+        efforts.append(result.efforts[simulation.actuator_names.index("air")])
+    assert result.status is Status.OK
+    assert efforts[1] == pytest.approx(efforts[0], rel=1e-4) and efforts[0] > 100.0
+
+
 def test_targets_are_reached_by_pressure_in_contact(inflatable):
     change = changed(under_a_ceiling(0.0), {
         "effectors": [{"name": "side", "points": [[0.02, 0.01, 0.03]], "directions": ["x"]}],

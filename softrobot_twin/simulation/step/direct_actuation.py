@@ -103,6 +103,10 @@ class DirectActuation:
         self._are_all_by_effort = bool(self._by_effort.all()) and rows == model.actuators.count
         self._actuators, self._may_stall = model.actuators, bool(model.actuators.stalls.any())
         self._round_off = ROUND_OFF * model.actuators.displacement_scale
+        # What is no length counts as one beside contacts: by its scale as much as the robot's size.
+        is_length = np.array([kind.displacement.unit == "m" for kind in model.actuators.kinds], bool)
+        lengths = np.where(is_length, 1.0, model.nodes.finite_size / model.actuators.displacement_scale)
+        self._lengths = lengths[:rows]
         # A scene without contact allocates no contact solver.
         self.solvers = ContactSolvers(model.scene.contact) if model.rows.varies else None
         self._efforts = self._before = np.zeros(model.actuators.count)
@@ -208,7 +212,9 @@ class DirectActuation:
         if self._limits.has_effort_driven and (lower == upper).all():
             # All efforts are held, as where regulators hold all pressures: nothing is to be found.
             return self._free(lower.copy(), displacements)
-        efforts = solve_direct(linear.W, linear.violation, displacements, lower, upper)
+        efforts = solve_direct(
+            linear.W, linear.violation, displacements, lower, upper, self._limits.displacement_scale
+        )
         solved = efforts is not None
         return self._free(efforts if solved else np.zeros(len(lower)), displacements, solved)
 
@@ -221,15 +227,16 @@ class DirectActuation:
         An effort is held by equal bounds. At a limit of its displacement an actuator is held by the
         limit, and its effort deviates from the given one: an empty cavity bears on its walls.
         """
-        by_effort, displacements = self._by_effort, drives.copy()
+        by_effort = self._by_effort
         if self._are_all_by_effort and not self.solvers:
-            efforts = drives.copy()
+            efforts, displacements = drives.copy(), drives.copy()
             if move_by_efforts(
                 linear.W, linear.violation, efforts, bounds.displacement_min,
                 bounds.displacement_max, self._round_off, displacements,
             ):  # fmt: skip
                 return self._free(efforts, displacements)
-            displacements = drives.copy()
+        # An effort is no displacement that is missed, beside which those of the others would be none.
+        displacements = np.where(by_effort, linear.actuators, drives)
         lower, upper = np.where(by_effort, drives, (lower, upper))
         while True:
             found = self._hold(linear, displacements, lower, upper)
@@ -267,7 +274,9 @@ class DirectActuation:
         # The path of a cable without tension may be shorter than its winch can wind it.
         hangs = self._one_sided & ~self._by_effort & (wanted <= 0.0)
         within.displacement_max[hangs] = np.inf
-        found = solve_towards(linear.W_aa, linear.actuators, wanted, within)
+        found = solve_towards(
+            linear.W_aa, linear.actuators, wanted, within, self._limits.displacement_scale
+        )
         if found is None:
             return held._replace(solved=False)
         return self.settle(linear, found, bounds)
@@ -345,18 +354,19 @@ class DirectActuation:
         """
         contacts, sweeps, rounds = self._contacts, 0, 0
         guess, expected = self._guesses()
+        units = np.append(self._lengths, np.ones(len(guess) - self._row_count))
         while True:
             problem = self._problem(linear, displacements, moves, lower, upper)
             chosen = self._places(linear)
             found = self.solvers.solve(
-                problem, guess[chosen], expected[chosen], contacts.margin
+                problem, (guess / units)[chosen], (expected / units)[chosen], contacts.margin
             )
-            if linear.is_whole:
-                return found
-            sweeps, rounds = sweeps + found.sweeps, rounds + 1
             multipliers = np.zeros(len(guess))
-            multipliers[chosen] = found.multipliers
-            gaps = linear.open_gaps(found.multipliers)
+            multipliers[chosen] = found.multipliers * units[chosen]
+            if linear.is_whole:
+                return found._replace(multipliers=multipliers)
+            sweeps, rounds = sweeps + found.sweeps, rounds + 1
+            gaps = linear.open_gaps(multipliers[chosen])
             crossing = gaps < -self._allowed_crossing(problem, found)
             if not crossing.any():
                 crossed = max(0.0, -gaps.min(initial=np.inf))
@@ -376,6 +386,7 @@ class DirectActuation:
             None if compliance.Yt is not None else compliance.W, violation, lower, upper,
             contacts.friction[linear.chosen], 3 if contacts.rubs else 1, compliance.Yt,
         )  # fmt: skip
+        problem = problem if (self._lengths == 1.0).all() else problem.in_units(self._lengths)
         return with_frictionless_contacts(problem) if self._mixes else problem
 
     @staticmethod

@@ -225,7 +225,7 @@ def write_near(drives, share, scales, is_commanded, by_effort, lower, upper, lea
 def guessed_actuation(
     W, first_effector, violation, errors, weights, energy_weight, proximal_weight, centre, held,
     displacement_min, displacement_max, effort_min, effort_max, is_move, stiffness, reference, active,
-    may_hang, at_limit, round_off, effort_scales,
+    may_hang, at_limit, round_off, effort_scales, sizes,
 ):  # fmt: skip
     """What `_over_branches` finds in one branch of slack cables, from the last active set.
 
@@ -251,6 +251,7 @@ def guessed_actuation(
         at_limit: Distance from a greatest shortening that counts as zero [m], shape (a,).
         round_off: Change of a displacement that counts as zero [m], shape (a,).
         effort_scales: Scale of each effort [N], shape (a,).
+        sizes: Large displacement of each actuator in its unit, shape (a,).
 
     Returns:
         Whether they are proved, and no cable changes its branch; multipliers [N], shape (a,);
@@ -272,7 +273,7 @@ def guessed_actuation(
     effectors = (first_effector, first_effector + len(errors))
     proved, efforts, active = proved_efforts(
         W, effectors, errors, weights, energy_weight, proximal_weight, centre, violation[:a], least,
-        most, effort_min[:a], greatest, is_move, stiffness, reference, held[:a], active,
+        most, effort_min[:a], greatest, is_move, stiffness, reference, held[:a], active, sizes,
     )  # fmt: skip
     if not proved:
         return False, efforts, within, active
@@ -642,7 +643,7 @@ class InverseActuation:
             self._energy_now, self._proximal_weight,
             np.array(self._all_free.stack(*self._last(linear))), held.efforts, *bounds,
             self._is_moved, stiffness, reference, active, self._may_hang, self._at_limit,
-            self._round_off, self._effort_scales,
+            self._round_off, self._effort_scales, self._limits.displacement_scale,
         )  # fmt: skip
         if not proved:
             return None
@@ -720,6 +721,7 @@ class InverseActuation:
         problem = build_inverse_problem(
             system, weights, self._energy_now, within, force_max,
             unknowns.stack(*self._last(linear)), self._proximal_weight,
+            self._limits.displacement_scale[~commanded],
         )  # fmt: skip
         return self._with_effort_rows(linear, problem, system, ~commanded)
 
@@ -881,7 +883,10 @@ class InverseActuation:
         energy_weight: float, bounds: Bounds,
     ) -> float:  # fmt: skip
         """Largest error of an effector at the optimum [m]; NaN where there is no answer."""
-        problem = build_inverse_problem(system, weights, energy_weight, bounds)
+        problem = build_inverse_problem(
+            system, weights, energy_weight, bounds,
+            sizes=self._limits.displacement_scale[: len(system.actuators)],
+        )
         own = slice(0, len(system.actuators))
         problem = self._with_effort_rows(linear, problem, system, own)
         try:
