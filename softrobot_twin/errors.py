@@ -7,6 +7,10 @@ from pathlib import Path
 from typing import ClassVar
 
 
+MOST_COUNTED = 10_000_000
+"""Greatest count of anything that is asked for, such as steps of a run."""
+
+
 class SoftRobotTwinError(Exception):
     """Base of every error that this package raises on purpose."""
 

@@ -15,7 +15,7 @@ from textwrap import fill
 from typing import Annotated, TypeAlias
 
 from softrobot_twin.command_line.arguments import TEXT_WIDTH, Parser, Read, add_command
-from softrobot_twin.errors import NamedError, SoftRobotTwinError
+from softrobot_twin.errors import MOST_COUNTED, NamedError, SoftRobotTwinError
 from softrobot_twin.harness.length_units import UNITS
 from softrobot_twin.harness.machine_facts import installed_version
 from softrobot_twin.reduction import training_options
@@ -79,11 +79,17 @@ def number(
     return read
 
 
-MOST = 10_000_000
-"""Greatest count of anything."""
+def whole(least: int, most: int = MOST_COUNTED) -> Callable[[str], float]:
+    """A function that reads a word of the command line as a count.
+
+    Args:
+        least: The least one that is taken.
+        most: The greatest.
+    """
+    return number(int, lambda value: least <= value <= most, f"must lie in {least}..{most:,}")
+
+
 seed = number(int, lambda value: value >= 0, "must not be negative")
-count = number(int, lambda value: 0 <= value <= MOST, f"must lie in 0..{MOST:,}")
-positive_count = number(int, lambda value: 1 <= value <= MOST, f"must lie in 1..{MOST:,}")
 fraction = number(float, lambda value: 0.0 <= value < 1.0, "must be at least 0 and below 1")
 rate = number(float, lambda value: 0.1 <= value <= 10_000.0, "must lie in 0.1..10000 Hz")
 seconds = number(float, lambda value: 1.0 <= value <= 3600.0, "must lie in 1..3600 s")
@@ -170,10 +176,10 @@ def _accepted(value, is_good: bool, reason: str):
 
 
 Seed: TypeAlias = Annotated[int, Read(seed)]
-Count: TypeAlias = Annotated[int, Read(count)]
+Count: TypeAlias = Annotated[int, Read(whole(0))]
 Fraction: TypeAlias = Annotated[float, Read(fraction)]
 GivenFile: TypeAlias = Annotated[Path, Read(given_file)]
-PositiveCount: TypeAlias = Annotated[int, Read(positive_count)]
+PositiveCount: TypeAlias = Annotated[int, Read(whole(1))]
 Rate: TypeAlias = Annotated[float, Read(rate)]
 Length: TypeAlias = Annotated[float, Read(length)]
 Positive: TypeAlias = Annotated[float, Read(positive)]
@@ -483,8 +489,8 @@ def workspace(
 
 
 def bench(
-    scenes: Sequence[GivenFile] = (), *, output: Path | None = None, steps: PositiveCount = 1000,
-    commands: GivenFile | None = None, threads: PositiveCount | None = None,
+    scenes: Sequence[GivenFile] = (), *, output: Path | None = None,
+    steps: Annotated[int, Read(whole(1, 100_000))] = 1000, commands: GivenFile | None = None, threads: PositiveCount | None = None,
 ) -> int:  # fmt: skip
     """Time a step, stage by stage.
 

@@ -21,6 +21,7 @@ from softrobot_twin.calibration.calibration_report import tables, why_not, write
 from softrobot_twin.harness.terminal import console, live_line, table, terminal_status
 from softrobot_twin.ros.demo import (
     CONTROLLED_RUNS,
+    DIRECT_RUNS,
     NOTICEABLE_SHARE,
     RUNS,
     Demo,
@@ -47,7 +48,7 @@ from softrobot_twin.study.tracking import (
 from softrobot_twin.tables.column_names import TIME
 
 RESULTS = ("report.json", "tracking.png", "presses.png", "run.rrd",
-           *(f"{run}.csv" for run in (*RUNS, *CONTROLLED_RUNS)), "commands.csv", "calibration.png")
+           *(f"{run}.csv" for run in (*RUNS, *CONTROLLED_RUNS, *DIRECT_RUNS)), "calibration.png")
 """Files that a demo writes into its folder, besides one log for each process."""
 
 CALIBRATED = "calibrated"

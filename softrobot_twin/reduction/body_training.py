@@ -438,6 +438,8 @@ def begin_training(path: Path, options: TrainingOptions) -> Training:
     for box in options.targets:
         if box.effector not in simulation.effector_names:
             raise TrainingError(f"--targets: {path} has no effector {box.effector}")
+        if sum(box.effector == other.effector for other in options.targets) > 1:
+            raise TrainingError(f"--targets: {box.effector} is given twice")
     by_targets = options.targets or way is not None
     axes = () if by_targets else sampled_axes(simulation, options.ranges)
     content = scene_fingerprint(scene)

@@ -20,7 +20,7 @@ from softrobot_twin.calibration.calibration_report import measured_poses
 from softrobot_twin.calibration.design import DesignModel, Objective
 from softrobot_twin.control.force_observer import ForceObserver
 from softrobot_twin.control.loop_timing import NANOSECONDS
-from softrobot_twin.errors import CommandError
+from softrobot_twin.errors import MOST_COUNTED, CommandError
 from softrobot_twin.harness.equilibrium import is_at_rest
 from softrobot_twin.harness.figure import load_pyplot
 from softrobot_twin.scene import Scene, load_scene, scene_from_mapping
@@ -911,7 +911,7 @@ def _step_count(steps: int | None, seconds: float | None, rate: float) -> int:
     if steps is not None and seconds is not None:
         raise CommandError("seconds", "is given beside steps: give one of them")
     if seconds is None:
-        return 1 if steps is None else whole_number("steps", steps, most=direct_run.MOST_STEPS)
+        return 1 if steps is None else whole_number("steps", steps, most=MOST_COUNTED)
     return direct_run.step_count("seconds", positive_number("seconds", seconds, "s"), rate)
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from softrobot_twin.errors import CommandError
+from softrobot_twin.errors import MOST_COUNTED, CommandError
 from softrobot_twin.harness.terminal import warn
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.command import DEFAULT_TIME_STEP, Command
@@ -26,9 +26,6 @@ from softrobot_twin.study.scene_picture import Snapshot, take_snapshot
 from softrobot_twin.tables.input_tables import Axes, CommandTable, read_commands
 from softrobot_twin.tables.run_columns import RunColumns, RunRow
 
-# Most steps of a run.
-MOST_STEPS = 10_000_000
-
 
 def step_count(name: str, seconds: float, rate: float) -> int:
     """Number of steps in a time, none of which is longer than the rate's period.
@@ -39,10 +36,10 @@ def step_count(name: str, seconds: float, rate: float) -> int:
         rate: Steps per second [Hz].
 
     Raises:
-        CommandError: There are more than `MOST_STEPS`.
+        CommandError: There are more than `MOST_COUNTED`.
     """
-    if not seconds * rate <= MOST_STEPS:
-        raise CommandError(name, f"{seconds:g} s are more than {MOST_STEPS:,} steps at {rate:g} Hz")
+    if not seconds * rate <= MOST_COUNTED:
+        raise CommandError(name, f"{seconds:g} s are more than {MOST_COUNTED:,} steps at {rate:g} Hz")
     # The small number prevents an additional step due to rounding.
     return max(1, math.ceil(seconds * rate - 1e-9))
 
@@ -55,7 +52,7 @@ def step_times(table: CommandTable, rate: float) -> np.ndarray:
         rate: Steps per second [Hz].
 
     Raises:
-        CommandError: There are more than `MOST_STEPS`.
+        CommandError: There are more than `MOST_COUNTED`.
     """
     begin, end = table.times[0], table.times[-1]
     count = step_count("time_s", end - begin, rate)
@@ -166,8 +163,11 @@ def simulate_alone(scene: Path, seconds: float, output: Path, rate: float = DEFA
 def _run_and_report(simulation: Simulation, commanded: CommandTable, output: Path, rate: float,
                     summary: RunSummary, picture: Picture | None, seen: BodyReadouts | None = None) -> int:
     """Runs all steps, and takes a snapshot at each wanted time."""
-    last = float(commanded.times[-1])
-    wanted = sorted(min(time, last) for time in picture.times or (last,)) if picture else []
+    first, last = map(float, commanded.times[[0, -1]])
+    wanted = sorted(picture.times or (last,)) if picture else []
+    for time in wanted:
+        if not first <= time <= last + ROUNDING:
+            raise CommandError("--picture-at", f"{time:g} s is not in the run, which goes from {first:g} s to {last:g} s")
     columns = RunColumns(simulation, None, () if seen is None else seen.columns)
     again = MoreIterations(simulation)
     rows: Iterator[RunRow] = run_commands(simulation, commanded, rate, columns, again)
