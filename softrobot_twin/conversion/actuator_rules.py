@@ -289,7 +289,7 @@ def add_actuator(conversion: Conversion, component: SceneComponent, kind: str, e
     """
     table, told = _TABLE[kind], ""
     for key, row in table["limits"].items():
-        low, high = (number_of(component, *row[end]) for end in ("low", "high"))
+        low, high = (number_of(component, *row[end], may_be_infinite=True) for end in ("low", "high"))
         factor = count * _in_si(conversion, row["unit"], bool(low or high))
         least = -np.inf if low is None else row.get("sign", 1.0) * low * factor
         most = np.inf if high is None else high * factor
@@ -305,7 +305,7 @@ def add_actuator(conversion: Conversion, component: SceneComponent, kind: str, e
     row = table["values"][chosen]
     if "control" in row:
         entry["control"] = row["control"]
-    rate = number_of(component, row["rate"]) if "rate" in row else None
+    rate = number_of(component, row["rate"], may_be_infinite=True) if "rate" in row else None
     if rate is not None:
         entry["rate"] = rounded(count * rate * _in_si(conversion, row["unit"]) / conversion.time_step)
     conversion.add(table.get("section", kind), component, entry)

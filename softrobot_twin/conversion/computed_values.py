@@ -32,7 +32,7 @@ from softrobot_twin.conversion.scene_tree import (
     numbers,
     root_of,
 )
-from softrobot_twin.errors import MeshError
+from softrobot_twin.errors import MOST_COUNTED, MeshError
 from softrobot_twin.geometry.hexahedral_mesh import INTO_TETS
 from softrobot_twin.geometry.mesh_reading import read_mesh_file
 from softrobot_twin.geometry.surface import boundary_triangles
@@ -181,16 +181,20 @@ def array_of(component: SceneComponent, width: int, *names: str, otherwise: Any 
     return found if otherwise is None or found is not None and len(found) else np.asarray(otherwise)
 
 
-def number_of(component: SceneComponent, *names: str, otherwise: Any = None) -> Any:
+def number_of(
+    component: SceneComponent, *names: str, otherwise: Any = None, may_be_infinite: bool = False
+) -> Any:  # fmt: skip
     """The first number of a field.
 
     Args:
         component: The component.
         *names: Names of the field.
         otherwise: What is returned where there is none.
+        may_be_infinite: See `numbers`.
     """
-    found = array_of(component, 1, *names)
-    return otherwise if found is None or not len(found) else float(found[0])
+    value = value_of(component, *names)
+    found = [] if value is None else numbers(value, 1, may_be_infinite)
+    return float(found[0]) if len(found) else otherwise
 
 
 def whole_of(component: SceneComponent, name: str) -> int:
@@ -375,8 +379,8 @@ def _grid_of(component: SceneComponent) -> LoadedMesh:
 
 def _grid_counts(component: SceneComponent) -> np.ndarray:
     counts = _vector_of(component, "n", "n{}", np.full(3, 2)).astype(np.int64)
-    if counts.min() < 1:
-        raise NotConverted("it needs a point or more along each axis")
+    if counts.min() < 1 or counts.prod(dtype=float) > MOST_COUNTED:
+        raise NotConverted(f"it needs a point or more along each axis, and at most {MOST_COUNTED:,}")
     return counts
 
 

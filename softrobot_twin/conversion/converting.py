@@ -149,13 +149,13 @@ def converted(root: SceneNode, output: Path, units: str | None) -> Conversion:
         output: The scene file that will be written.
         units: Name of its units; None to find them by gravity.
     """
-    given = root.fields.get("gravity")
-    gravity, step = None if given is None else numbers(given)[:3], root.fields.get("dt")
-    steps = numbers(0.01 if step is None else step)
-    if len(steps) != 1 or not 0.0 < steps[0] < np.inf:
-        raise NotConverted(f"dt {step!r} must be a time above zero [s]")
-    conversion = Conversion(root, units_of(gravity, _extent(root), units), output, float(steps[0]))
-    vector = [0.0, -9.81, 0.0] if gravity is None else gravity
+    # SOFA keeps its own value where a text is empty.
+    gravity, steps = (numbers(root.fields.get(name, [])) for name in ("gravity", "dt"))
+    step = float(steps[0]) if len(steps) else 0.01
+    if len(steps) > 1 or step <= 0.0:
+        raise NotConverted(f"dt {root.fields['dt']!r} must be a time above zero [s]")
+    conversion = Conversion(root, units_of(gravity[:3], _extent(root), units), output, step)
+    vector = gravity[:3] if len(gravity) else [0.0, -9.81, 0.0]
     conversion.scene = {"name": made_name(output.stem, "part"), "gravity": conversion.length(vector)}
     conversion.run()
     conversion.scene["solver"] = {"newton_iterations": body_rules.NEWTON_ITERATIONS}

@@ -230,12 +230,13 @@ def follow(link: Any, node: SceneNode) -> tuple[SceneNode | SceneComponent, str 
     return here, name
 
 
-def numbers(value: Any, width: int = 1) -> np.ndarray:
+def numbers(value: Any, width: int = 1, may_be_infinite: bool = False) -> np.ndarray:
     """The numbers of a value, in rows.
 
     Args:
         value: A number, a list, or a text with numbers.
         width: Numbers in a row.
+        may_be_infinite: Whether infinity, no limit, is a number too.
 
     Returns:
         Shape (count, width), or (count,) for a width of 1.
@@ -249,8 +250,8 @@ def numbers(value: Any, width: int = 1) -> np.ndarray:
         flat = np.asarray(_flat(value), dtype=float)
     except (TypeError, ValueError):
         raise NotConverted(f"{str(value)[:60]!r} is no list of numbers") from None
-    if np.isnan(flat).any():
-        raise NotConverted(f"{str(value)[:60]!r} has what is no number")
+    if not (~np.isnan(flat) if may_be_infinite else np.isfinite(flat)).all():
+        raise NotConverted(f"{str(value)[:60]!r} has what is infinite or no number")
     if width == 1:
         return flat
     if len(flat) % width:

@@ -46,20 +46,20 @@ class Units(NamedTuple):
     """N/m in its unit of stiffness."""
 
 
-def units_of(gravity: np.ndarray | None, extent: float, given: str | None) -> Units:
+def units_of(gravity: np.ndarray, extent: float, given: str | None) -> Units:
     """The units of a scene.
 
     Args:
-        gravity: Its gravity, shape (3,); None where the file gives none.
+        gravity: Its gravity, shape (3,), or (0,) where the file gives none.
         extent: Largest extent of its bodies, in the unit of the file.
         given: Name of the system that the user gives; None to guess it.
     """
     if given is not None:
         return Units(given, *SYSTEMS[given], "as given")
-    size = 0.0 if gravity is None else float(np.linalg.norm(gravity))
+    size = float(np.linalg.norm(gravity))
     for value, name in _OF_GRAVITY.items():
         if size and 1.0 / _NEAR < size / value < _NEAR:
             return Units(name, *SYSTEMS[name], f"gravity is {size:g}")
-    reason = "the file sets no gravity" if gravity is None else f"gravity {size:g} tells nothing"
+    reason = "the file sets no gravity" if not len(gravity) else f"gravity {size:g} tells nothing"
     name = "mm-kg-s" if extent > LARGEST_IN_METRES else "m-kg-s"
     return Units(name, *SYSTEMS[name], f"guessed: {reason}, the largest extent is {extent:.4g}; --units says it")
