@@ -99,9 +99,8 @@ def is_at_rest(simulation: Simulation, result: StepResult, before: np.ndarray) -
         result: Of the step.
         before: Node positions before it [m], shape (node_count, 3).
     """
-    if result.status.is_failure or result.status is Status.RATE_LIMITED:
-        return False
-    if result.report.residual > simulation.scene.solver.residual_tolerance:
+    is_on_way = result.status.is_failure or result.status is Status.RATE_LIMITED
+    if is_on_way or result.report.residual > simulation.scene.solver.residual_tolerance:
         return False
     still = STILL * simulation.model.nodes.finite_size
     if not np.abs(simulation.state.positions - before).max(initial=0.0) <= still:

@@ -25,7 +25,7 @@ from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.building.reduced_body import ReducedBody
 from softrobot_twin.simulation.building.scene_layout import Layout, lay_out
 from softrobot_twin.simulation.building.sensor_kinds import sensor_term
-from softrobot_twin.simulation.scene_warnings import coarse_meshes, unit_slips
+from softrobot_twin.simulation.scene_warnings import coarse_ropes, single_layers, unit_slips
 from softrobot_twin.solvers import FACTORIZATIONS
 from softrobot_twin.solvers.dense_stiffness import DenseStiffness
 from softrobot_twin.solvers.factorization import Factorization
@@ -60,7 +60,8 @@ def build_model(
         if with_warnings:
             model.notes.extend(unit_slips(model))
             model.notes.extend(model.actuators.doubts(model))
-            model.notes.extend([*entry_warnings(scene, model.nodes.size), *coarse_meshes(scene, model)])
+            model.notes.extend([*entry_warnings(scene, model.nodes.size), *single_layers(scene, model),
+                                *coarse_ropes(scene)])
     except SceneError as error:
         raise scene.source.error(error) from None
     model.notes[:] = scene.source.notes(model.notes)

@@ -50,25 +50,18 @@ TOLERANCE = 1.0e-4
 """An equilibrium is found when no node moves by more than this share of the size."""
 
 
-def coarse_meshes(scene: Scene, model: Model) -> Iterator[str]:
-    """Layers of hexahedra, and elements of beams, that are too large for what they are to show.
+def single_layers(scene: Scene, model: Model) -> Iterator[str]:
+    """Hexahedra between a held face and one that is held too, or may stick: their sides cannot bulge.
+
+    Such a cell strains along one axis alone, by the modulus (1 - ν) E/((1 + ν)(1 - 2 ν)). No measure of
+    a step shows it: strain does not vary in the cell.
 
     Args:
         scene: The scene.
         model: The built scene.
 
     Yields:
-        A sentence for each.
-    """
-    yield from _single_layers(scene, model)
-    yield from _coarse_ropes(scene)
-
-
-def _single_layers(scene: Scene, model: Model) -> Iterator[str]:
-    """Hexahedra between a held face and one that is held too, or may stick: their sides cannot bulge.
-
-    Such a cell strains along one axis alone, by the modulus (1 - ν) E/((1 + ν)(1 - 2 ν)). No measure of
-    a step shows it: strain does not vary in the cell.
+        A sentence for each body.
     """
     sticky = {name for one in scene.touching if scene.contact.friction_of(one) for name in one.pair}
     for body in (one for one in model.bodies if isinstance(one.mesh.corner_mesh, HexahedralMesh)):
@@ -106,8 +99,15 @@ def _between_held_faces(body, sticks: bool) -> np.ndarray:
     return np.flatnonzero(is_layer)
 
 
-def _coarse_ropes(scene: Scene) -> Iterator[str]:
-    """Beams whose elements are longer than the radius of a round thing that they may be drawn around."""
+def coarse_ropes(scene: Scene) -> Iterator[str]:
+    """Beams whose elements are longer than the radius of a round thing that they may be drawn around.
+
+    Args:
+        scene: The scene.
+
+    Yields:
+        A sentence for each.
+    """
     beams = {beam.name: beam for beam in scene.beams}
     radii = {}
     for one in (*scene.obstacles, *scene.rigid_bodies):
@@ -137,8 +137,7 @@ def unit_slips(model: Model) -> list[str]:
     Returns:
         A sentence for each warning; empty without warnings.
     """
-    notes = [note for body in model.bodies for note in _odd_values(body)]
-    notes += [note for beam in model.beams for note in _odd_beam(beam)]
+    notes = [note for odd in (*map(_odd_values, model.bodies), *map(_odd_beam, model.beams)) for note in odd]
     linear, size = linear_sag(model), model.nodes.size
     if linear is None or linear <= SAG_SHARE * size:
         return notes
@@ -259,9 +258,8 @@ def equilibrium_sag(model: Model) -> float | None:
     Returns:
         None where a body floats or no equilibrium was found.
     """
-    affordable = MOST_NODES_SOLVED // max(model.nodes.free_node_count, 1)
-    most_solves = min(MOST_SOLVES, max(FEWEST_SOLVES, affordable))
-    return _sag(model, most_solves, TOLERANCE * model.nodes.size)
+    affordable = max(FEWEST_SOLVES, MOST_NODES_SOLVED // max(model.nodes.free_node_count, 1))
+    return _sag(model, min(MOST_SOLVES, affordable), TOLERANCE * model.nodes.size)
 
 
 def _sag(model: Model, most_solves: int, tolerance: float) -> float | None:
@@ -290,7 +288,7 @@ def _sag(model: Model, most_solves: int, tolerance: float) -> float | None:
         else:
             return None
         moves = factorization.solve(forces).copy()
-        longest = _longest(moves[soft])
+        longest = float(np.linalg.norm(moves[soft], axis=1).max())
         if not longest < np.inf:
             return None
         share = min(1.0, longest_move / max(longest, 1e-300))
@@ -301,7 +299,7 @@ def _sag(model: Model, most_solves: int, tolerance: float) -> float | None:
         if longest <= tolerance:
             upright = sum(term.add_forces(positions, forces) for term in model.forces) == 0
             sunk = [(positions - nodes.rest_positions)[soft_nodes], *_sunk_reduced(model, positions)]
-            return _longest(np.concatenate(sunk)) if upright or most_solves == 1 else None
+            return float(np.linalg.norm(np.concatenate(sunk), axis=1).max()) if upright or most_solves == 1 else None
     return None
 
 
@@ -351,10 +349,6 @@ def _soft_unknowns(model: Model) -> tuple[np.ndarray, np.ndarray]:
     # Hinged frames have no translation of their own; the rest of the beam shows the sag.
     free = (unknowns >= 0) & (unknowns < nodes.free_node_count)
     return (np.concatenate([own, unknowns[free]]), np.concatenate([soft_nodes, origins[free]]))
-
-
-def _longest(moves: np.ndarray) -> float:
-    return float(np.linalg.norm(moves, axis=1).max())
 
 
 def _forget_motion(model: Model) -> None:

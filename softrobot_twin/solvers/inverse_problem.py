@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.kernels.compilation import KERNEL, njit
+from softrobot_twin.kernels.compilation import INNER, KERNEL, njit
 from softrobot_twin.solvers.qpcc import QPCC
 
 # Share of each row's own compliance that is added to W in the energy term, as if each actuator were
@@ -167,7 +167,7 @@ def with_effort_rows(problem: QPCC, stiffness: np.ndarray, reference: np.ndarray
     )  # fmt: skip
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def own_compliances(W, start, sizes, own):
     """Write W_ii of each actuator, 1 where an actuator moves nothing.
 

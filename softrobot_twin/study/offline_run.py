@@ -134,24 +134,17 @@ def unlikely_warning(simulation: Simulation, commands: Iterable[Command]) -> str
         if farthest > _FAR * size:
             return (f"a target is {farthest:.3g} m away from its effector, and the robot is "
                     f"{size:.3g} m large: are the targets in metres?")
-    return _unlikely_commands(simulation.actuators, np.array(setpoints),
-                             np.array(efforts) if efforts else None)
+    return _unlikely_commands(simulation.actuators, setpoints, efforts)
 
 
-def _unlikely_commands(
-    actuators: Actuators, setpoints: np.ndarray, efforts: np.ndarray | None = None
-) -> str | None:
-    """A warning of setpoints or efforts, shape (..., count), that suggest a wrong unit, else None."""
-    drives = np.abs(actuators.drives(setpoints))
-    quantities = actuators.driven_quantities(np.zeros(actuators.count, bool))
-    asked = [(drives, actuators.limits.drive_scale, quantities)]
-    if efforts is not None:
-        asked.append((np.abs(efforts), actuators.effort_scale,
-                      actuators.driven_quantities(np.ones(actuators.count, bool))))  # fmt: skip
-    for values, scale, quantities in asked:
-        if not actuators.count:
-            break
-        shares = np.nan_to_num(values / scale, nan=0.0).reshape(-1, actuators.count).max(axis=0)
+def _unlikely_commands(actuators: Actuators, setpoints: list, efforts: list) -> str | None:
+    """A warning of setpoints or efforts, each of shape (count,), that suggest a wrong unit, else None."""
+    by_effort = np.ones(actuators.count, bool)
+    for values, scale, quantities in (
+        (actuators.drives(np.array(setpoints)), actuators.limits.drive_scale, actuators.driven_quantities(~by_effort)),
+        (np.array(efforts or [0.0 * by_effort]), actuators.effort_scale, actuators.driven_quantities(by_effort)),
+    ):  # fmt: skip
+        shares = np.nan_to_num(np.abs(values / scale), nan=0.0).max(axis=0)
         if shares.max(initial=0.0) > _UNLIKELY:
             worst = int(shares.argmax())
             word, unit = quantities[worst]

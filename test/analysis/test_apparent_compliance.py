@@ -118,12 +118,8 @@ def check(simulation, force, steps, share=1e-5):
     return found
 
 
-def quadratic(mapping):
-    mapping["body"]["element"] = "quadratic"
-    mapping["solver"] = {"newton_iterations": 30, "residual_tolerance": 1e-11}
-
-
 exact = changed({"solver": {"newton_iterations": 30, "residual_tolerance": 1e-11}})
+quadratic = changed(exact, {"body.element": "quadratic"})
 
 
 @pytest.mark.parametrize("change", [exact, quadratic])

@@ -113,12 +113,8 @@ def test_above_the_critical_weight_the_column_settles_on_the_elastica(column, in
 def test_a_pose_that_would_buckle_under_given_tensions_is_named(diamond, wound, is_named):
     """Cables that raise the tip compress the legs; held at their lengths they keep it in place."""
 
-    def change(mapping):
-        mapping["body"]["mesh"]["file"] = "../../meshes/diamond_150.vtk"
-        mapping["body"]["element"] = "quadratic"
-        mapping["solver"] = {"newton_iterations": 20}
-
-    simulation = diamond(change)
+    simulation = diamond({"body.mesh.file": "../../meshes/diamond_150.vtk", "body.element": "quadratic",
+                          "solver": {"newton_iterations": 20}})
     for share in np.linspace(0.1, 1.0, 10):
         at_lengths = simulation.step(
             CommandSetpoints(simulation.rest_setpoints - share * wound, 1.0)

@@ -394,16 +394,10 @@ def test_a_liquid_hangs_its_weight_on_a_body(inflatable):
 
 
 def under_a_ceiling(friction):
-    def change(mapping):
-        mapping["obstacles"] = [
-            {"name": "ceiling", "plane": {"point": [0.0, 0.0, 0.0605], "normal": [0.0, 0.0, -1.0]}}
-        ]
-        mapping["contact"] = {
-            "between": [{"pair": ["hollow", "ceiling"]}], "friction": friction,
-            "alarm_distance": 0.002,
-        }  # fmt: skip
-
-    return change
+    return changed({
+        "obstacles": [{"name": "ceiling", "plane": {"point": [0.0, 0.0, 0.0605], "normal": [0.0, 0.0, -1.0]}}],
+        "contact": {"between": [{"pair": ["hollow", "ceiling"]}], "friction": friction, "alarm_distance": 0.002},
+    })  # fmt: skip
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.5])
@@ -427,13 +421,13 @@ def test_a_cavity_presses_its_body_against_an_obstacle(inflatable, friction, con
         assert result.efforts[0] > free.efforts[0]
 
 
-def beside_a_motor(mapping):
-    mapping["beams"] = [{
-        "name": "arm", "points": [[0.1, 0.0, 0.0], [0.1, 0.0, 0.004]], "elements": 2, "section": {"circle": {"radius": 1e-4}},
-        "material": {"young_modulus": 1e5, "poisson_ratio": 0.4, "density": 1e3},
-        "joined": [{"at": "start", "to": "world", "by": "hinge", "axis": [0.0, 1.0, 0.0]}],
-    }]  # fmt: skip
-    mapping["hinge_motors"] = [{"name": "motor", "beam": "arm", "at": "start", "angle": [-1.0, 1.0]}]
+beside_a_motor = changed({
+    "beams": [{
+        "name": "arm", "points": [[0.1, 0.0, 0.0], [0.1, 0.0, 0.004]], "section": {"circle": {"radius": 1e-4}},
+        "elements": 2, "material": {"young_modulus": 1e5, "poisson_ratio": 0.4, "density": 1e3},
+        "joined": [{"at": "start", "to": "world", "by": "hinge", "axis": [0.0, 1.0, 0.0]}]}],
+    "hinge_motors": [{"name": "motor", "beam": "arm", "at": "start", "angle": [-1.0, 1.0]}],
+})  # fmt: skip
 
 
 @pytest.mark.parametrize("beside", [beside_a_motor, under_a_ceiling(0.0)])
@@ -442,9 +436,8 @@ def test_a_small_volume_is_kept_beside_actuators_and_contacts_of_other_units(inf
     efforts = []
     for changes in ((), (beside,)):
         simulation = inflatable(*changes, control="volume", body=tiny)
-        wanted = simulation.rest_setpoints.copy()
-        wanted[simulation.actuator_names.index("air")] *= 1.1
-        result = settled(simulation, CommandSetpoints(wanted, STEP))
+        # A motor is at 0 rad at rest.
+        result = settled(simulation, CommandSetpoints(1.1 * simulation.rest_setpoints, STEP))
         efforts.append(result.efforts[simulation.actuator_names.index("air")])
     assert result.status is Status.OK
     assert efforts[1] == pytest.approx(efforts[0], rel=1e-4) and efforts[0] > 100.0

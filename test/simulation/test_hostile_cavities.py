@@ -32,12 +32,10 @@ def test_no_order_of_commands_turns_a_cavity_inside_out_or_loses_it(
 ):
     print("seed", seed)
     random = np.random.default_rng(seed)
-
-    def with_effector(mapping):
-        mapping["effectors"] = [{"name": "top", "points": [[0.01, 0.01, 0.06]]}]
-        mapping["solver"] = {"newton_iterations": iterations, "residual_tolerance": 1e-6}
-
-    simulation = inflatable(with_effector, control=control, pressure=[-1e6, 1e6])
+    simulation = inflatable({
+        "effectors": [{"name": "top", "points": [[0.01, 0.01, 0.06]]}],
+        "solver": {"newton_iterations": iterations, "residual_tolerance": 1e-6},
+    }, control=control, pressure=[-1e6, 1e6])  # fmt: skip
     (term,) = simulation.actuators.terms
     for _ in range(40):
         command = any_command(random, control)

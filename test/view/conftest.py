@@ -111,11 +111,6 @@ class Recorded:
         apart = [self.at_steps(path, "Scalars:scalars") for path in self._parts_of(plot)]
         return {step: [value for curve in apart for value in curve.get(step, [])] for step in apart[0]}
 
-    def curve_names(self, plot: str) -> list[str]:
-        """Names of the curves of a plot."""
-        paths = [plot] if plot in self.entities else self._parts_of(plot)
-        return [name for path in paths for name in self.static(path, "SeriesLines:names")]
-
     def _parts_of(self, plot: str) -> list[str]:
         return sorted(path for path in self.entities if path.startswith(f"{plot}/"))
 

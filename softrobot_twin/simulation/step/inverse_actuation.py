@@ -55,13 +55,12 @@ LONGEST_TURN = 0.1
 # Levenberg-Marquardt weight does (Yamashita and Fukushima 2001), down to this share.
 LEAST_ENERGY_SHARE_IN_CONTACT = 1.0 / 512.0
 # In contact, what the targets leave open goes at most a tenth of the displacement to the least
-# energy in one linearization: a whole one overshoots, and the next takes it back.
-LEAST_PROXIMAL_WEIGHT_IN_CONTACT = 9.0
+# energy in one linearization: a whole one overshoots, and the next takes it back. So it is with wanted
+# stiffnesses, which change with the square of efforts that leave the targets alone.
+LEAST_PROXIMAL_WEIGHT = 9.0
 # With friction along cables the least energy is another where cables slip one way, the other way, or
 # stick. Towards it go ever smaller shares, so that no cycle between these lasts.
 LEAST_PROXIMAL_WEIGHT_WITH_FRICTION = 99.0
-# With wanted stiffnesses, which change with the square of efforts that leave the targets alone.
-LEAST_PROXIMAL_WEIGHT_WITH_STIFFNESS = 9.0
 # A path beyond its bound by less, as a share of its natural scale, is on it.
 ROUND_OFF = 1.0e-11
 # A contact force, this near to its limit as a share of it, is on it.
@@ -446,11 +445,9 @@ class InverseActuation:
         self._proves = model.actuators.conserves and not model.rows.varies
         self._all_free = Unknowns(np.zeros(count, dtype=bool), False)
         self._none, self._nowhere = np.zeros(count), np.full(count, np.nan)
-        self._proximal_weight = 0.0 if alone else LEAST_PROXIMAL_WEIGHT_IN_CONTACT
+        self._proximal_weight = 0.0 if alone and not model.weighs_stiffness else LEAST_PROXIMAL_WEIGHT
         if not model.actuators.conserves:
             self._proximal_weight = LEAST_PROXIMAL_WEIGHT_WITH_FRICTION
-        if model.weighs_stiffness:
-            self._proximal_weight = max(self._proximal_weight, LEAST_PROXIMAL_WEIGHT_WITH_STIFFNESS)
         self._learns = not model.is_dynamic
         self._tolerance = model.reach_tolerance
         self._model = model

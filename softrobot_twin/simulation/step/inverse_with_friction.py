@@ -627,9 +627,6 @@ class InverseWithFriction(Follower):
             best = held
         if best is None or not self._rubs:
             return best
-        if aim.missed(best) > before + negligible:
-            half = 0.5 * (held.drives(self._limits) + best.drives(self._limits))
-            best = self._with_friction(linear, half, bounds, best)
         is_stalled = aim.missed(best) > (1.0 - PROGRESS) * before
         self._detours.is_stalled = is_stalled and not is_reached
         slips = self._grips.names and self._grips.slips_on(

@@ -26,9 +26,7 @@ def shipped(name, change):
     return Simulation(scene_from_mapping(mapping, file))
 
 
-def coarse_diamond(mapping):
-    mapping["body"]["mesh"]["file"] = "../../meshes/diamond_400.vtk"
-    mapping["body"]["element"] = "linear"
+coarse_diamond = changed({"body.mesh.file": "../../meshes/diamond_400.vtk", "body.element": "linear"})
 
 
 def fine_diamond(mapping):
@@ -194,13 +192,9 @@ def test_a_cable_that_a_small_push_makes_slack_holds_nothing():
 @pytest.mark.parametrize("law", ["corotational", "neo_hookean"])
 def test_its_derivative_by_the_pressure_of_a_cavity_is_that_of_equilibria(inflatable, law):
     """What is driven by its pressure keeps it: dC/dp at given pressures."""
-
-    def change(mapping):
-        mapping["body"]["material"]["law"] = law
-        mapping["effectors"] = [{"name": "top", "points": [[0.01, 0.01, 0.06]]}]
-        mapping["solver"] = {"newton_iterations": 60, "residual_tolerance": 1e-12}
-
-    simulation = inflatable(change)
+    simulation = inflatable({
+        "body.material.law": law, "effectors": [{"name": "top", "points": [[0.01, 0.01, 0.06]]}],
+        "solver": {"newton_iterations": 60, "residual_tolerance": 1e-12}})  # fmt: skip
     stiffness = ApparentStiffness(simulation.model)
     pressure, found = 5.0e3, {}
     for p in (pressure - 10.0, pressure + 10.0, pressure):
