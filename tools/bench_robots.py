@@ -23,7 +23,7 @@ import numpy as np
 from rich.table import Table
 from scipy.interpolate import interp1d
 
-from softrobot_twin.command_line.commands import positive_count
+from softrobot_twin.command_line.commands import whole
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.harness.figure import figure_file
 from softrobot_twin.harness.machine_facts import NUMERICAL_LIBRARIES, describe_machine
@@ -516,7 +516,7 @@ def _families_label(families: dict[str, list[BesideSuperLU]]) -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measures all cases."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--steps", type=positive_count, default=1000, metavar="N")
+    parser.add_argument("--steps", type=whole(1), default=1000, metavar="N")
     parser.add_argument("--output", type=Path, metavar="FOLDER")
     parser.add_argument("--compare", type=Path, metavar="FILE.csv")
     given = parser.parse_args(arguments)

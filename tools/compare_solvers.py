@@ -19,7 +19,7 @@ import scipy.sparse as sp
 from rich.table import Table
 from scipy.sparse.linalg import splu
 
-from softrobot_twin.command_line.commands import positive_count
+from softrobot_twin.command_line.commands import whole
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.harness.machine_facts import NUMERICAL_LIBRARIES, describe_machine
 from softrobot_twin.harness.output_file import OutputError, make_folder
@@ -729,11 +729,11 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scenes", metavar="SCENE", type=Path, nargs="*",
                         help="scene to take matrices and problems from (default: the Diamond)")
-    parser.add_argument("--steps", default=1000, type=positive_count, metavar="N",
+    parser.add_argument("--steps", default=1000, type=whole(1), metavar="N",
                         help="a tenth as many factorizations, a fifth as many QPs (default 1000)")
     parser.add_argument("--output", metavar="FOLDER", type=Path,
                         help="write factorizations.csv and qp_solvers.csv there")
-    parser.add_argument("--threads", default=1, type=positive_count, metavar="N",
+    parser.add_argument("--threads", default=1, type=whole(1), metavar="N",
                         help="most threads of the default factorization, and those of MKL (default 1)")
     chosen = parser.parse_args()
     try:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
-from softrobot_twin.analysis.reduction_error import ReductionStates
+from softrobot_twin.analysis.reduction_error import LARGE_BY_SIZE, LARGE_SHARE, ReductionStates
 from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
 from softrobot_twin.control.dynamic_control import DynamicControl
 from softrobot_twin.control.live_calibration import LiveCalibration

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from softrobot_twin.analysis.reduction_error import BodyError
 from softrobot_twin.control.arrival import Arrival
 from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
 from softrobot_twin.control.loop_settings import LoopSettings, Mode
@@ -14,7 +15,6 @@ from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.ros.diagnostics import TwinDiagnostics
 from softrobot_twin.scene import load_scene, scene_from_mapping
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.effects.reduction_error import BodyError
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
