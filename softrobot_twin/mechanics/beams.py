@@ -516,25 +516,21 @@ def _move_to_frame(end, lever, gradient, out):
 
 
 @njit(**INNER)
-def project(K, length):
-    """The stiffness of an element with the magnitudes of its eigenvalues; in place.
+def project(K):
+    """A symmetric matrix with the magnitudes of its eigenvalues; in place.
 
-    With zeros in place of negative ones, what only this element holds would be free. Turns count by the
-    length, so that eigenvalues are of one unit.
-
-    Args:
-        K: Stiffness of both ends, shape (12, 12).
-        length: What counts as a radian [m].
+    With zeros in place of negative ones, what only this element holds would be free.
     """
     if not np.isfinite(K).all():
         return
-    units = np.ones(12)
-    units[3:6] = units[9:] = length
-    values, vectors = np.linalg.eigh(K / np.outer(units, units))
+    values, vectors = np.linalg.eigh(K)
+    if values[0] >= 0.0:
+        return
     for k in range(len(K)):
         if values[k] < 0.0:
-            vector = units * vectors[:, k]
-            K -= 2.0 * values[k] * np.outer(vector, vector)
+            for i in range(len(K)):
+                for j in range(len(K)):
+                    K[i, j] -= 2.0 * values[k] * vectors[i, k] * vectors[j, k]
 
 
 @njit(**INNER)
@@ -607,7 +603,7 @@ def _add_beam_stiffness(
         if has_lever[e, 1]:
             _move_to_frame(1, _end_lever(x, origins[e, 1], points[e, 1]), f, whole)
         if projected:
-            project(whole, norm(chord))
+            project(whole)
         add_stencil_matrix(order[e], offsets[e], strides[e], whole, storage)
 
 
