@@ -58,10 +58,8 @@ def build_model(
     try:
         model = _model_of(scene, factorization_type, mounted)
         if with_warnings:
-            model.notes.extend(unit_slips(model))
-            model.notes.extend(model.actuators.doubts(model))
-            model.notes.extend([*entry_warnings(scene, model.nodes.size), *single_layers(scene, model),
-                                *coarse_ropes(scene)])
+            model.notes.extend([*unit_slips(model), *model.actuators.doubts(model), *single_layers(scene, model),
+                                *entry_warnings(scene, model.nodes.size), *coarse_ropes(scene)])
     except SceneError as error:
         raise scene.source.error(error) from None
     model.notes[:] = scene.source.notes(model.notes)
