@@ -27,26 +27,10 @@ ROUND_OFF = 1.0e-12
 
 
 @njit(**KERNEL)
-def compliance_scale(W, sizes):
-    """Scale 1/√W_ii of each actuator [√(N/m)]; one where an actuator moves nothing.
-
-    Args:
-        W: Compliance, the rows of the actuators first [m/N], shape (n, n).
-        sizes: Large displacement of each actuator in its unit, shape (actuator_count,).
-
-    Returns:
-        Shape (actuator_count,).
-    """
-    own = np.empty(len(sizes))
-    own_compliances(W, 0, sizes, own)
-    return 1.0 / np.sqrt(own)
-
-
-@njit(**KERNEL)
 def _proved_efforts(W, free_violation, prescribed, effort_min, effort_max, sizes):
     """Efforts of `solve_direct`, and whether they are proved; the guess: no bound is active."""
     n = len(prescribed)
-    scale = compliance_scale(W, sizes)
+    scale = 1.0 / np.sqrt(own_compliances(W, 0, sizes))
     P, gradient, lower, upper = np.empty((n, n)), np.empty(n), np.empty(n), np.empty(n)
     size = 0.0
     for i in range(n):
@@ -119,7 +103,8 @@ def solve_by_daqp(
     Returns:
         Efforts [N], shape (n,), or None when the solver finds none.
     """
-    scale = compliance_scale(np.ascontiguousarray(W), np.ones(len(W)) if sizes is None else sizes)
+    sizes = np.ones(len(W)) if sizes is None else sizes
+    scale = 1.0 / np.sqrt(own_compliances(np.ascontiguousarray(W), 0, sizes))
     no_rows = np.zeros((0, len(scale)))
     return _solve(W, scale, scale * violation, no_rows, effort_min, effort_max, (), ())
 
@@ -140,7 +125,8 @@ def solve_towards(
     Returns:
         Efforts [N], shape (n,), or None when the solver finds none.
     """
-    scale = compliance_scale(np.ascontiguousarray(W), np.ones(len(W)) if sizes is None else sizes)
+    sizes = np.ones(len(W)) if sizes is None else sizes
+    scale = 1.0 / np.sqrt(own_compliances(np.ascontiguousarray(W), 0, sizes))
     rows = W * np.outer(scale, scale)
     gradient = -rows @ (tensions / scale) - SHARING * (tensions / scale)
     return _solve(

@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.kernels.compilation import INNER, KERNEL, njit
+from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.solvers.qpcc import QPCC
 
 # Share of each row's own compliance that is added to W in the energy term, as if each actuator were
@@ -167,9 +167,9 @@ def with_effort_rows(problem: QPCC, stiffness: np.ndarray, reference: np.ndarray
     )  # fmt: skip
 
 
-@njit(**INNER)
-def own_compliances(W, start, sizes, own):
-    """Write W_ii of each actuator, 1 where an actuator moves nothing.
+@njit(**KERNEL)
+def own_compliances(W, start, sizes):
+    """W_ii of each actuator, 1 where an actuator moves nothing.
 
     Actuators have several units: W_ii / d_i² [1/J] compares them.
 
@@ -177,14 +177,17 @@ def own_compliances(W, start, sizes, own):
         W: Compliance, shape (n, n).
         start: Row of the first actuator.
         sizes: Large displacement d_i of each, in its unit, shape (count,).
-        own: Takes the compliances, shape (count,).
+
+    Returns:
+        Shape (count,).
     """
-    most = TINY
+    most, own = TINY, np.ones(len(sizes))
     for i in range(len(sizes)):
         most = max(most, W[start + i, start + i] / sizes[i] ** 2)
     for i in range(len(sizes)):
-        moves = W[start + i, start + i] > MOVES_NOTHING * most * sizes[i] ** 2
-        own[i] = W[start + i, start + i] if moves else 1.0
+        if W[start + i, start + i] > MOVES_NOTHING * most * sizes[i] ** 2:
+            own[i] = W[start + i, start + i]
+    return own
 
 
 @njit(**KERNEL)
@@ -226,8 +229,8 @@ def tracking_and_energy(motion, W, is_move, effectors, weights, energy_weight, p
         for j in range(n):
             if stores[i] and stores[j]:
                 energy[i, j] = W[i, j]
-    own_compliances(energy, 0, sizes, own[:actuators])
-    own_compliances(energy, actuators, np.ones(n - actuators), own[actuators:])
+    own[:actuators] = own_compliances(energy, 0, sizes)
+    own[actuators:] = own_compliances(energy, actuators, np.ones(n - actuators))
     s, moves, most = 0.0, 0.0, 0.0
     for i in range(actuators):
         if stores[i]:
