@@ -13,7 +13,6 @@ from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.build import build_terms
 
 
-
 class Prestress(NamedTuple):
     """What a mounted robot stores, and how it pulls at its mounts.
 

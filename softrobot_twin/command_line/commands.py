@@ -490,7 +490,8 @@ def workspace(
 
 def bench(
     scenes: Sequence[GivenFile] = (), *, output: Path | None = None,
-    steps: Annotated[int, Read(whole(1, 100_000))] = 1000, commands: GivenFile | None = None, threads: PositiveCount | None = None,
+    steps: Annotated[int, Read(whole(1, 100_000))] = 1000, commands: GivenFile | None = None,
+    threads: PositiveCount | None = None,
 ) -> int:  # fmt: skip
     """Time a step, stage by stage.
 

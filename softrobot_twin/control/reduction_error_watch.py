@@ -2,7 +2,8 @@
 
 The process holds the scene with the modes in use, with the spare ones too, and with all nodes. It
 gets states of the twin, and answers both estimates: by the spare modes, and by the full model, whose
-nodes it places by the coordinates of the bodies (`analysis/reduction_error.py`). The tick computes none of this; see `idle_process.py`.
+nodes it places by the coordinates of the bodies (`analysis/reduction_error.py`). The tick computes none of
+this; see `idle_process.py`.
 """
 
 from __future__ import annotations

@@ -55,7 +55,6 @@ class ContactProblem(NamedTuple):
             return self
         return self._replace(W=self.Yt @ self.Yt.T if self.W is None else self.W, Yt=None)
 
-
     def in_units(self, lengths: np.ndarray) -> ContactProblem:
         """The same problem in other units of the actuators: tolerances are of metres and newtons.
 

@@ -133,17 +133,18 @@ def print_mesh_error(scene: Scene, with_table: bool = False, begin: str = "") ->
         console().print(begin + error.in_words())
 
 
-def print_reduction_errors(simulation: Simulation, largest_range: float) -> None:
+def print_reduction_errors(simulation: Simulation, reduction: ReductionStates, largest_range: float) -> None:
     """Prints how far reduced bodies can be believed after a run; nothing without them.
 
     Args:
         simulation: The simulation, where the run ended.
+        reduction: Tells of its reduced bodies; that of the run has the spare modes built already.
         largest_range: Largest share of the trained range in the run.
     """
     if not simulation.has_reduced_bodies:
         return
     with terminal_status("comparing with the full model"):
-        by_spare_modes = ReductionStates(simulation).read()
+        by_spare_modes = reduction.read()
         # In motion there is no balance whose error could be told.
         by_full_model = ({} if simulation.model.is_dynamic
                          else FullModelError(simulation).errors(simulation.state))  # fmt: skip

@@ -139,15 +139,15 @@ def unlikely_warning(simulation: Simulation, commands: Iterable[Command]) -> str
 
 def _unlikely_commands(actuators: Actuators, setpoints: list, efforts: list) -> str | None:
     """A warning of setpoints or efforts, each of shape (count,), that suggest a wrong unit, else None."""
-    by_effort = np.ones(actuators.count, bool)
-    for values, scale, quantities in (
-        (actuators.drives(np.array(setpoints)), actuators.limits.drive_scale, actuators.driven_quantities(~by_effort)),
-        (np.array(efforts or [0.0 * by_effort]), actuators.effort_scale, actuators.driven_quantities(by_effort)),
-    ):  # fmt: skip
+    every = np.ones(actuators.count, bool)
+    for values, scale, by_effort in (
+        (actuators.drives(np.array(setpoints)), actuators.limits.drive_scale, ~every),
+        (np.array(efforts or [0.0 * every]), actuators.effort_scale, every),
+    ):
         shares = np.nan_to_num(np.abs(values / scale), nan=0.0).max(axis=0)
         if shares.max(initial=0.0) > _UNLIKELY:
             worst = int(shares.argmax())
-            word, unit = quantities[worst]
+            word, unit = actuators.driven_quantities(by_effort)[worst]
             return (f"{actuators.names[worst]}: a {word} of {shares[worst] * scale[worst]:.3g} "
                     f"{unit} is {shares[worst]:.3g} times a large one: is it in {unit}?")
     return None
@@ -226,7 +226,7 @@ def run_and_report(
         lines.append(("picture", str(picture.path)))
     console().print(table(f"{name}, {how}", "what", "value", rows=lines))
     print_mesh_error(simulation.scene)
-    print_reduction_errors(simulation, summary.sampled_range)
+    print_reduction_errors(simulation, columns.reduction, summary.sampled_range)
     if summary.failed:
         warn(f"{summary.failed} of {count} {summary.unit} found no solution and contain the last "
              f"safe state, see column status of {output}")

@@ -172,6 +172,7 @@ class RunColumns:
 
     Attributes:
         names: The columns, in their order.
+        reduction: Tells how far reduced bodies can be believed.
     """
 
     def __init__(
@@ -190,7 +191,7 @@ class RunColumns:
         """
         self._simulation, model = simulation, simulation.model
         self._pairs = pair_names(simulation)
-        self._judged, self._reduction = tuple[str, ...](), ReductionStates(simulation)
+        self._judged, self.reduction = tuple[str, ...](), ReductionStates(simulation)
         if with_reduction_errors and has_spare_modes(model):
             self._judged = tuple(body.name for body in reduced_bodies(model))
         self._parts = [
@@ -295,10 +296,8 @@ class RunColumns:
         if result.contacts is not None:
             forces = result.contacts.of_pairs()
             resultants, sums = forces.resultants, forces.magnitude_sums
-        errors: tuple[float, ...] = ()
-        if self._judged:
-            states = self._reduction.read()
-            errors = tuple(states[name].error for name in self._judged)
+        states = self.reduction.read() if self._judged else {}
+        errors = tuple(states[name].error for name in self._judged)
         poses = rigid_poses(self._simulation, result.state.positions)
         return RunRow(step, time, result, command, poses, resultants, sums, errors, observed)
 

@@ -25,7 +25,6 @@ from softrobot_twin.view.colours import (
     pressure_colours,
     tension_colours,
 )
-from softrobot_twin.view.frame import Drawn, Entity
 from softrobot_twin.view.drawn_parts import (
     CavityDisplay,
     SolidSkin,
@@ -35,6 +34,7 @@ from softrobot_twin.view.drawn_parts import (
     rigid_skins,
     spring_places,
 )
+from softrobot_twin.view.frame import Drawn, Entity
 
 OPEN_TENSION = 10.0
 """Upper end of the colour scale when no cable has a tension limit [N]."""

@@ -48,7 +48,7 @@ def wound(simulation, shortening, force=(0.0, 0.0, 0.0)):
 def test_the_full_model_tells_the_error_within_a_tenth(judge, factor, force):
     full, reduced, errors = judge
     rest = reduced.model.effectors.positions(reduced.model.nodes.rest_positions)
-    rng, ratios, by_spare_modes = np.random.default_rng(2), [], []
+    rng, ratios, by_spare_modes, states = np.random.default_rng(2), [], [], ReductionStates(reduced)
     for _ in range(6):
         shortening = factor * TRAINED * rng.random(4)
         shortening[rng.integers(4)] = factor * TRAINED
@@ -57,7 +57,7 @@ def test_the_full_model_tells_the_error_within_a_tenth(judge, factor, force):
         ratios.append(found.distance / true)
         moved = np.linalg.norm(reduced.effector_positions() - rest)
         assert found.share == pytest.approx(found.distance / moved)
-        by_spare_modes.append(ReductionStates(reduced).read()["body"].error / true)
+        by_spare_modes.append(states.read()["body"].error / true)
         assert 2 <= errors.linearizations <= 4
     np.testing.assert_allclose(ratios, 1.0, atol=0.1)
     if any(force):

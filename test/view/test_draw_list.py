@@ -5,8 +5,8 @@ import pytest
 
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import Hold, Simulation
-from softrobot_twin.view.drawn_parts import rigid_skins
 from softrobot_twin.view.draw_list import DrawList, Shown
+from softrobot_twin.view.drawn_parts import rigid_skins
 from test.places import SCENES
 
 

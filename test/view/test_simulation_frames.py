@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.simulation import Hold, Simulation
-from softrobot_twin.view.drawn_parts import CavityDisplay, obstacle_skins, rigid_skins
 from softrobot_twin.view import ViewError
+from softrobot_twin.view.drawn_parts import CavityDisplay, obstacle_skins, rigid_skins
 from softrobot_twin.view.simulation_frames import SimulationFrames
 from test.places import SCENES
 
