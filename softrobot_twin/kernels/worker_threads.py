@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import os
 import threading
+import time
 import weakref
 from collections.abc import Callable
 from contextlib import suppress
@@ -39,8 +40,11 @@ MOST_BY_DEFAULT = 4
 NEXT, STOPPED, NOTED, STATE_SIZE = 0, 8, 9, 16
 """Places in the state of a list: of the next task, and apart from it by a cache line, of a flag and of
 what a kernel notes; all begin with zero."""
-# Looks at a task that is not done before the thread lets others run, and before it sleeps.
+# Looks at a task that is not done before the thread lets others run for once, how often it does so
+# before it sleeps, and for how long [us]. A sleep costs more than most waits, which end within 0.1 ms.
 _LOOKS, _YIELDS, _NAP = 4000, 200, 50
+# Most runs without helpers that have saved no time, until they get another chance.
+_MOST_ALONE = 256
 _yield = types.ExternalFunction("sched_yield", types.int32())
 _sleep = types.ExternalFunction("usleep", types.int32(types.uint32))
 _WORD = ir.IntType(64)
@@ -98,9 +102,9 @@ def wait_for(task, state, done):
         if _read(state.ctypes.data + 8 * STOPPED) != 0:
             return False
         looks += 1
-        if looks > _LOOKS + _YIELDS:
+        if looks > _LOOKS * _YIELDS:
             _sleep(np.uint32(_NAP))
-        elif looks > _LOOKS:
+        elif looks % _LOOKS == 0:
             _yield()
     return True
 
@@ -216,7 +220,7 @@ class Team:
     def __reduce__(self):
         return team_of, (self.count,)
 
-    def run(self, task_count: int, kernel: Callable, *arguments):
+    def run(self, task_count: int, kernel: Callable, *arguments, is_alone: bool = False):
         """Run a list by all threads of the team.
 
         Args:
@@ -224,6 +228,7 @@ class Team:
             kernel: Takes tasks. Its first arguments are whether it is to wait for all of them,
                 the state of the list, and which are done.
             *arguments: The others.
+            is_alone: Whether the calling thread runs the list without helpers.
 
         Returns:
             What the kernel returns.
@@ -237,7 +242,7 @@ class Team:
         state, done = np.zeros(STATE_SIZE, np.int64), np.zeros(task_count, np.int64)
         arguments = (state, done, *arguments)
         job = _Job(state, kernel, arguments)
-        for jobs in self._jobs:
+        for jobs in () if is_alone else self._jobs:
             jobs.put(job)
         try:
             result = kernel(True, *arguments)
@@ -247,6 +252,49 @@ class Team:
         if job.error is not None:
             raise job.error
         return result
+
+
+class WatchedTeam:
+    """A team that runs the same lists again and again, without its helpers while they save no time.
+
+    Where other programs take the cores, a thread waits for helpers that do not run: a factorization took
+    ten times as long as alone. So a run by all that takes longer than the calling thread needs alone is
+    followed by one without helpers, which is measured, the next such one by two, by four and so on.
+
+    Args:
+        team: The threads.
+    """
+
+    def __init__(self, team: Team):
+        self._team = team
+        self._watches: dict[Callable, _Watch] = {}
+
+    def run(self, task_count: int, kernel: Callable, *arguments):
+        """See `Team.run`."""
+        watch = self._watches.setdefault(kernel, _Watch())
+        is_alone = watch.left > 0
+        clock = time.thread_time if is_alone else time.perf_counter
+        begin = clock()
+        result = self._team.run(task_count, kernel, *arguments, is_alone=is_alone)
+        watch.see(clock() - begin, is_alone)
+        return result
+
+
+class _Watch:
+    """Whether helpers save time in one kernel."""
+
+    def __init__(self) -> None:
+        self.left, self._pause, self._alone_time = 0, 1, 0.0
+
+    def see(self, spent: float, is_alone: bool) -> None:
+        """Take the time of a run: processor time of one that was alone, else elapsed time [s]."""
+        if is_alone:
+            self._alone_time = spent
+            self.left -= 1
+        elif spent > self._alone_time:
+            self.left, self._pause = self._pause, min(2 * self._pause, _MOST_ALONE)
+        else:
+            self._pause = 1
 
 
 def _dismiss(jobs: list[SimpleQueue], process: int) -> None:

@@ -26,7 +26,7 @@ import numpy as np
 from softrobot_twin.geometry.cell_mesh import SomeCells, node_counts_of, points_of
 from softrobot_twin.geometry.smoothed_mesh import EdgeRings
 from softrobot_twin.kernels.compilation import INNER, njit
-from softrobot_twin.kernels.worker_threads import Team, finish, run_alone, take, wait_for
+from softrobot_twin.kernels.worker_threads import Team, WatchedTeam, finish, run_alone, take, wait_for
 
 LEAST_NODES = 700
 """Nodes of a body that is cut into parts: the factors of smaller ones, too, run on one thread."""
@@ -67,7 +67,7 @@ class InParts:
         """See `ForceTerm.use_threads`; an assembly in threads is not traced."""
         part_count = len(self.parts.begins) - 1
         if part_count > 1:
-            self._run_list, self.is_traceable = partial(team.run, part_count), False
+            self._run_list, self.is_traceable = partial(WatchedTeam(team).run, part_count), False
 
     def run_parts(self, kernel: Callable, *arguments):
         """Run a kernel for all parts of the body."""

@@ -15,6 +15,7 @@ from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.kernels.worker_threads import (
     STOPPED,
     Team,
+    WatchedTeam,
     default_thread_count,
     finish,
     helper_ids,
@@ -141,6 +142,46 @@ def test_helpers_take_the_priority_of_the_caller():
     caller.start()
     caller.join()
     assert found == [wanted]
+
+
+class _NotedTeam(Team):
+    """Notes which runs have helpers."""
+
+    def __init__(self):
+        super().__init__(2)
+        self.has_helpers = []
+
+    def run(self, task_count, kernel, *arguments, is_alone=False):
+        self.has_helpers.append(not is_alone)
+        return super().run(task_count, kernel, *arguments, is_alone=is_alone)
+
+
+def test_helpers_that_save_no_time_are_left_out_ever_longer():
+    """Here each run waits, as for helpers whose cores are busy, but costs no processor time."""
+    team = _NotedTeam()
+    watched = WatchedTeam(team)
+
+    def kernel(is_caller, state, done):
+        time.sleep(0.001)  # s
+
+    for _ in range(600):
+        watched.run(1, kernel)
+    pauses = np.diff(np.flatnonzero(team.has_helpers)) - 1
+    np.testing.assert_array_equal(pauses, [1, 2, 4, 8, 16, 32, 64, 128, 256])
+
+
+def test_helpers_that_save_time_stay():
+    team = _NotedTeam()
+    watched = WatchedTeam(team)
+
+    def kernel(is_caller, state, done):
+        end = time.thread_time() + (0.0 if team.has_helpers[-1] else 0.5)  # s
+        while is_caller and time.thread_time() < end:
+            pass
+
+    for _ in range(20):
+        watched.run(1, kernel)
+    assert team.has_helpers == [True, False] + 18 * [True]
 
 
 def test_threads_are_the_cores_of_the_process_at_most_four():

@@ -7,7 +7,7 @@ from copy import copy
 import numpy as np
 
 from softrobot_twin.kernels.traced_stage import TracedStages, clear
-from softrobot_twin.kernels.worker_threads import Team, run_alone, team_of
+from softrobot_twin.kernels.worker_threads import Team, WatchedTeam, run_alone, team_of
 from softrobot_twin.solvers.factorization import (
     BLOCK,
     Condensed,
@@ -143,6 +143,7 @@ class Multifrontal:
             self._updates = aligned(size)
         if tasks is not None:
             self.team = team_of(tasks.thread_count)
+            self._watched = WatchedTeam(self.team)
         # A right-hand side reads each entry of L once, about one a cycle.
         self._shares_strips = tasks is not None and self.layout.panels_size >= front_tasks.LEAST_COST
         if self._shares_strips:
@@ -163,7 +164,7 @@ class Multifrontal:
         )  # fmt: skip
         if tasks is None:
             return factorize(*arguments) == SUCCESS
-        return self.team.run(
+        return self._watched.run(
             len(tasks.tasks), factorize_by_tasks, tasks.tasks, tasks.waits, *arguments
         ) == SUCCESS  # fmt: skip
 
@@ -262,7 +263,7 @@ class Multifrontal:
         if not self._shares_strips or columns.work_size <= STRIP:
             run_alone(condensation.forward, *arguments)
         else:
-            self.team.run(self.team.count, condensation.forward, *arguments)
+            self._watched.run(self.team.count, condensation.forward, *arguments)
 
     def expand(self, multipliers: np.ndarray) -> np.ndarray:
         """See `Factorization.expand`; the result is overwritten by the next call.
