@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -52,9 +52,8 @@ def measured_poses(data: Any, simulation: Simulation) -> tuple[list[RestPose], l
     Raises:
         SoftRobotTwinError: A file cannot be used.
     """
-    if isinstance(data, str | Path | Mapping) or hasattr(data, "keys"):
-        data = [data]
-    given = list(data)
+    is_one = isinstance(data, str | Path) or hasattr(data, "keys") or not isinstance(data, Iterable)
+    given = [data] if is_one else list(data)
     poses = [one for one in given if isinstance(one, RestPose)]
     found, words = read_poses([one for one in given if not isinstance(one, RestPose)], simulation)
     return [*poses, *found], words

@@ -26,6 +26,7 @@ from softrobot_twin.scene import Scene
 from softrobot_twin.scene.scene_parameters import JointParameter, Parameter
 from softrobot_twin.simulation import Simulation, State
 from softrobot_twin.simulation.building.limits import DISPLACEMENT_MARGIN, HOLDING_MARGIN
+from softrobot_twin.tables.input_tables import real_array
 
 # A search ends where variables move by less than this share of their bounds, or the objective changes
 # by less than this share.
@@ -489,11 +490,18 @@ def hull_volume(points: np.ndarray) -> tuple[float, np.ndarray]:
 
     Returns:
         The volume [m³], and its derivatives by the points [m²], zero inside, shape (count, 3).
+
+    Raises:
+        DesignError: The points span no volume.
     """
     from scipy.spatial import ConvexHull  # it loads slowly
 
-    hull, slopes = ConvexHull(points), np.zeros_like(points)
-    a, b, c = (points[hull.simplices].swapaxes(0, 1) - points.mean(axis=0))
+    try:
+        points = real_array(points)
+        hull, slopes = ConvexHull(points), np.zeros_like(points)
+        a, b, c = (points[hull.simplices].swapaxes(0, 1) - points.mean(axis=0))
+    except (TypeError, ValueError, IndexError, OverflowError, RuntimeError) as error:
+        raise DesignError("points", "must be four or more places [m] that span a volume, shape (count, 3)") from error
     # Triangles whose corners go round the other way have normals that point inwards.
     sides = np.sign(np.einsum("fi,fi->f", np.cross(b - a, c - a), hull.equations[:, :3]))[:, None]
     for corner, (second, third) in enumerate(((b, c), (c, a), (a, b))):

@@ -23,7 +23,7 @@ class OutputError(SoftRobotTwinError):
     """
 
     def __init__(self, path: Path | str, reason: str):
-        self.path, self.reason = Path(path), reason
+        self.path, self.reason = Path(str(path)), reason
         super().__init__(f"{path}: cannot be written: {reason}")
 
 
@@ -74,9 +74,9 @@ def output_file(path: Path | str) -> Iterator[Path]:
     Raises:
         OutputError: The file cannot be written.
     """
-    path = Path(path)
     partial = None
-    with writing(path, ValueError):  # a name too long, or with a null character
+    with writing(path, Exception):  # a name too long, with a null character, or none at all
+        path = Path(path)
         target = path.resolve()
     try:
         if target.exists() and not target.is_file():

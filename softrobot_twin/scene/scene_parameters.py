@@ -158,7 +158,7 @@ def parameters(scene: Scene, *keys: str) -> tuple[Parameter, ...]:
     if not keys:
         return tuple(known.values())
     found = dict[str, Parameter]()
-    for key in keys:
+    for key in map(str, keys):
         steps = _steps(key)
         places = [dotted(place) for place in _places(scene, steps)] if steps else []
         own = [name for place in places for name in known
@@ -277,6 +277,8 @@ def changed_scene(scene: Scene, changes: Mapping[str, Any]) -> Scene:
     Raises:
         SceneError: There is no such key, or the scene does not take the value.
     """
+    if not isinstance(changes, Mapping):
+        raise SceneError(scene.path, "changes", changes, "", "must be values by keys, as a mapping")
     if not changes:
         return scene
     try:
@@ -323,6 +325,7 @@ def _place(scene: Scene, key: str, value: Any = "") -> tuple:
 
 def _all_places(scene: Scene, key: str, value: Any = "") -> list[tuple]:
     """Where a key is in a scene, or where its ``*`` means several entries."""
+    key = str(key)
     steps = _steps(key) if "*" in key else ()
     return (list(_places(scene, steps, value)) if steps else []) or [_place(scene, key, value)]
 

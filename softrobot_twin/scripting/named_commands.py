@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import compress
 from types import MappingProxyType
@@ -28,7 +29,7 @@ from softrobot_twin.simulation import (
 from softrobot_twin.simulation.building.actuator_kinds import column
 from softrobot_twin.simulation.command import EFFORTS, SETPOINTS
 from softrobot_twin.tables.channels import NOT_UNIT, WANTED, Channel
-from softrobot_twin.tables.input_tables import drives_of
+from softrobot_twin.tables.input_tables import drives_of, real_array
 
 Numbers: TypeAlias = tuple[float, ...]
 Aim: TypeAlias = tuple[np.ndarray, np.ndarray | None]
@@ -147,7 +148,7 @@ def _numbers_of(
 ) -> Mapping[str, Numbers]:
     """Checked numbers of all names, those of the mapping first."""
     if first is not None:
-        _check_mapping(word, first, "tip=[0, 0, 0.1]")
+        check_given(word, first, Mapping, "names, such as tip=[0, 0, 0.1]")
     given = dict(first or {})
     for twice in (name for name in named if name in given):
         raise CommandError(twice, "is given twice")
@@ -170,20 +171,17 @@ def finite_numbers(name: str, value: Any, may_be_free: bool = False) -> Numbers:
     Raises:
         CommandError: It is no finite number, or no list of them.
     """
-    if may_be_free and isinstance(value, Sequence | np.ndarray) and not isinstance(value, str):
-        parts = [np.nan if part is None else finite_numbers(name, part)[0] for part in value]
-        return tuple(parts)
     try:
-        given = np.asarray(value)
-        if given.ndim > 1 or given.dtype.kind not in "iufO" or np.ma.is_masked(value):
+        numbers = np.atleast_1d(real_array(value))
+        if numbers.ndim > 1:
             raise TypeError
-        numbers = tuple(np.atleast_1d(given).astype(float).tolist())
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         reason = f"must be a number or a list of numbers, not {_kind(value)}"
         raise CommandError(name, reason) from None
-    for bad in (number for number in numbers if not np.isfinite(number)):
+    free = np.array([may_be_free and one is None for one in np.ravel(value)], bool)
+    for bad in numbers[~(np.isfinite(numbers) | free)]:
         raise CommandError(name, f"holds {bad}, which is not finite")
-    return numbers
+    return tuple(numbers.tolist())
 
 
 def _checked(channel: Channel, name: str, numbers: Numbers) -> np.ndarray:
@@ -198,9 +196,20 @@ def _checked(channel: Channel, name: str, numbers: Numbers) -> np.ndarray:
     return wanted
 
 
-def _check_mapping(word: str, given: Any, example: str) -> None:
-    if not isinstance(given, Mapping):
-        raise CommandError(word, f"takes names, such as {example}, not {_kind(given)}")
+def check_given(word: str, given: Any, kind: type, what: str) -> None:
+    """Refuses what is of another kind.
+
+    Args:
+        word: Name of the argument, for the error.
+        given: What is given.
+        kind: What it must be.
+        what: The same in words.
+
+    Raises:
+        CommandError: It is something else.
+    """
+    if not isinstance(given, kind):
+        raise CommandError(word, f"takes {what}, not {_kind(given)}")
 
 
 def _kind(value: Any) -> str:
@@ -377,7 +386,7 @@ class CommandReader:
             CommandError: A body is not guided, or a pose is not one.
         """
         guided, read = self._simulation.guided_names, dict[str, Aim]()
-        _check_mapping("poses", poses, "palm=[0, 0, 0.1]")
+        check_given("poses", poses, Mapping, "names, such as palm=[0, 0, 0.1]")
         for name, pose in poses.items():
             if name not in guided:
                 raise unknown(name, "guided bodies:", guided)
@@ -394,7 +403,7 @@ class CommandReader:
         Raises:
             CommandError: A name is unknown, or a value is not 3 finite numbers.
         """
-        _check_mapping("touches", touches, "fingertip_force_N=[0, 0, -1]")
+        check_given("touches", touches, Mapping, "names, such as fingertip_force_N=[0, 0, -1]")
         before, names = self._simulation.touches, self._simulation.touch_names
         known = {f"{name}_{word}": (index, word) for index, name in enumerate(names)
                  for word in ("force_N", "displacement_m", "place_m")}
@@ -431,19 +440,21 @@ class CommandReader:
         ids = [int(one) for one in self._simulation.marker_ids]
         places = np.full((len(ids), 3), np.nan)
         if not isinstance(markers, Mapping):
-            markers = np.asarray(markers, float)
-            if markers.shape != places.shape:
-                raise CommandError("markers", f"must be by id, or of shape {places.shape}, not "
-                                   f"{markers.shape}")
-            return markers
+            return _array_of("markers", markers, places.shape)
         for marker, place in markers.items():
             if marker not in ids:
                 raise unknown(str(marker), "markers:", [str(one) for one in ids])
-            place = np.asarray(place, float)
-            if place.shape != (3,):
-                raise CommandError(f"marker {marker}", f"must be 3 numbers, not {place.size}")
-            places[ids.index(marker)] = place
+            places[ids.index(marker)] = _array_of(f"marker {marker}", place, (3,))
         return places
+
+
+def _array_of(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
+    """An array of a shape, perhaps with NaN."""
+    with suppress(TypeError, ValueError, OverflowError):
+        array = real_array(value)
+        if array.shape == shape:
+            return array
+    raise CommandError(name, f"must be {' x '.join(map(str, shape))} numbers, not {_kind(value)}")
 
 
 def read_pose(name: str, pose: Any) -> Aim:

@@ -29,6 +29,7 @@ from softrobot_twin.scripting.named_commands import (
     HoldAll,
     NamedCommand,
     Setpoints,
+    check_given,
     finite_numbers,
     positive_number,
     unknown,
@@ -60,6 +61,7 @@ def variables_of(scene: Scene, asked: Variables) -> tuple[Parameter | JointParam
         SceneError: No number has such a key.
         DesignError: A variable changes nothing, or one number is in two variables.
     """
+    check_given("parameters", asked, Iterable, "keys of numbers")
     found: list[Parameter | JointParameter] = []
     if not isinstance(asked, Mapping):
         found += parameters(scene, *asked)
@@ -89,6 +91,7 @@ def poses_of(scene: Scene, commands: Iterable[NamedCommand]) -> list[Pose]:
     Raises:
         CommandError: A name is unknown, or a command asks for something else.
     """
+    check_given("commands", commands, Iterable, "commands, one for each pose")
     simulation = Simulation(scene, with_warnings=False)
     reader, poses = CommandReader(simulation), []
     for command in commands:
@@ -147,6 +150,7 @@ def wanted_places(simulation: Simulation, wanted: Iterable[Mapping[str, Any]]) -
     """
     names, rows = simulation.effector_names, []
     for places in wanted:
+        check_given("objective", places, Mapping, "wanted places by effectors, such as {'tip': [0, 0, 0.1]}")
         row = np.full((len(names), 3), np.nan)
         for name, place in places.items():
             if name not in names:
@@ -277,8 +281,11 @@ def optimised(
         return Design.of(model, found, ends, "")
     if commands:
         raise CommandError("commands", "belong to a function: wanted places have their own")
-    model = DesignModel(scene, variables, poses_of(scene, [command for command, _ in objective]))
-    simulation = model.solve(model.start).simulation
-    wanted = wanted_places(simulation, [places for _, places in objective])
+    try:
+        asked_of, places = zip(*objective, strict=True)
+    except (TypeError, ValueError):
+        raise CommandError("objective", "takes pairs of a command and wanted places, or a function") from None
+    model = DesignModel(scene, variables, poses_of(scene, asked_of))
+    wanted = wanted_places(model.solve(model.start).simulation, places)
     found = DesignSearch(model, ends).meet(wanted, SAME_PLACE if tolerance is None else tolerance)
     return Design.of(model, found, ends, "m")

@@ -23,6 +23,7 @@ from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.errors import MOST_COUNTED, CommandError
 from softrobot_twin.harness.equilibrium import is_at_rest
 from softrobot_twin.harness.figure import load_pyplot
+from softrobot_twin.harness.output_file import writing
 from softrobot_twin.scene import Scene, load_scene, scene_from_mapping
 from softrobot_twin.scene.scene_parameters import Parameter, changed_scene, parameters
 from softrobot_twin.scripting.entries_in_python import IN_PYTHON, plain_entries
@@ -33,6 +34,7 @@ from softrobot_twin.scripting.named_commands import (
     Aim,
     CommandReader,
     NamedCommand,
+    check_given,
     finite_numbers,
     hold,
     one_number,
@@ -187,6 +189,7 @@ class Robot:
             SceneError: An entry does not fit the mesh.
             MeshError: A mesh cannot be used.
         """
+        check_given("scene", scene, Scene, "a scene, as that of a robot")
         simulation = Simulation(scene)
         simulation.warm_up()
         self._has_warned = False
@@ -464,7 +467,9 @@ class Robot:
             CalibrationError: The poses are too few, or a number cannot be fitted.
         """
         poses, judges = (measured_poses(one, self.simulation)[0] for one in (data, check))
-        return calibrate(self.scene, poses, list(fit), known or {}, judges)
+        known = {} if known is None else known
+        check_given("known", known, Mapping, "deviations by keys")
+        return calibrate(self.scene, poses, list(fit), known, judges)
 
     def reset(self) -> None:
         """Goes back to rest. What follows is the same, to the bit, as the first time."""
@@ -508,6 +513,7 @@ class Robot:
         aims = self._reader.poses(poses)
         touched = self._reader.touches(touches)
         self._warn_of_unlikely(asked)
+        check_given("grips", grips, Mapping, "names, such as palm=True")
         for name, holds in grips.items():
             if name not in self.simulation.grip_names:
                 raise unknown(name, "grips:", self.simulation.grip_names)
@@ -555,6 +561,7 @@ class Robot:
         seen = simulation.scene.marker_frame.of_robot(self._reader.markers(markers))
         columns = list(simulation.sensor_columns)
         told = np.full(len(columns), np.nan)
+        check_given("sensors", sensors, Mapping, "names, such as spine_length_m=0.1")
         for column_of, value in sensors.items():
             if column_of not in columns:
                 raise unknown(column_of, "sensors:", columns)
@@ -662,14 +669,13 @@ class Robot:
         if _is_table(command):
             _refuse("a table of commands", steps=steps, seconds=seconds, poses=poses, touches=touches)
             return self._run_table(command, rate)
-        if command is None and not (poses or touches):
+        if command is None and not self._reader.poses(poses) and self._reader.touches(touches) is None:
             return self._run_alone(steps, seconds, _rate(rate))
         hertz = _rate(rate)
         if command is None or isinstance(command, NamedCommand | Command):
             commands = [hold() if command is None else command] * _step_count(steps, seconds, hertz)
         else:
-            if not isinstance(command, Iterable):
-                raise CommandError("run", f"takes commands, a file or a table, not {command!r}")
+            check_given("run", command, Iterable, "commands, a file or a table")
             _refuse("a list of commands", steps=steps, seconds=seconds)
             commands = list(cast(Iterable[AnyCommand], command))
         return self._run_each(commands, 1.0 / hertz, poses, touches)
@@ -808,8 +814,8 @@ class Robot:
         return ModalTangent(self.simulation, self._by_effort).at_state(count, step)
 
     def _place(self, effector: str) -> int:
-        if effector not in self.effector_names:
-            raise unknown(effector, "effectors:", self.effector_names)
+        if str(effector) not in self.effector_names:
+            raise unknown(str(effector), "effectors:", self.effector_names)
         return self.effector_names.index(effector)
 
     def _yielding(self) -> ApparentCompliance:
@@ -873,7 +879,8 @@ class Robot:
         if self._view is not None:
             self._view.close()
         serves = path is None and not notebook if serve is None else serve
-        file = None if path is None else Path(path)
+        with writing(str(path), TypeError):
+            file = None if path is None else Path(path)
         self._view = RobotView(self.simulation, file, serves, spawn and serves, port, force_scale, notebook)
         self._view.show()
         return self._view

@@ -17,8 +17,10 @@ import math
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from decimal import Decimal
 from functools import cached_property
 from itertools import compress
+from numbers import Real
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -90,6 +92,30 @@ class TableFileError(SoftRobotTwinError):
         super().__init__(f"{path}{place and ', '}{place}{told}")
 
 
+def real_array(value: Any) -> np.ndarray:
+    """Numbers that Python code gives as an array of floats, NaN for None.
+
+    Args:
+        value: A number, an array or lists of them.
+
+    Raises:
+        TypeError: Others are among them: texts, dates, truth values, complex or masked numbers.
+    """
+    given = _as_given(value)
+    return np.array([np.nan if one is None else _real(one) for one in np.ravel(given)]).reshape(given.shape)
+
+
+def _as_given(value: Any) -> Any:
+    """An array in which each value is still what it was: a list of all kinds becomes one of objects."""
+    return value if isinstance(value, np.ndarray | np.generic) else np.asarray(value, object)
+
+
+def _real(value: object) -> float:
+    if not isinstance(value, Real | Decimal) or isinstance(value, bool | np.timedelta64):
+        raise TypeError(f"{value!r:.60} is no number")
+    return float(value)
+
+
 def read_cells(path: Path, example: str) -> tuple[list[str], list[int], list[list[str]]]:
     """Reads a CSV file as text.
 
@@ -107,7 +133,7 @@ def read_cells(path: Path, example: str) -> tuple[list[str], list[int], list[lis
         with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.reader(file)
             rows = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+    except (OSError, ValueError, csv.Error) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise TableFileError(path, f"cannot be read as CSV text: {reason}") from error
     rows = [(line, row) for line, row in rows if any(row)]
@@ -242,8 +268,11 @@ class Columns:
 
     def _number(self, name: str, line: int, cell, may_be_open: bool = False) -> float:
         try:
-            number, fault = float(cell), "" if may_be_open else "must be finite"
-        except (TypeError, ValueError):
+            # Whether a grip holds may be a truth value.
+            is_plain = isinstance(cell, str) or isinstance(cell, bool | np.bool_) and not unit_of(name)
+            number = float(cell) if is_plain else _real(cell)
+            fault = "" if may_be_open else "must be finite"
+        except (TypeError, ValueError, OverflowError):
             number, fault = math.nan, "must be a number"
         if fault and not math.isfinite(number):
             raise TableFileError(self.source, fault, line, self.given(name), cell, unit_of(name))
@@ -317,8 +346,10 @@ def open_columns(source: Path | str | Mapping, example: str) -> Columns:
     if isinstance(source, (str, Path)):
         path = Path(source)
         return Columns(path, *read_cells(path, example))
+    if not hasattr(source, "keys"):
+        raise TableFileError(Path("table"), f"must be a file, or columns by name, not {source!r:.60}")
     table, names = Path("table"), [str(name) for name in source.keys()]
-    columns = [np.atleast_1d(np.asarray(source[name])) for name in source.keys()]
+    columns = [np.atleast_1d(_as_given(source[name])) for name in source.keys()]
     if not columns or not len(columns[0]):
         raise TableFileError(table, f"has no rows; columns such as {example} are required")
     for name, values in zip(names, columns, strict=True):
