@@ -38,7 +38,7 @@ from softrobot_twin.conversion.scene_tree import (
 from softrobot_twin.conversion.scene_xml import read_xml
 from softrobot_twin.conversion.units import units_of
 from softrobot_twin.errors import SceneError, SoftRobotTwinError, one_line
-from softrobot_twin.harness.output_file import output_file
+from softrobot_twin.harness.output_file import output_file, writing
 from softrobot_twin.harness.terminal import console, print_apart, table, terminal_status
 from softrobot_twin.scene.loading import read_yaml, scene_from_mapping
 from softrobot_twin.simulation import Simulation
@@ -208,6 +208,9 @@ def write(conversion: Conversion, file: Path, replace: bool) -> None:
         if columns and (can_move if kind == "targets" else any(columns.values())):
             with output_file(folder / name) as part:
                 _write_rows(conversion, kind, columns, part)
+        else:
+            with writing(folder / name):  # One of an earlier conversion does not belong to this scene.
+                (folder / name).unlink(missing_ok=True)
     with output_file(output) as part:
         part.write_text(text, encoding="utf-8")
 

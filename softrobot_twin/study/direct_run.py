@@ -174,11 +174,10 @@ def _run_and_report(simulation: Simulation, commanded: CommandTable, output: Pat
     if seen is not None:
         rows = (row._replace(observed=seen.read()) for row in rows)
 
-    def shots(row: RunRow) -> list[Snapshot]:
-        taken = []
-        while wanted and row.time >= wanted[0] - 1e-9:
-            time = f"{wanted.pop(0):g} s"
-            taken.append(take_snapshot(simulation, row.result.contacts, time))
+    def shots(row: RunRow | None) -> list[Snapshot]:
+        taken, (now, contacts) = [], (first, None) if row is None else (row.time, row.result.contacts)
+        while wanted and now >= wanted[0] - 1e-9:
+            taken.append(take_snapshot(simulation, contacts, f"{wanted.pop(0):g} s"))
         return taken
 
     return run_and_report(

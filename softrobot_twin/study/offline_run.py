@@ -187,7 +187,7 @@ class Picture(NamedTuple):
 def run_and_report(
     simulation: Simulation, rows: Iterable[RunRow], columns: RunColumns, count: int, how: str,
     output: Path, summary: RunSummary, picture: Picture | None,
-    shots: Callable[[RunRow], list[Snapshot]], more: Callable[[], list[tuple[str, str]]] = list,
+    shots: Callable[[RunRow | None], list[Snapshot]], more: Callable[[], list[tuple[str, str]]] = list,
 ) -> int:  # fmt: skip
     """Computes the rows of a run, writes the run file and the picture, and prints what it gave.
 
@@ -200,7 +200,7 @@ def run_and_report(
         output: The run file.
         summary: Sums the run up.
         picture: Picture to draw, or None.
-        shots: States to draw that are reached with a row.
+        shots: States to draw that are reached with a row; None before the first.
         more: Further names and values to print, as they are at the end.
 
     Returns:
@@ -213,7 +213,7 @@ def run_and_report(
         check_picture(picture.path)  # An error is raised before the run, not after it.
     with terminal_status("compiling and warming up"):
         simulation.warm_up()
-    name, drawn = simulation.scene.name, []
+    name, drawn = simulation.scene.name, shots(None)
     with run_file(output, columns) as write:
         for row in tracked(rows, name, count, lambda row: row.result.status.value):
             write(row)
@@ -277,7 +277,9 @@ def simulate(scene: Path, targets: Path, output: Path, settle: int = 0, picture:
     effector_path = np.empty((len(rows.times), len(simulation.effector_names), 3))
     goal = rows.values[-1] if rows.kind == "targets" else None
 
-    def shots(row: RunRow) -> list[Snapshot]:
+    def shots(row: RunRow | None) -> list[Snapshot]:
+        if row is None:
+            return []
         effector_path[row.step] = row.result.effector_positions
         is_last = picture is not None and row.step == len(effector_path) - 1
         return [take_snapshot(simulation, None, name, goal, effector_path)] if is_last else []
