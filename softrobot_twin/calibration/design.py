@@ -373,12 +373,17 @@ class DesignSearch:
             solved = self._tried(shares)
             if solved is None:
                 raise _Refused(shares)
-            value, weights = objective(solved.found)
-            shapes = [np.shape(one) for one in solved.found]
-            if not isinstance(weights, Equilibria) or [np.shape(one) for one in weights] != shapes:
-                raise DesignError("objective", "must return a number and its derivatives as Equilibria "
-                                  f"of the shapes {shapes[0]} and {shapes[1]}")
-            return float(value), self._width * self._model.gradient(self._values(shares), weights)
+            told, shapes = objective(solved.found), [np.shape(one) for one in solved.found]
+            try:
+                value, weights = told
+                number = real_array(value).item()
+                weights = Equilibria(*weights)
+                if not np.isfinite(number) or [np.shape(one) for one in weights] != shapes:
+                    raise ValueError
+            except (TypeError, ValueError, OverflowError):
+                raise DesignError("objective", "must return a finite number and its derivatives as Equilibria "
+                                  f"of the shapes {shapes[0]} and {shapes[1]}") from None
+            return number, self._width * self._model.gradient(self._values(shares), weights)
 
         shares = self._shares(self._model.start)
         self._model.solve(self._values(shares))

@@ -474,9 +474,9 @@ def _letters(item: Any, value: Any) -> list[str] | None:
 
 
 def _without_truth_values(numbers: Any, value: Any) -> Any:
-    """Replaces truth values by words where a number is required, so that they are refused."""
+    """Replaces truth values and bytes by words where a number is required, so that they are refused."""
     if numbers is True:
-        return str(value).lower() if isinstance(value, bool) else value
+        return str(value).lower() if isinstance(value, bool | bytes) else value
     if numbers is not None and isinstance(value, list | tuple) and len(numbers) == len(value):
         return [_without_truth_values(*pair) for pair in zip(numbers, value, strict=True)]
     return value

@@ -325,7 +325,6 @@ def _place(scene: Scene, key: str, value: Any = "") -> tuple:
 
 def _all_places(scene: Scene, key: str, value: Any = "") -> list[tuple]:
     """Where a key is in a scene, or where its ``*`` means several entries."""
-    key = str(key)
     steps = _steps(key) if "*" in key else ()
     return (list(_places(scene, steps, value)) if steps else []) or [_place(scene, key, value)]
 

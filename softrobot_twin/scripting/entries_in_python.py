@@ -14,6 +14,7 @@ import meshio
 import numpy as np
 
 from softrobot_twin.errors import MeshError, SceneError
+from softrobot_twin.tables.input_tables import real_array
 
 IN_PYTHON = Path("<python>")
 """What errors name as the file of a scene that was built in Python."""
@@ -23,7 +24,7 @@ _MESH_KEYS = ("mesh", "file", "visual", "contact_surface")
 _numbers = itertools.count()
 
 
-def plain_entries(entries: Mapping[str, Any]) -> dict[str, Any]:
+def plain_entries(entries: Any) -> Any:
     """The entries as a scene file would give them: sections, lists, numbers, words.
 
     A mesh in memory, a `meshio.Mesh` or a pair of points and cells, is written to a temporary file
@@ -36,7 +37,10 @@ def plain_entries(entries: Mapping[str, Any]) -> dict[str, Any]:
         SceneError: A mesh in memory is none.
         MeshError: A mesh in memory cannot be written.
     """
-    return {str(key): _plain(value, str(key)) for key, value in entries.items()}
+    try:
+        return _plain(entries, "")
+    except RecursionError:
+        raise SceneError(IN_PYTHON, "scene", "(entries)", "", "an entry contains itself") from None
 
 
 def _plain(value: Any, key: str) -> Any:
@@ -46,9 +50,9 @@ def _plain(value: Any, key: str) -> Any:
     if last in _MESH_KEYS and isinstance(value, tuple | list) and len(value) == 2:
         return str(_written(_mesh_of(value[0], value[1], key)))
     if isinstance(value, Mapping):
-        return {str(name): _plain(one, f"{key}.{name}") for name, one in value.items()}
+        return {str(name): _plain(one, f"{key}.{name}".lstrip(".")) for name, one in value.items()}
     if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
+        return str(value) if np.ma.is_masked(value) or value.dtype.kind in "mM" else value.tolist()
     if isinstance(value, list | tuple):
         return [_plain(one, f"{key}[{index}]") for index, one in enumerate(value)]
     return str(value) if isinstance(value, Path) else value
@@ -57,8 +61,8 @@ def _plain(value: Any, key: str) -> Any:
 def _mesh_of(points: Any, cells: Any, key: str) -> meshio.Mesh:
     """A mesh of arrays."""
     try:
-        positions, nodes = np.asarray(points, float), np.asarray(cells)
-    except (TypeError, ValueError):
+        positions, nodes = real_array(points), np.asarray(cells)
+    except (TypeError, ValueError, OverflowError):
         raise SceneError(IN_PYTHON, key, "(a pair)", "", _PAIR) from None
     if positions.ndim != 2 or positions.shape[1] != 3:
         raise SceneError(IN_PYTHON, key, f"(points of shape {positions.shape})", "", _PAIR)

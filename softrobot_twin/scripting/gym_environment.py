@@ -12,7 +12,7 @@ gymnasium is an extra: ``pip install gymnasium``.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -29,7 +29,14 @@ from softrobot_twin.scene.scene_parameters import (
     changed_scene,
     parameters,
 )
-from softrobot_twin.scripting.named_commands import finite_numbers, one_number, unknown, whole_number
+from softrobot_twin.scripting.named_commands import (
+    array_of,
+    check_given,
+    finite_numbers,
+    one_number,
+    unknown,
+    whole_number,
+)
 from softrobot_twin.scripting.robot import Robot, load
 from softrobot_twin.simulation import CommandSetpoints, Simulation, State
 from softrobot_twin.study.scene_picture import take_snapshot
@@ -137,12 +144,13 @@ class ReachingEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
             raise CommandError("render_mode", f"{render_mode!r} must be None or rgb_array")
         self.render_mode = render_mode
 
-        self._draws = _draws_of(self.robot.scene, randomize or {})
+        self._draws = _draws_of(self.robot.scene, {} if randomize is None else randomize)
         self.redraw_every = whole_number("redraw_every", redraw_every)
         self.parameters = dict[str, float]()
         self._effector_index = names.index(self.effector)
         self._nominal = self.robot.simulation
         self._take()
+        check_given("states", states, Iterable, "states of the scene")
         self.states = tuple(states)
         if len(self.states) == 1:
             raise CommandError("states", "has 1 state: an episode needs another one as its target")
@@ -233,6 +241,7 @@ class ReachingEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
         Raises:
             CommandError: An option is unknown, no place, or no state of the scene.
         """
+        check_given("options", {} if options is None else options, Mapping, "target and state by name")
         given = dict(options or {})
         target, state = given.pop("target", None), given.pop("state", None)
         if given:
@@ -258,9 +267,7 @@ class ReachingEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
         Raises:
             CommandError: `reset` was never called, or the action is not finite or of another shape.
         """
-        speeds, shape = np.asarray(action), self._least.shape
-        if speeds.dtype.kind not in "buif" or speeds.shape != shape or not np.isfinite(speeds).all():
-            raise CommandError("action", f"{action!r} must be {len(self.drives)} finite numbers")
+        speeds = array_of("action", action, self._least.shape)
         if not self._has_begun:
             raise CommandError("step", "an episode begins with reset()")
         allowed = np.minimum(np.maximum(speeds, -1.0), 1.0)
@@ -292,7 +299,7 @@ class ReachingEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
             CommandError: The robot stood nowhere.
         """
         random = np.random.default_rng(seed)
-        return tuple(self._random_state(random) for _ in range(count))
+        return tuple(self._random_state(random) for _ in range(whole_number("count", count, 0)))
 
     def render(self) -> np.ndarray | None:
         """A picture of the robot and its target, where `render_mode` asks for it.
@@ -387,7 +394,9 @@ class ReachingEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
 def _draws_of(scene: Scene, randomized: Randomized) -> tuple[tuple[Parameter | JointParameter, Draw], ...]:
     """Each parameter that is drawn, and how; the scene takes both ends of each range."""
     draws, ends = [], (dict[str, float](), dict[str, float]())
+    check_given("randomize", randomized, Mapping, "ranges by keys")
     for key, how in randomized.items():
+        check_given("randomize", key, str | Parameter | JointParameter, "keys of numbers")
         own = parameters(scene, key) if isinstance(key, str) else (key,)
         if not callable(how):
             name = key if isinstance(key, str) else key.key

@@ -29,7 +29,7 @@ from softrobot_twin.simulation import (
 from softrobot_twin.simulation.building.actuator_kinds import column
 from softrobot_twin.simulation.command import EFFORTS, SETPOINTS
 from softrobot_twin.tables.channels import NOT_UNIT, WANTED, Channel
-from softrobot_twin.tables.input_tables import drives_of, real_array
+from softrobot_twin.tables.input_tables import as_given, drives_of, real_array
 
 Numbers: TypeAlias = tuple[float, ...]
 Aim: TypeAlias = tuple[np.ndarray, np.ndarray | None]
@@ -172,13 +172,14 @@ def finite_numbers(name: str, value: Any, may_be_free: bool = False) -> Numbers:
         CommandError: It is no finite number, or no list of them.
     """
     try:
-        numbers = np.atleast_1d(real_array(value))
+        given = np.atleast_1d(as_given(value))
+        numbers = real_array(given)
         if numbers.ndim > 1:
             raise TypeError
     except (TypeError, ValueError, OverflowError):
         reason = f"must be a number or a list of numbers, not {_kind(value)}"
         raise CommandError(name, reason) from None
-    free = np.array([may_be_free and one is None for one in np.ravel(value)], bool)
+    free = np.array([may_be_free and one is None for one in given], bool)
     for bad in numbers[~(np.isfinite(numbers) | free)]:
         raise CommandError(name, f"holds {bad}, which is not finite")
     return tuple(numbers.tolist())
@@ -196,7 +197,7 @@ def _checked(channel: Channel, name: str, numbers: Numbers) -> np.ndarray:
     return wanted
 
 
-def check_given(word: str, given: Any, kind: type, what: str) -> None:
+def check_given(word: str, given: Any, kind: Any, what: str) -> None:
     """Refuses what is of another kind.
 
     Args:
@@ -208,7 +209,7 @@ def check_given(word: str, given: Any, kind: type, what: str) -> None:
     Raises:
         CommandError: It is something else.
     """
-    if not isinstance(given, kind):
+    if not isinstance(given, kind) or isinstance(given, np.ndarray) and not given.ndim:
         raise CommandError(word, f"takes {what}, not {_kind(given)}")
 
 
@@ -440,21 +441,33 @@ class CommandReader:
         ids = [int(one) for one in self._simulation.marker_ids]
         places = np.full((len(ids), 3), np.nan)
         if not isinstance(markers, Mapping):
-            return _array_of("markers", markers, places.shape)
+            return array_of("markers", markers, places.shape, may_be_open=True)
         for marker, place in markers.items():
             if marker not in ids:
                 raise unknown(str(marker), "markers:", [str(one) for one in ids])
-            places[ids.index(marker)] = _array_of(f"marker {marker}", place, (3,))
+            places[ids.index(marker)] = array_of(f"marker {marker}", place, (3,), may_be_open=True)
         return places
 
 
-def _array_of(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """An array of a shape, perhaps with NaN."""
+def array_of(name: str, value: Any, shape: tuple[int, ...], may_be_open: bool = False) -> np.ndarray:
+    """Numbers as an array.
+
+    Args:
+        name: Name of the value, for the error.
+        value: The value.
+        shape: The shape that it must have.
+        may_be_open: Whether numbers may be NaN or infinite.
+
+    Raises:
+        CommandError: It is no array of numbers of this shape.
+    """
     with suppress(TypeError, ValueError, OverflowError):
         array = real_array(value)
-        if array.shape == shape:
+        if array.shape == shape and (may_be_open or np.isfinite(array).all()):
             return array
-    raise CommandError(name, f"must be {' x '.join(map(str, shape))} numbers, not {_kind(value)}")
+    kind = "numbers" if may_be_open else "finite numbers"
+    what = f"{shape[0]} {kind}" if len(shape) == 1 else f"{kind} of shape {shape}"
+    raise CommandError(name, f"must be {what}, not {_kind(value)}")
 
 
 def read_pose(name: str, pose: Any) -> Aim:
@@ -544,7 +557,7 @@ def whole_number(name: str, value: Any, least: int = 1, most: int = 10**9, more:
     Raises:
         CommandError: It is no whole number, or out of range.
     """
-    is_number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
-    if not is_number or not least <= value <= most or value % 1:
-        raise CommandError(name, f"{value!r} must be a whole number from {least:,} to {most:,}{more}")
-    return int(value)
+    with suppress(TypeError, ValueError, OverflowError):
+        if np.ndim(real_array(value)) == 0 and least <= value <= most and not value % 1:
+            return int(value)
+    raise CommandError(name, f"{value!r:.60} must be a whole number from {least:,} to {most:,}{more}")

@@ -31,6 +31,7 @@ from softrobot_twin.scripting.named_commands import (
     Setpoints,
     check_given,
     finite_numbers,
+    one_number,
     positive_number,
     unknown,
 )
@@ -68,7 +69,8 @@ def variables_of(scene: Scene, asked: Variables) -> tuple[Parameter | JointParam
     else:
         for name, given in asked.items():
             shares = {given: 1.0} if isinstance(given, str) else given
-            each = [(one, float(share)) for key, share in shares.items() for one in parameters(scene, key)]
+            check_given(str(name), shares, Mapping, "a key, or keys each with a share")
+            each = [(one, one_number(key, share)) for key, share in shares.items() for one in parameters(scene, key)]
             if not each or not all(share for _, share in each):
                 raise DesignError(name, "needs keys of numbers, each with a share that is not 0")
             numbers, parts = zip(*each, strict=True)
@@ -125,14 +127,14 @@ def bounds_of(
     """
     if not isinstance(asked, Mapping):
         asked = {one.key: asked for one in variables}
-    names, found = {one.key for one in variables}, dict[str, tuple[float, float]]()
+    names, found = {one.key for one in variables}, dict[str, tuple[float, ...]]()
     for key, pair in asked.items():
         keys = [key] if key in names else [one.key for one in parameters(scene, key)]
-        if np.shape(pair) != (2,) or not names.intersection(keys):
+        ends = finite_numbers(key, pair)
+        if len(ends) != 2 or not names.intersection(keys):
             raise DesignError(key, "the bounds must be a pair of a least and a greatest value of a variable, "
                               f"not {pair!r:.40}")
-        low, high = finite_numbers(key, pair)
-        found |= dict.fromkeys(keys, (low, high))
+        found |= dict.fromkeys(keys, ends)
     for lacking in (one for one in variables if one.key not in found):
         raise DesignError(lacking.key, f"has no bounds: give a least and a greatest value [{lacking.unit}]")
     return np.array([found[one.key] for one in variables])
@@ -282,10 +284,10 @@ def optimised(
     if commands:
         raise CommandError("commands", "belong to a function: wanted places have their own")
     try:
-        asked_of, places = zip(*objective, strict=True)
+        pairs = [(command, places) for command, places in objective]
     except (TypeError, ValueError):
         raise CommandError("objective", "takes pairs of a command and wanted places, or a function") from None
-    model = DesignModel(scene, variables, poses_of(scene, asked_of))
-    wanted = wanted_places(model.solve(model.start).simulation, places)
+    model = DesignModel(scene, variables, poses_of(scene, [command for command, _ in pairs]))
+    wanted = wanted_places(model.solve(model.start).simulation, [places for _, places in pairs])
     found = DesignSearch(model, ends).meet(wanted, SAME_PLACE if tolerance is None else tolerance)
     return Design.of(model, found, ends, "m")

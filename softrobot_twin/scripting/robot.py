@@ -115,7 +115,7 @@ def load(path: Path | str, changes: Mapping[str, Any] | None = None) -> Robot:
         SceneError: The file cannot be read, or an entry is not valid.
         MeshError: A mesh cannot be used.
     """
-    return _with_notes(Robot(load_scene(path, changes)))
+    return _with_notes(Robot(load_scene(path, plain_entries(changes))))
 
 
 def build(**entries: Any) -> Robot:
@@ -356,7 +356,7 @@ class Robot:
             MeshError: A mesh cannot be used.
         """
         # Its kernels are compiled already, so its steps set up what they need: there is no warm-up.
-        scene, mounted = changed_scene(self.scene, values), self.simulation.mounted
+        scene, mounted = changed_scene(self.scene, plain_entries(values)), self.simulation.mounted
         simulation = Simulation(scene, with_warnings=False, mounted=mounted)
         simulation.take_over(self.simulation)
         if self._view is not None:
@@ -881,7 +881,9 @@ class Robot:
         serves = path is None and not notebook if serve is None else serve
         with writing(str(path), TypeError):
             file = None if path is None else Path(path)
-        self._view = RobotView(self.simulation, file, serves, spawn and serves, port, force_scale, notebook)
+        self._view = RobotView(
+            self.simulation, file, serves, spawn and serves, whole_number("port", port, 0, 65535),
+            positive_number("force_scale", force_scale, "m/N"), notebook)
         self._view.show()
         return self._view
 

@@ -28,7 +28,7 @@ from softrobot_twin.scripting.gym_environment import (  # type: ignore[attr-defi
     ReachingEnvironment,
     gymnasium,
 )
-from softrobot_twin.scripting.named_commands import whole_number
+from softrobot_twin.scripting.named_commands import array_of, whole_number
 from softrobot_twin.scripting.robot import Robot, SceneWarning
 from softrobot_twin.simulation import State
 
@@ -124,7 +124,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.nd
             WorkerError: A worker failed or was lost.
         """
         given_seeds = seed if isinstance(seed, Sequence | np.ndarray) else [
-            None if seed is None else seed + i for i in range(self.num_envs)]
+            None if seed is None else whole_number("seed", seed, 0, 2**63) + i for i in range(self.num_envs)]
         if len(given_seeds) != self.num_envs:
             raise CommandError("seed", f"has {len(given_seeds)} numbers for {self.num_envs} robots")
         seeds = [None if one is None else whole_number("seed", one, 0, 2**63) for one in given_seeds]
@@ -153,9 +153,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.nd
             CommandError: The actions are not finite or of another shape.
             WorkerError: A worker failed or was lost.
         """
-        speeds, shape = np.asarray(actions), self.action_space.shape
-        if speeds.dtype.kind not in "buif" or speeds.shape != shape or not np.isfinite(speeds).all():
-            raise CommandError("actions", f"must be finite numbers of shape {shape}")
+        speeds = array_of("actions", actions, (self.num_envs, len(self._first.drives)))
         *arrays, infos = zip(*self._ask("step", [speeds[own] for own in self._shares]), strict=True)
         observations, rewards, terminations, truncations = map(np.concatenate, arrays)
         return observations, rewards, terminations, truncations, self._joined(infos)

@@ -101,16 +101,22 @@ def real_array(value: Any) -> np.ndarray:
     Raises:
         TypeError: Others are among them: texts, dates, truth values, complex or masked numbers.
     """
-    given = _as_given(value)
+    given = as_given(value)
     return np.array([np.nan if one is None else _real(one) for one in np.ravel(given)]).reshape(given.shape)
 
 
-def _as_given(value: Any) -> Any:
-    """An array in which each value is still what it was: a list of all kinds becomes one of objects."""
-    return value if isinstance(value, np.ndarray | np.generic) else np.asarray(value, object)
+def as_given(value: Any) -> np.ndarray:
+    """An array in which each value is still what it was: a list of all kinds becomes one of objects.
+
+    Args:
+        value: A value, an array or lists.
+    """
+    return np.asanyarray(value, None if hasattr(value, "__array__") else object)
 
 
-def _real(value: object) -> float:
+def _real(value: Any) -> float:
+    if hasattr(value, "__array__"):
+        value = np.asanyarray(value)[()]
     if not isinstance(value, Real | Decimal) or isinstance(value, bool | np.timedelta64):
         raise TypeError(f"{value!r:.60} is no number")
     return float(value)
@@ -349,7 +355,7 @@ def open_columns(source: Path | str | Mapping, example: str) -> Columns:
     if not hasattr(source, "keys"):
         raise TableFileError(Path("table"), f"must be a file, or columns by name, not {source!r:.60}")
     table, names = Path("table"), [str(name) for name in source.keys()]
-    columns = [np.atleast_1d(_as_given(source[name])) for name in source.keys()]
+    columns = [np.atleast_1d(as_given(source[name])) for name in source.keys()]
     if not columns or not len(columns[0]):
         raise TableFileError(table, f"has no rows; columns such as {example} are required")
     for name, values in zip(names, columns, strict=True):
