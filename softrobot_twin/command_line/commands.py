@@ -6,6 +6,7 @@ help text nor a mistyped argument has to wait for, and no command needs the stud
 
 from __future__ import annotations
 
+import os
 import argparse
 import math
 import signal
@@ -343,7 +344,7 @@ def _check_outputs(inputs: Sequence[Path | None], **outputs: Path | None) -> Non
     """Refuses inputs that are given twice, and outputs that would overwrite a file given or are folders."""
     taken = dict[str, Path]()
     for one in filter(None, inputs):
-        if taken.setdefault(str(one.resolve()), one) is not one:
+        if taken.setdefault(os.path.realpath(one), one) is not one:
             raise OptionError(str(one), "is given twice")
     for name, path in outputs.items():
         option = name.replace("_", "-")
@@ -356,9 +357,10 @@ def _check_outputs(inputs: Sequence[Path | None], **outputs: Path | None) -> Non
                 continue
         except OSError as error:
             raise OptionError(f"--{option}", error.strerror or str(error)) from error
-        if str(path.resolve()) in taken:
-            raise OptionError(f"--{option}", f"{path} would overwrite {taken[str(path.resolve())]}")
-        taken[str(path.resolve())] = path
+        target = os.path.realpath(path)  # That of pathlib refuses links in a circle, with no error of the system.
+        if target in taken:
+            raise OptionError(f"--{option}", f"{path} would overwrite {taken[target]}")
+        taken[target] = path
 
 
 def plot(file: Path, *, columns: Sequence[str] = (), output: Path | None = None) -> int:

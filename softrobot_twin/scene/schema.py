@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -571,7 +572,7 @@ class Scene(NamedEntry):
         """
         if file.is_absolute() or self.path is None:
             return file
-        return (self.path.parent / file).resolve()
+        return Path(os.path.realpath(self.path.parent / file))
 
     @property
     def mesh_path(self) -> Path:
@@ -594,7 +595,7 @@ class Scene(NamedEntry):
         """
         if body.mesh.file is not None:
             return self.file_path(body.mesh.file).parent
-        return Path() if self.path is None else self.path.resolve().parent
+        return Path() if self.path is None else Path(os.path.realpath(self.path)).parent
 
 
 def check_control(scene: Scene, control: Control) -> None:
