@@ -6,9 +6,9 @@ help text nor a mistyped argument has to wait for, and no command needs the stud
 
 from __future__ import annotations
 
-import os
 import argparse
 import math
+import os
 import signal
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -346,20 +346,17 @@ def _check_outputs(inputs: Sequence[Path | None], **outputs: Path | None) -> Non
     for one in filter(None, inputs):
         if taken.setdefault(os.path.realpath(one), one) is not one:
             raise OptionError(str(one), "is given twice")
-    for name, path in outputs.items():
-        option = name.replace("_", "-")
-        if path is None:
-            continue
+    for name, path in ((name.replace("_", "-"), path) for name, path in outputs.items() if path is not None):
         try:
             if path.is_dir():
-                raise OptionError(f"--{option}", f"{path} is a folder, not a file")
+                raise OptionError(f"--{name}", f"{path} is a folder, not a file")
             if path.exists() and not path.is_file():  # a device file can always be written
                 continue
         except OSError as error:
-            raise OptionError(f"--{option}", error.strerror or str(error)) from error
+            raise OptionError(f"--{name}", error.strerror or str(error)) from error
         target = os.path.realpath(path)  # That of pathlib refuses links in a circle, with no error of the system.
         if target in taken:
-            raise OptionError(f"--{option}", f"{path} would overwrite {taken[target]}")
+            raise OptionError(f"--{name}", f"{path} would overwrite {taken[target]}")
         taken[target] = path
 
 

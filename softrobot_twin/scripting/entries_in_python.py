@@ -37,10 +37,7 @@ def plain_entries(entries: Any) -> Any:
         SceneError: A mesh in memory is none.
         MeshError: A mesh in memory cannot be written.
     """
-    try:
-        return _plain(entries, "")
-    except RecursionError:
-        raise SceneError(IN_PYTHON, "scene", "(entries)", "", "an entry contains itself") from None
+    return _plain(entries, "")
 
 
 def _plain(value: Any, key: str) -> Any:

@@ -34,7 +34,7 @@ from softrobot_twin.scripting.named_commands import (
     check_given,
     finite_numbers,
     one_number,
-    unknown,
+    place_of,
     whole_number,
 )
 from softrobot_twin.scripting.robot import Robot, load
@@ -133,9 +133,7 @@ class ReachingEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
         names = self.robot.effector_names
         if not names:
             raise CommandError(self.robot.name, "has no effector that could reach a target")
-        if effector not in (None, *names):
-            raise unknown(str(effector), "effectors:", names)
-        self.effector = effector or names[0]
+        self.effector = names[0 if effector is None else place_of(effector, "effectors:", names)]
         self.time_step = _within("time_step", time_step, 1.0e-6, 1.0e3)
         self.most_steps = whole_number("most_steps", most_steps)
         self.reached_within = _within("reached_within", reached_within, 0.0, math.inf)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from softrobot_twin.scripting.named_commands import unknown
+from softrobot_twin.scripting.named_commands import place_of
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -42,9 +42,7 @@ class LabelledMatrix:
         Raises:
             CommandError: There is no column of this name.
         """
-        if column not in self.columns:
-            raise unknown(column, "columns:", self.columns)
-        found: np.ndarray = self.values[:, self.columns.index(column)]
+        found: np.ndarray = self.values[:, place_of(column, "columns:", self.columns)]
         return found
 
     def __matmul__(self, other: Any) -> Any:

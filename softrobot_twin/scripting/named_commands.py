@@ -389,9 +389,7 @@ class CommandReader:
         guided, read = self._simulation.guided_names, dict[str, Aim]()
         check_given("poses", poses, Mapping, "names, such as palm=[0, 0, 0.1]")
         for name, pose in poses.items():
-            if name not in guided:
-                raise unknown(name, "guided bodies:", guided)
-            read[name] = read_pose(name, pose)
+            read[guided[place_of(name, "guided bodies:", guided)]] = read_pose(name, pose)
         return read
 
     def touches(self, touches: Mapping[str, Any]) -> Touched | None:
@@ -415,9 +413,7 @@ class CommandReader:
             if name not in known or before is None:
                 raise unknown(name, "touches:", tuple(known))
             index, word = known[name]
-            numbers = np.array(finite_numbers(name, value))
-            if numbers.shape != (3,):
-                raise CommandError(name, f"must be 3 numbers, not {len(numbers)}")
+            numbers = array_of(name, value, (3,))
             if np.isfinite([one[index] for one in touched]).any():
                 raise CommandError(name, f"{names[index]} is given twice: give one of force, "
                                    "displacement and place")
@@ -438,14 +434,12 @@ class CommandReader:
         Raises:
             CommandError: A marker is unknown, or a value does not fit it.
         """
-        ids = [int(one) for one in self._simulation.marker_ids]
+        ids = [str(one) for one in self._simulation.marker_ids]
         places = np.full((len(ids), 3), np.nan)
         if not isinstance(markers, Mapping):
             return array_of("markers", markers, places.shape, may_be_open=True)
         for marker, place in markers.items():
-            if marker not in ids:
-                raise unknown(str(marker), "markers:", [str(one) for one in ids])
-            places[ids.index(marker)] = array_of(f"marker {marker}", place, (3,), may_be_open=True)
+            places[place_of(marker, "markers:", ids)] = array_of(f"marker {marker}", place, (3,), may_be_open=True)
         return places
 
 
@@ -465,8 +459,7 @@ def array_of(name: str, value: Any, shape: tuple[int, ...], may_be_open: bool = 
         array = real_array(value)
         if array.shape == shape and (may_be_open or np.isfinite(array).all()):
             return array
-    kind = "numbers" if may_be_open else "finite numbers"
-    what = f"{shape[0]} {kind}" if len(shape) == 1 else f"{kind} of shape {shape}"
+    what = f"{shape[0]} numbers" if len(shape) == 1 else f"{'' if may_be_open else 'finite '}numbers of shape {shape}"
     raise CommandError(name, f"must be {what}, not {_kind(value)}")
 
 
@@ -509,6 +502,22 @@ def unknown(name: str, known_as: str, known: Sequence[str]) -> CommandError:
     listed += f" and {more} more" if more > 0 else ""
     hint = nearest(name, known) or ";"
     return CommandError(name, f"is unknown here{hint} {known_as} {listed}")
+
+
+def place_of(name: Any, known_as: str, known: Sequence[str]) -> int:
+    """Place of a name among those that are known.
+
+    Args:
+        name: The name.
+        known_as: See `unknown`.
+        known: The known names.
+
+    Raises:
+        CommandError: It is unknown.
+    """
+    if str(name) not in known:
+        raise unknown(str(name), known_as, known)
+    return known.index(str(name))
 
 
 def one_number(name: str, value: Any) -> float:

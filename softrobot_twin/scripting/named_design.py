@@ -32,8 +32,8 @@ from softrobot_twin.scripting.named_commands import (
     check_given,
     finite_numbers,
     one_number,
+    place_of,
     positive_number,
-    unknown,
 )
 from softrobot_twin.simulation import CommandEfforts, Simulation
 from softrobot_twin.simulation.command import DEFAULT_TIME_STEP
@@ -155,12 +155,10 @@ def wanted_places(simulation: Simulation, wanted: Iterable[Mapping[str, Any]]) -
         check_given("objective", places, Mapping, "wanted places by effectors, such as {'tip': [0, 0, 0.1]}")
         row = np.full((len(names), 3), np.nan)
         for name, place in places.items():
-            if name not in names:
-                raise unknown(name, "effectors:", names)
             numbers = finite_numbers(name, place, may_be_free=True)
             if len(numbers) != 3:
                 raise CommandError(name, f"must be 3 numbers [m], not {len(numbers)}")
-            row[names.index(name)] = numbers
+            row[place_of(name, "effectors:", names)] = numbers
         rows.append(row)
     found = np.array(rows)
     if not np.isfinite(found).any():

@@ -38,9 +38,9 @@ from softrobot_twin.scripting.named_commands import (
     finite_numbers,
     hold,
     one_number,
+    place_of,
     positive_number,
     read_pose,
-    unknown,
     whole_number,
 )
 from softrobot_twin.scripting.named_design import (
@@ -515,8 +515,7 @@ class Robot:
         self._warn_of_unlikely(asked)
         check_given("grips", grips, Mapping, "names, such as palm=True")
         for name, holds in grips.items():
-            if name not in self.simulation.grip_names:
-                raise unknown(name, "grips:", self.simulation.grip_names)
+            place_of(name, "grips:", self.simulation.grip_names)
             if not isinstance(holds, bool | np.bool_):
                 raise CommandError(name, f"{holds!r:.40} must be True to hold, or False to let go")
         self._aim(aims)
@@ -563,9 +562,7 @@ class Robot:
         told = np.full(len(columns), np.nan)
         check_given("sensors", sensors, Mapping, "names, such as spine_length_m=0.1")
         for column_of, value in sensors.items():
-            if column_of not in columns:
-                raise unknown(column_of, "sensors:", columns)
-            told[columns.index(column_of)] = one_number(column_of, value)
+            told[place_of(column_of, "sensors:", columns)] = one_number(column_of, value)
         simulation.finish_result()
         observer.look()
         model = observer.moment(simulation.marker_positions(), simulation.effector_positions())
@@ -814,9 +811,7 @@ class Robot:
         return ModalTangent(self.simulation, self._by_effort).at_state(count, step)
 
     def _place(self, effector: str) -> int:
-        if str(effector) not in self.effector_names:
-            raise unknown(str(effector), "effectors:", self.effector_names)
-        return self.effector_names.index(effector)
+        return place_of(effector, "effectors:", self.effector_names)
 
     def _yielding(self) -> ApparentCompliance:
         if self._compliance is None:

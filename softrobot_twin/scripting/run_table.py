@@ -33,7 +33,8 @@ def run_table(columns: RunColumns, rows: Iterable[RunRow]) -> Table:
     """
     cells = [columns.cells(row) for row in rows]
     by_name = {
-        name: _array(name, [row[place] for row in cells])
+        name: np.array([row[place] for row in cells], str if name in TEXT_COLUMNS
+                       else np.int64 if name in WHOLE_NUMBERS else np.float64)
         for place, name in enumerate(columns.names)
     }
     try:
@@ -46,12 +47,6 @@ def run_table(columns: RunColumns, rows: Iterable[RunRow]) -> Table:
     for name, array in by_name.items():
         table[name] = array
     return table
-
-
-def _array(name: str, values: list[Any]) -> np.ndarray:
-    if name in TEXT_COLUMNS:
-        return np.array(values, str)
-    return np.array(values, np.int64 if name in WHOLE_NUMBERS else np.float64)
 
 
 def common_targets(commands: Sequence[Command]) -> Command | None:

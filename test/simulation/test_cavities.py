@@ -447,14 +447,13 @@ def test_a_small_volume_is_kept_beside_actuators_and_contacts_of_other_units(inf
 def test_cables_hold_a_small_body_beside_a_pressure_as_they_hold_a_large_one(inflatable, command):
     efforts = []
     for scale in (1.0, 0.2):
-        body = {**SMALL, "size": tuple(scale * edge for edge in SMALL["size"])}
         across, along = 0.02 * scale, 0.06 * scale
         cables = [{"name": name, "pull_point": [x, 0.0, -along], "points": [[x, 0.0, 0.0], [x, 0.0, along]]}
                   for name, x in (("left", 0.0), ("right", across))]  # fmt: skip
-        tip = {"name": "tip", "points": [[across, 0.0, along]]}
-        simulation = inflatable(changed({"cables": cables, "effectors": [tip]}), body=body)
-        wanted = simulation.rest_setpoints + [0.0, 0.0, 5e3]
-        efforts.append(settled(simulation, command(wanted, STEP), 5).efforts / [scale**2, scale**2, 1.0])
+        change = changed({"cables": cables, "effectors": [{"name": "tip", "points": [[across, 0.0, along]]}]})
+        simulation = inflatable(change, body=SMALL | {"size": (across, across, along)})
+        asked = command(simulation.rest_setpoints + [0.0, 0.0, 5e3], STEP)
+        efforts.append(settled(simulation, asked, 5).efforts / [scale**2, scale**2, 1.0])
     assert efforts[0].min() > 1e-2
     np.testing.assert_allclose(efforts[1], efforts[0], rtol=1e-6)
 
