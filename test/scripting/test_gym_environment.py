@@ -25,14 +25,13 @@ FINGER = ROOT / "config" / "scenes" / "finger.yaml"
 LENGTH_RATE, TIME_STEP = 0.05, 0.1  # m/s as in the scene, s
 
 
-def finger_entries():
-    """Entries of a small finger with two cables along it."""
-    cables = [cable | {"name": f"cable_{i}", "shortening": [-0.01, 0.02]} for i, cable in enumerate(ENTRIES["cables"])]
-    return ENTRIES | {"name": "small", "cables": cables}
+# A small finger with two cables along it.
+SMALL = ENTRIES | {"name": "small", "cables": [
+    cable | {"name": f"cable_{i}", "shortening": [-0.01, 0.02]} for i, cable in enumerate(ENTRIES["cables"])]}
 
 
 def small_finger(**more):
-    return st.build(**finger_entries() | more)
+    return st.build(**SMALL | more)
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +61,7 @@ def test_gymnasium_finds_no_fault(environment):
 def test_it_is_made_by_its_name():
     made = gymnasium.make(ENVIRONMENT_ID, scene=small_finger(), most_steps=3)
     made.reset(seed=0)
-    ends = [made.step(made.action_space.sample())[2:4] for _ in range(3)]
+    ends = [made.step(0.2 * made.action_space.high)[2:4] for _ in range(3)]
     assert ends == [(False, False), (False, False), (False, True)]
 
 
@@ -159,7 +158,7 @@ def test_a_pressure_is_driven_between_its_limits():
 @pytest.mark.parametrize(("limit", "words"), [
     ("shortening", "cable_0.*finite limits: give shortening"), ("rate", "cable_0.*has no rate")])
 def test_actuators_without_limits_are_refused_by_name(limit, words):
-    cables = [{key: cable[key] for key in cable if key != limit} for cable in finger_entries()["cables"]]
+    cables = [{key: cable[key] for key in cable if key != limit} for cable in SMALL["cables"]]
     with pytest.raises(CommandError, match=words):
         ReachingEnvironment(small_finger(cables=cables))
 
@@ -169,7 +168,7 @@ def test_what_it_cannot_use_is_refused_by_name(environment):
     with pytest.raises(CommandError, match="tup.*effectors: tip"):
         ReachingEnvironment(robot, effector="tup")
     with pytest.raises(CommandError, match="blind: has no effector"):
-        ReachingEnvironment(st.build(**finger_entries() | {"name": "blind", "effectors": []}))
+        ReachingEnvironment(st.build(**SMALL | {"name": "blind", "effectors": []}))
     for name, value in (("time_step", 0.0), ("most_steps", 0), ("most_steps", 2.5), ("travel", 1.5),
                         ("travel", [0.5, 9]), ("reached_within", -1.0), ("render_mode", "human")):
         with pytest.raises(CommandError, match=name):

@@ -446,8 +446,7 @@ def test_a_small_volume_is_kept_beside_actuators_and_contacts_of_other_units(inf
 @pytest.mark.parametrize("command", [CommandSetpoints, lambda wanted, step: FollowTargets([[0.0, 0.0, 0.0]], step, wanted)])
 def test_cables_hold_a_small_body_beside_a_pressure_as_they_hold_a_large_one(inflatable, command):
     efforts = []
-    for scale in (1.0, 0.2):
-        across, along = 0.02 * scale, 0.06 * scale
+    for scale, across, along in ((1.0, 0.02, 0.06), (0.2, 0.004, 0.012)):
         cables = [{"name": name, "pull_point": [x, 0.0, -along], "points": [[x, 0.0, 0.0], [x, 0.0, along]]}
                   for name, x in (("left", 0.0), ("right", across))]  # fmt: skip
         change = changed({"cables": cables, "effectors": [{"name": "tip", "points": [[across, 0.0, along]]}]})
