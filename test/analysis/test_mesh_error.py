@@ -276,9 +276,7 @@ def inflated_column(simulate, hollow, /, fineness: int, control: str = "volume")
 
 
 @pytest.mark.exhaustive
-def test_the_error_at_given_pressures_and_volumes_is_near_that_against_a_finer_mesh(
-    inflated_column,
-):
+def test_the_error_at_given_pressures_and_volumes_is_near_that_against_a_finer_mesh(inflated_column):
     def relative(found, exact):
         return float(np.linalg.norm(found - exact) / np.linalg.norm(exact))
 

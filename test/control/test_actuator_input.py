@@ -55,9 +55,7 @@ def test_a_message_may_give_tensions_alone(cables):
     (("north", "north", "west"), [1.0, 2.0, 3.0], [], Refusal.WRONG_NAMES),
     ((), [1.0, 2.0, 3.0], [], Refusal.WRONG_NAMES),
 ])  # fmt: skip
-def test_a_message_that_does_not_fit_is_refused_and_counted(
-    cables, names, lengths, tensions, refusal
-):
+def test_a_message_that_does_not_fit_is_refused_and_counted(cables, names, lengths, tensions, refusal):
     assert cables.accept(names, lengths, tensions, at(0.0)) is refusal
     assert cables.refusals.by_word() == {refusal.value: 1}
     assert cables.setpoints is None and cables.efforts is None

@@ -42,9 +42,7 @@ def take(device, *lengths, time=0.0):
     (0.1, 0.2, 0.0), (0.06, 0.2, 0.05), (0.0561, 5.0, -0.0049), (0.1039, 0.0, 0.0549),
     (0.08, 1e4, 0.02),
 ])  # fmt: skip
-def test_measured_values_up_to_a_tenth_of_the_travel_beyond_the_limits_are_accepted(
-    device, lengths
-):
+def test_measured_values_up_to_a_tenth_of_the_travel_beyond_the_limits_are_accepted(device, lengths):
     assert take(device, *lengths) is None
     assert device.implausible is None and device.setpoints.tolist() == list(lengths)
 

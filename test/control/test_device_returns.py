@@ -57,9 +57,7 @@ def elsewhere(simulation, seed):
 @pytest.mark.sampled
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("policy", WhenLost)
-def test_a_device_that_returns_at_another_position_is_resynchronised(
-    drive, simulation, policy, seed
-):
+def test_a_device_that_returns_at_another_position_is_resynchronised(drive, simulation, policy, seed):
     robot = Robot(drive, on_lost_device=policy)
     robot.tick(80)
     assert robot.driver.outcomes[-1].activity is Activity.FOLLOWING

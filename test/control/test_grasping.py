@@ -79,9 +79,7 @@ def test_a_pose_is_approached_no_faster_than_the_scene_allows(drive_grasper):
 
 
 @pytest.mark.parametrize("quaternion", [(0.0, 0.0, 1.0, 0.0), (1.0, 0.0, 0.0, 0.0)])
-def test_a_palm_commanded_to_turn_around_turns_no_faster_than_the_scene_allows(
-    drive_grasper, quaternion
-):
+def test_a_palm_commanded_to_turn_around_turns_no_faster_than_the_scene_allows(drive_grasper, quaternion):
     driver = drive_grasper()
     driver.lead("palm", 0.0, 0.0, 0.0, quaternion=quaternion)
     turned = Rotation.identity()
@@ -93,9 +91,7 @@ def test_a_palm_commanded_to_turn_around_turns_no_faster_than_the_scene_allows(
         turned = now
 
 
-def test_a_palm_returns_home_at_its_speed_limit_although_the_model_failed(
-    drive_grasper, monkeypatch
-):
+def test_a_palm_returns_home_at_its_speed_limit_although_the_model_failed(drive_grasper, monkeypatch):
     driver = drive_grasper()
     driver.lead("palm", 0.0, 0.0, 0.02)
     close(driver, 50)

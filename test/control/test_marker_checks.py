@@ -307,9 +307,7 @@ def test_an_effector_whose_markers_are_all_implausible_is_lost(drive):
 
 
 @pytest.mark.exhaustive
-def test_no_marker_of_a_softer_robot_is_rejected_and_the_closed_loop_is_as_exact(
-    drive, device_simulation
-):
+def test_no_marker_of_a_softer_robot_is_rejected_and_the_closed_loop_is_as_exact(drive, device_simulation):
     """15 % softer, cables beside where they should be, 20 ms late; open, then closed."""
     device = SimulatedDevice(device_simulation, DeviceFlaws(0.02, 0.1, NOISE, seed=1))
     driver = drive(**{**CLOSED, "closed_loop": False})

@@ -49,9 +49,7 @@ def watch_of():
 
 
 @pytest.mark.exhaustive
-def test_the_process_estimates_the_error_that_the_simulation_does_then_tells_what_failed(
-    diamond, watch_of
-):
+def test_the_process_estimates_the_error_that_the_simulation_does_then_tells_what_failed(diamond, watch_of):
     simulation = diamond()
     simulation.step(CommandSetpoints(simulation.rest_setpoints - [0.006, 0.003, 0.0, 0.0], 1.0))
     watch = watch_of(simulation)

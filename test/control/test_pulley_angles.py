@@ -105,9 +105,7 @@ def test_a_message_of_tensions_names_all_cables_and_forgets_the_angles(direct):
     (["a"], [], [1.0], Refusal.WRONG_FIELDS),
     (["a"], [1.0], [1.0], Refusal.WRONG_FIELDS),
 ])  # fmt: skip
-def test_a_bad_command_is_refused_counted_and_changes_nothing(
-    direct, names, values, efforts, refusal
-):
+def test_a_bad_command_is_refused_counted_and_changes_nothing(direct, names, values, efforts, refusal):
     keeper, angles = direct
     angles.accept(["a"], [0.5], [], came())
     before = keeper.setpoints.copy()

@@ -51,9 +51,7 @@ def test_a_message_without_any_number_asks_for_none(wanted):
     (0, (300.0, 300.0, 300.0), {"seconds": -60.0}, Refusal.STALE),
     (1, (300.0, 300.0, 300.0), {}, Refusal.WRONG_NAMES),
 ])  # fmt: skip
-def test_a_bad_message_is_refused_and_the_last_good_one_kept(
-    wanted, effector, stiffness, header, refusal
-):
+def test_a_bad_message_is_refused_and_the_last_good_one_kept(wanted, effector, stiffness, header, refusal):
     assert wanted.accept(0, (np.nan, np.nan, 333.0), arrival(-0.01)) is None
     assert wanted.accept(effector, stiffness, arrival(**header)) is refusal
     assert wanted.wanted[0, 2] == 333.0 and wanted.refusals.of(refusal) == 1

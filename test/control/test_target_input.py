@@ -105,9 +105,7 @@ def test_a_velocity_does_not_move_the_target_out_of_the_workspace(targets):
     assert target == pytest.approx([0.01, -0.01, 0.13])
 
 
-def test_a_target_outside_a_reduced_workspace_moves_only_inwards_and_without_a_jump(
-    targets,
-):
+def test_a_target_outside_a_reduced_workspace_moves_only_inwards_and_without_a_jump(targets):
     settings = targets.settings
     targets.apply(replace(settings, workspace_max=(0.1, 0.1, 0.2)))
     targets.accept_point(0, (0.05, 0.0, 0.125), at(0.0))
@@ -229,9 +227,7 @@ def test_a_twist_of_an_effector_without_orientation_moves_its_position_alone(tar
         (1, (0.0, 0.0, 0.13), HALF, Refusal.WRONG_NAMES),
     ],
 )
-def test_an_invalid_pose_changes_nothing_and_is_counted(
-    posed, effector, position, quaternion, refusal
-):
+def test_an_invalid_pose_changes_nothing_and_is_counted(posed, effector, position, quaternion, refusal):
     posed.accept_pose(0, (0.0, 0.0, 0.125), (0.0, 0.0, 0.0, 1.0), at(0.0))
     assert posed.accept_pose(effector, position, quaternion, at(0.1)) is refusal
     assert posed.refusals.by_word() == {refusal.value: 1}

@@ -86,9 +86,7 @@ def test_a_touch_ends_without_messages_and_is_counted(touches):
     ((0.0, 0.0, -1.5), at(0.1, "other"), Refusal.WRONG_FRAME),
     ((0.0, 0.0, -1.5), at(-0.1), Refusal.OUT_OF_ORDER),
 ])  # fmt: skip
-def test_a_force_that_cannot_be_used_is_refused_and_the_touch_stays(
-    touches, force, arrival, refusal
-):
+def test_a_force_that_cannot_be_used_is_refused_and_the_touch_stays(touches, force, arrival, refusal):
     touches.accept_force(0, (0.0, 0.0, -1.0), at(0.0))
     assert touches.accept_force(0, force, arrival) is refusal
     assert touches.refusals.of(refusal) == 1

@@ -104,9 +104,7 @@ def test_nothing_accumulates_while_a_target_is_unreachable(drive):
     ((0.02, 0.0, 0.14), {"age": 0.2}, Refusal.OUT_OF_ORDER),
     ((0.02, 0.0, 0.14), {"frame_id": "map"}, Refusal.WRONG_FRAME),
 ])  # fmt: skip
-def test_a_bad_target_is_refused_and_the_commands_are_as_without_it(
-    drive, position, header, refusal
-):
+def test_a_bad_target_is_refused_and_the_commands_are_as_without_it(drive, position, header, refusal):
     def run(bad):
         driver = drive()
         driver.loop.simulation.reset()

@@ -126,8 +126,7 @@ def entries(package: Path) -> set[Path]:
     ("inner", "from softrobot_twin.size import", "from softrobot_twin.other import OTHER\n"
      "from softrobot_twin.size import", (16.0, 1)),
 ])  # fmt: skip
-def test_a_change_compiles_the_kernels_that_import_it_and_no_others(
-        small_package, file, old, new, result):  # fmt: skip
+def test_a_change_compiles_the_kernels_that_import_it_and_no_others(small_package, file, old, new, result):
     assert run(small_package) == (16.0, 1)
     assert run(small_package) == (16.0, 0)
     path = small_package / f"{file}.py"

@@ -159,9 +159,7 @@ def test_all_laws_but_that_of_small_displacements_have_the_barrier(law, tetrahed
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("kind", ["tetrahedron", "cube"])
-def test_a_move_is_allowed_as_far_as_all_values_keep_a_share_of_themselves(
-    kind, request, drawn_rng
-):
+def test_a_move_is_allowed_as_far_as_all_values_keep_a_share_of_themselves(kind, request, drawn_rng):
     mesh, bound = request.getfixturevalue(kind)()
     (term,), rest = bound.terms, mesh.node_positions
     for _ in range(20):

@@ -164,9 +164,7 @@ def deflection(bind_blocks, /, depth, cells, poisson):
     (0.05, (10, 1, 1), 0.49, 0.04), (0.02, (10, 1, 1), 0.3, 0.03), (0.02, (10, 1, 1), 0.49, 0.05),
     (0.05, (40, 2, 2), 0.49, 0.04), (0.05, (40, 2, 2), 0.4999, 0.05),
 ])  # fmt: skip
-def test_a_cantilever_of_any_aspect_ratio_bends_as_beam_theory(
-    deflection, depth, cells, poisson, error
-):
+def test_a_cantilever_of_any_aspect_ratio_bends_as_beam_theory(deflection, depth, cells, poisson, error):
     assert deflection(depth, cells, poisson) == pytest.approx(1.0, abs=error)
 
 

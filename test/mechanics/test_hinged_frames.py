@@ -208,9 +208,7 @@ class TwistEnergy(ForceTerm):
 
 
 @pytest.mark.parametrize("whole, bars", [(False, (1e-6, 1e-5)), (True, (1e-8, 1e-6))])
-def test_elements_and_whole_frames_have_the_forces_and_the_stiffness_of_their_energy(
-    joined, whole, bars
-):
+def test_elements_and_whole_frames_have_the_forces_and_the_stiffness_of_their_energy(joined, whole, bars):
     twists = HingedTwists(joined.frames)
     plain = TwistEnergy(joined, twists) if whole else joined.elastic()
     term = on_unknowns(plain, twists if whole else joined.points)

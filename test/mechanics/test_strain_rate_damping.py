@@ -72,9 +72,7 @@ def test_matrix_is_minus_the_derivative_of_the_force(angle, body, bind):
 
 
 @pytest.mark.parametrize("projected", [False, True])
-def test_where_a_step_begins_the_matrix_is_the_derivative_and_there_is_no_force(
-    projected, body, bind
-):
+def test_where_a_step_begins_the_matrix_is_the_derivative_and_there_is_no_force(projected, body, bind):
     mesh = body()
     bound = bind((damping, mesh, YOUNG, POISSON), fixed=[0, 3, 4])
     x = strained(mesh)

@@ -38,9 +38,7 @@ def test_the_stress_of_a_held_stretch_relaxes_by_the_series(material_point, step
         assert found == pytest.approx(expected, rel=1e-9)
 
 
-def test_a_long_step_leaves_the_law_alone_and_a_step_without_time_the_modulus_at_once(
-    material_point,
-):
+def test_a_long_step_leaves_the_law_alone_and_a_step_without_time_the_modulus_at_once(material_point):
     F = uniaxial(1.4) @ sheared(0.2)
     own = material_point(LAW).step(F)
     np.testing.assert_allclose(

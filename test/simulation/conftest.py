@@ -169,8 +169,7 @@ def simulate(tmp_path, /, **mapping) -> Simulation:
 
 
 @builder
-def body_of(tmp_path, /, mesh, name="soft", young_modulus=1e5, poisson_ratio=0.3,
-            **entries) -> dict:  # fmt: skip
+def body_of(tmp_path, /, mesh, name="soft", young_modulus=1e5, poisson_ratio=0.3, **entries) -> dict:
     """Makes the entry of a soft body of silicone from a mesh; more entries may be given."""
     path = tmp_path / f"{name}.vtk"
     meshio.write(path, meshio.Mesh(mesh.node_positions, [("tetra", mesh.cells)]))

@@ -18,8 +18,7 @@ BOX = {"name": "box", "mass": MASS, "box": {"size": [0.03, 0.04, 0.02]},
 
 
 @builder
-def pair(simulate, body_of, block, /, integration="dynamic", gravity=G, box=BOX, more=None,
-         **entries):  # fmt: skip
+def pair(simulate, body_of, block, /, integration="dynamic", gravity=G, box=BOX, more=None, **entries):
     """Makes a soft block whose foot is attached to a free rigid box."""
     mesh = block(size=SIZE, cells=(1, 1, 3))
     body = body_of(mesh, attached=[{"to": "box", "box": FOOT}], **entries)

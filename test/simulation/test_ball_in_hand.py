@@ -40,9 +40,7 @@ def test_a_ball_is_held_for_ten_seconds_where_the_fingers_reach(held_ball, way):
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize(("way", "limit"), [((0, 0, 2), "grip_margin"), ((0, 0, -2), "pressure_max")])
-def test_a_target_beyond_reach_is_missed_with_its_limit_named_and_the_ball_stays(
-    held_ball, way, limit
-):
+def test_a_target_beyond_reach_is_missed_with_its_limit_named_and_the_ball_stays(held_ball, way, limit):
     results, left = follow(held_ball, 1e-3 * np.array(way), 150)
     assert HELD < left[-1] < 1.5e-3 and np.ptp(left[-50:]) < 2e-5
     assert results[-1].status is Status.SATURATED

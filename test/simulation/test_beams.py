@@ -54,9 +54,7 @@ def loaded(simulate, force, **entries):
     return simulation
 
 
-def test_a_fibre_far_lighter_than_the_tolerance_is_in_balance_only_where_it_hangs(
-    simulate, drawn_rng
-):
+def test_a_fibre_far_lighter_than_the_tolerance_is_in_balance_only_where_it_hangs(simulate, drawn_rng):
     for _ in range(4):
         length, modulus = 10 ** drawn_rng.uniform(-2, -0.5), 10 ** drawn_rng.uniform(7, 10)
         fibre = rod(points=((0, 0, 0), (length, 0, 0)), density=1100.0)
@@ -93,9 +91,7 @@ OWN_WEIGHT = [(1, 0.12347, 0.00875), (5, 0.49591, 0.15334), (10, 0.70020, 0.3436
 
 
 @pytest.mark.parametrize(("load", "down", "back"), TIP_LOAD)
-def test_a_cantilever_under_a_tip_load_is_the_elastica_with_four_elements(
-    simulate, load, down, back
-):
+def test_a_cantilever_under_a_tip_load_is_the_elastica_with_four_elements(simulate, load, down, back):
     tip = tip_of(loaded(simulate, load * RIGIDITY, elements=4))
     assert -tip[2] == pytest.approx(down, rel=1e-3)
     assert 1.0 - tip[0] == pytest.approx(back, rel=1e-3)
@@ -251,9 +247,7 @@ def pulled_along(rng, simulate):
     )  # fmt: skip
 
 
-def test_a_nearly_straight_beam_pulled_along_its_axis_past_buckling_does_not_creep(
-    simulate, drawn_rng
-):
+def test_a_nearly_straight_beam_pulled_along_its_axis_past_buckling_does_not_creep(simulate, drawn_rng):
     for _ in range(4):
         length, simulation = pulled_along(drawn_rng, simulate)
         share = drawn_rng.uniform(0.02, 0.3)

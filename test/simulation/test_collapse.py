@@ -109,9 +109,7 @@ def test_a_collapsed_body_recovers_or_is_reported_as_inverted(tower, kind, eleme
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
 @pytest.mark.parametrize("kind", ["point", "line", "oblique plane", "mirrored"])
-def test_in_dynamics_a_collapsed_body_recovers_or_is_reported_as_inverted(
-    tower, kind, element, seed
-):
+def test_in_dynamics_a_collapsed_body_recovers_or_is_reported_as_inverted(tower, kind, element, seed):
     simulation, rest = tower(element, "dynamic", cells=(1, 1, 3))
     result = let_go(simulation, collapsed(simulation, kind, np.random.default_rng(seed)), 150)
     if not is_loud(result):
@@ -121,9 +119,7 @@ def test_in_dynamics_a_collapsed_body_recovers_or_is_reported_as_inverted(
 
 @pytest.mark.sampled
 @pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
-def test_random_nodes_recover_or_are_reported_or_reach_another_equilibrium(
-    tower, element, energies
-):
+def test_random_nodes_recover_or_are_reported_or_reach_another_equilibrium(tower, element, energies):
     simulation, rest = tower(element)
     let_go(simulation, rest)
     least = energies(simulation)[0]

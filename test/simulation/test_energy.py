@@ -66,9 +66,7 @@ def _held_bent(scene):
     [("quadratic", "consistent", "corotational"), ("quadratic", "lumped", "corotational"),
      ("linear", "consistent", "corotational"), ("linear", "lumped", "linear")],
 )  # fmt: skip
-def test_energy_never_grows_whatever_the_element(
-    simulate, body_of, block, energies, element, mass, law
-):
+def test_energy_never_grows_whatever_the_element(simulate, body_of, block, energies, element, mass, law):
     mesh = block(size=(0.03, 0.03, 0.1), cells=(1, 1, 3))
     body = body_of(mesh, fixed=HELD, element=element, mass=mass)
     body["material"]["law"] = law
@@ -81,9 +79,7 @@ def test_energy_never_grows_whatever_the_element(
 @pytest.mark.sampled
 @pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
 @pytest.mark.parametrize("damping", [{"stiffness": 0.01}, {"mass": 10.0}])
-def test_damping_dissipates_energy_and_adds_none(
-    simulate, body_of, block, energies, element, damping
-):
+def test_damping_dissipates_energy_and_adds_none(simulate, body_of, block, energies, element, damping):
     """Of a free body too, which is strained and turns."""
     left = []
     for braked in ({}, damping):

@@ -16,8 +16,7 @@ EA = 200.0
 
 
 @builder
-def tube_entry(tmp_path, block, /, poisson_ratio=0.0, cells=(16, 1, 12),
-               element="quadratic") -> dict:  # fmt: skip
+def tube_entry(tmp_path, block, /, poisson_ratio=0.0, cells=(16, 1, 12), element="quadratic") -> dict:
     """Makes the entry of a soft tube about z whose ends are attached to two guided plates."""
     mesh = block(size=(1.0, 1.0, 1.0), cells=cells, shake=0.0)
     turn, wall, height = mesh.node_positions.T

@@ -156,8 +156,7 @@ def test_a_block_rests_on_a_plane_with_its_weight(simulate, body_of_hexahedra):
 
 
 @builder
-def chamber(tmp_path, simulate, body_of_hexahedra, /, cells=(4, 4, 6),
-            poisson_ratio=0.45) -> Simulation:  # fmt: skip
+def chamber(tmp_path, simulate, body_of_hexahedra, /, cells=(4, 4, 6), poisson_ratio=0.45) -> Simulation:
     """Makes a block with a cavity in the middle of its cells, commanded by pressure."""
     size = (0.02, 0.02, 0.03)
     grid = read_box(size, cells, of_hexahedra=True).mesh

@@ -27,9 +27,7 @@ def any_command(random, control):
 @pytest.mark.parametrize("iterations", [1, 30])
 @pytest.mark.parametrize("control", ["pressure", "volume"])
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_no_order_of_commands_turns_a_cavity_inside_out_or_loses_it(
-    inflatable, control, iterations, seed
-):
+def test_no_order_of_commands_turns_a_cavity_inside_out_or_loses_it(inflatable, control, iterations, seed):
     print("seed", seed)
     random = np.random.default_rng(seed)
     simulation = inflatable({

@@ -32,9 +32,7 @@ def follow(simulation, state, targets, step):
 
 @pytest.mark.sampled
 @pytest.mark.parametrize("axis, side, step", [(0, -1.0, 0.02), (1, 1.0, 0.02), (2, -1.0, 0.01), (2, 1.0, 0.02)])
-def test_a_cube_goes_two_millimetres_in_the_fingers_and_stays_for_ten_seconds(
-    held_cube, axis, side, step
-):
+def test_a_cube_goes_two_millimetres_in_the_fingers_and_stays_for_ten_seconds(held_cube, axis, side, step):
     simulation, state = held_cube
     simulation.restore(state)
     goal = simulation.effector_positions()[0] + side * AWAY * np.eye(3)[axis]

@@ -11,14 +11,18 @@ STEP, MASS, G = 0.004, 0.03, 9.81
 TOLERANCE = 1e-8  # m
 
 
+def slab_of(folder, mesh, points, height):
+    """The entry of a slab with the surface of a mesh."""
+    meshio.write(folder / "slab.stl", meshio.Mesh(points, [("triangle", mesh.surface_triangles)]))
+    return {"name": "slab", "mass": MASS, "position": [0, 0, height],
+            "surface": {"file": str(folder / "slab.stl")}}  # fmt: skip
+
+
 @pytest.fixture
 def slab(tmp_path, block):
     """A rigid slab of 40 mm by 40 mm, its sole cut into 14 by 14 cells: 225 corners."""
     mesh = block((0.04, 0.04, 0.02), (14, 14, 2), 0.0)
-    points = mesh.node_positions - [0.02, 0.02, 0.01]
-    meshio.write(tmp_path / "slab.stl", meshio.Mesh(points, [("triangle", mesh.surface_triangles)]))
-    return {"name": "slab", "mass": MASS, "position": [0, 0, 0.01],
-            "surface": {"file": str(tmp_path / "slab.stl")}}  # fmt: skip
+    return slab_of(tmp_path, mesh, mesh.node_positions - [0.02, 0.02, 0.01], 0.01)
 
 
 @pytest.fixture
@@ -29,9 +33,7 @@ def studded_slab(tmp_path, block):
     cells = np.rint((points[:, :2] + 0.02) / 0.04 * 30).astype(int)
     is_stud = (cells % 2 == 1).all(axis=1) & (points[:, 2] < 0.0)
     points[is_stud, 2] -= 2e-4
-    meshio.write(tmp_path / "slab.stl", meshio.Mesh(points, [("triangle", mesh.surface_triangles)]))
-    return {"name": "slab", "mass": MASS, "position": [0, 0, 0.0102],
-            "surface": {"file": str(tmp_path / "slab.stl")}}  # fmt: skip
+    return slab_of(tmp_path, mesh, points, 0.0102)
 
 
 @pytest.mark.sampled

@@ -44,9 +44,7 @@ def column(simulate, body_of, graded, /, integration="quasi_static", held=True, 
 @pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
 @pytest.mark.parametrize("model", [None, *MODELS])
 @pytest.mark.parametrize("integration", ["quasi_static", "dynamic"])
-def test_a_body_has_the_weight_of_its_total_mass_for_any_distribution(
-    column, element, model, integration
-):
+def test_a_body_has_the_weight_of_its_total_mass_for_any_distribution(column, element, model, integration):
     is_free = integration == "dynamic"
     simulation = column(integration, held=not is_free, element=element, mass=model)
     body = simulation.model.bodies[0]

@@ -20,9 +20,7 @@ def flipped(tmp_path, /, name, centre, size):
     return str(path)
 
 
-def test_flipped_surfaces_of_obstacles_and_rigid_bodies_are_reversed_and_reported_once(
-    scene_of, flipped
-):
+def test_flipped_surfaces_of_obstacles_and_rigid_bodies_are_reversed_and_reported_once(scene_of, flipped):
     floor = {"name": "floor",
              "surface": {"file": flipped("rock.stl", [0, 0, -0.05], [0.2, 0.2, 0.1])}}  # fmt: skip
     cube = {"name": "cube", "mass": 0.03, "position": [0.003, 0.002, 0.02],

@@ -62,9 +62,7 @@ def test_a_soft_body_s_angular_momentum_error_is_proportional_to_the_time_step(s
 
 
 @pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
-def test_a_body_of_consistent_mass_keeps_its_momentum_while_it_deforms(
-    simulate, body_of, block, element
-):
+def test_a_body_of_consistent_mass_keeps_its_momentum_while_it_deforms(simulate, body_of, block, element):
     body = body_of(
         block(size=(0.04, 0.05, 0.08), cells=(1, 1, 2)), element=element, mass="consistent",
         damping={"stiffness": 0.002},

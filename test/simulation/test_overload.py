@@ -82,9 +82,7 @@ def test_noisy_and_jumping_targets_invert_no_element(request, overloaded, robot,
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_stale_factor_without_progress_leads_to_a_full_step_that_is_late(
-    diamond, overloaded, seed
-):
+def test_a_stale_factor_without_progress_leads_to_a_full_step_that_is_late(diamond, overloaded, seed):
     """Commanded far enough, a step with a stale factor is given up, and nothing is left of it."""
     rng = np.random.default_rng(seed)
     whole, hurried = diamond(), overloaded(diamond())

@@ -120,9 +120,7 @@ def test_a_door_sags_at_its_hinge_by_its_moment_over_the_stiffness_of_the_bearin
 
 
 @pytest.mark.parametrize("integration", ["quasi_static", "dynamic"])
-def test_a_soft_body_bends_and_lifts_what_hangs_on_it_by_a_hinge(
-    simulate, body_of, block, integration
-):
+def test_a_soft_body_bends_and_lifts_what_hangs_on_it_by_a_hinge(simulate, body_of, block, integration):
     """A soft block stands on the ground; a bar is attached to its top, and another hangs on that."""
     top, foot = ({"box": {"minimum": [-1, -1, z - 1e-6], "maximum": [1, 1, z + 1e-6]}} for z in (0.06, 0.0))
     mesh = block(size=(0.03, 0.03, 0.06), cells=(2, 2, 4), shake=0)

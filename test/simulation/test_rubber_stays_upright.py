@@ -25,8 +25,7 @@ COMMANDS = {
 
 
 @builder
-def cube(simulate, body_of, block, /, law, element, integration="quasi_static", shake=0.0,
-         **entries):  # fmt: skip
+def cube(simulate, body_of, block, /, law, element, integration="quasi_static", shake=0.0, **entries):
     """Makes a cube of rubber on the ground; a palm, that moves at any speed, holds its top."""
     body = body_of(
         block((SIDE, SIDE, SIDE), (2, 2, 2), shake), element=element,
@@ -89,9 +88,7 @@ def test_a_badly_shaped_mesh_is_crushed_without_folding(integration, cube):
 @pytest.mark.sampled
 @pytest.mark.parametrize("integration", ["quasi_static", "dynamic"])
 @pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
-def test_cables_that_pull_ten_times_too_much_fold_nothing_and_can_be_let_go(
-    element, integration, cube
-):
+def test_cables_that_pull_ten_times_too_much_fold_nothing_and_can_be_let_go(element, integration, cube):
     cables = [
         {"name": f"cable_{k}", "pull_point": [x, y, -0.02], "points": [[x, y, SIDE]],
          "shortening": [0.0, 0.2], "tension": [0.0, 1e4]}

@@ -198,9 +198,7 @@ def originals():
 @pytest.mark.parametrize("robot", ["diamond", "beam", "facets", "trunk"])
 @pytest.mark.parametrize("scale, is_moved", [(0.01, False), (100.0, False), (1.0, True),
                                              (0.01, True), (100.0, True)])  # fmt: skip
-def test_a_similar_robot_gives_a_similar_result(
-    robots, originals, tmp_path, robot, scale, is_moved
-):
+def test_a_similar_robot_gives_a_similar_result(robots, originals, tmp_path, robot, scale, is_moved):
     mapping, file = robots[robot]
 
     def run(similar, bodies):

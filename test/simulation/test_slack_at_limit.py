@@ -37,9 +37,7 @@ def limited():
     return bar(shortening=[0, LIMITED])
 
 
-def test_a_pose_that_commanded_lengths_reach_is_reached_past_a_slack_cable_at_its_limit(
-    limited, drawn_rng
-):
+def test_a_pose_that_commanded_lengths_reach_is_reached_past_a_slack_cable_at_its_limit(limited, drawn_rng):
     long = drawn_rng.uniform(0.003, 0.012)
     limited.reset()
     goal = limited.settle(st.setpoints(long_shortening_m=long, other_shortening_m=0.0)).tip.copy()

@@ -111,9 +111,7 @@ def test_a_soft_bar_that_was_straight_sags_to_where_a_stiff_one_sags_as_it_softe
 @pytest.mark.sampled
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
-def test_a_column_that_just_buckles_comes_to_rest_within_ten_steps(
-    element, law, simulate, drawn_rng
-):
+def test_a_column_that_just_buckles_comes_to_rest_within_ten_steps(element, law, simulate, drawn_rng):
     def column(young_modulus, lean):
         return simulate(
             gravity=[-9.81, lean * 9.81, 0.0],
@@ -139,9 +137,7 @@ def test_a_column_that_just_buckles_comes_to_rest_within_ten_steps(
 @pytest.mark.sampled
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("element", ["quadratic", "hexahedral"])
-def test_no_step_of_a_sagging_bar_towards_a_target_is_refused_or_folds(
-    element, law, bar, drawn_rng
-):
+def test_no_step_of_a_sagging_bar_towards_a_target_is_refused_or_folds(element, law, bar, drawn_rng):
     simulation = bar(element, law, np.exp(drawn_rng.uniform(np.log(1500.0), np.log(3000.0))), 4)
     target = drawn_rng.uniform([0.0, 0.0, -0.2], [0.15, 0.03, -0.02])
     for _ in range(30):

@@ -47,9 +47,7 @@ def test_a_part_refuses_what_it_is_not_built_beside(fatigue, beam, rod):
         beam(rod)
 
 
-def test_states_with_another_memory_and_unknown_measurements_are_refused(
-    fatigue, beam, monkeypatch
-):
+def test_states_with_another_memory_and_unknown_measurements_are_refused(fatigue, beam, monkeypatch):
     with_it = beam()
     monkeypatch.undo()
     without = beam()

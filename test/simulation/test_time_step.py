@@ -43,9 +43,7 @@ def reference(finger, command_of):
 @pytest.mark.sampled
 @pytest.mark.parametrize("integration", ["first_order", "dynamic"])
 @pytest.mark.parametrize("time_step", STEPS)
-def test_a_pulled_finger_settles_at_the_static_equilibrium_of_its_tension(
-    finger, integration, time_step
-):
+def test_a_pulled_finger_settles_at_the_static_equilibrium_of_its_tension(finger, integration, time_step):
     scene = finger(integration)
     lengths = scene.rest_setpoints - 0.001
 

@@ -49,9 +49,7 @@ def tip_after(simulation, step):
 @pytest.mark.parametrize(
     ("integration", "error_at_10_ms"), [("dynamic", 0.035), ("first_order", 0.018)]
 )
-def test_the_error_of_a_damped_trunk_is_of_the_order_of_its_time_step(
-    trunk, integration, error_at_10_ms
-):
+def test_the_error_of_a_damped_trunk_is_of_the_order_of_its_time_step(trunk, integration, error_at_10_ms):
     """Errors of the tip's displacement, against the extrapolation of the two finest runs:
 
         step [ms]                     10      5    2.5   1.25
@@ -103,9 +101,7 @@ def spinning(simulation, degrees, step, rng):
 @pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
 @pytest.mark.parametrize("degrees", [0.0, 10.0, 30.0, 60.0, 90.0])
 @pytest.mark.parametrize("seed", range(3))
-def test_a_free_damped_body_never_gains_energy(
-    simulate, body_of, block, energies, element, degrees, seed
-):
+def test_a_free_damped_body_never_gains_energy(simulate, body_of, block, energies, element, degrees, seed):
     """Neither does any step: in what is stored and what moves together, whatever it turns by."""
     rng = np.random.default_rng([seed, int(degrees)])
     step, beta = 10.0 ** rng.uniform(-3.0, -1.5), 10.0 ** rng.uniform(-3.0, 0.5)

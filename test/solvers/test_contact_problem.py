@@ -43,9 +43,7 @@ def by_continuation(problem, guess):
 @pytest.mark.parametrize("solve", [by_sweeps, by_newton, by_continuation])
 @pytest.mark.parametrize("rank", [None, 18])
 @pytest.mark.parametrize("seed", range(10))
-def test_forces_of_one_row_solve_the_problem_of_three_rows_with_a_coefficient_of_zero(
-    seed, rank, solve
-):
+def test_forces_of_one_row_solve_the_problem_of_three_rows_with_a_coefficient_of_zero(seed, rank, solve):
     three, mixed, kept = problems(seed, rank)
     found = solve(mixed, np.zeros(len(kept)))
     assert found.converged and np.count_nonzero(found.multipliers[ACTUATORS:] > 0.0) > 3

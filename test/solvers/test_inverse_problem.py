@@ -46,9 +46,7 @@ def test_rows_and_gaps_are_the_motions_of_the_condensed_system(robot_in_contact,
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_without_energy_the_objective_is_the_weighted_distance_to_the_target(
-    robot_in_contact, seed
-):
+def test_without_energy_the_objective_is_the_weighted_distance_to_the_target(robot_in_contact, seed):
     robot = robot_in_contact(seed, contacts=4, moves=2)
     weights, system = np.array([1.0, 2.0, 0.5]), robot.system
     problem = build(robot, weights, 0.0)
@@ -89,9 +87,7 @@ def test_epsilon_has_the_same_meaning_with_and_without_contacts(robot_in_contact
     np.testing.assert_allclose(ours, plain.P, rtol=1e-12, atol=1e-15 * np.abs(plain.P).max())
 
 
-def test_the_hessian_is_positive_definite_with_duplicate_and_ineffective_actuators(
-    robot_in_contact,
-):
+def test_the_hessian_is_positive_definite_with_duplicate_and_ineffective_actuators(robot_in_contact):
     robot = robot_in_contact(0, contacts=4, moves=1).with_contacts(np.array([0, 0, 1, 1, 2]))
     system = robot.system._replace(G_e=np.zeros((3, 1)))
     P = build(robot._replace(system=system), energy_weight=1e-6).P
@@ -136,9 +132,7 @@ def test_a_platform_stops_at_an_obstacle_and_presses_no_harder_than_allowed(robo
 
 
 @pytest.mark.parametrize("contacts", [0, 4])
-def test_the_proximal_term_weighs_the_energy_of_the_distance_from_its_centre(
-    robot_in_contact, contacts
-):
+def test_the_proximal_term_weighs_the_energy_of_the_distance_from_its_centre(robot_in_contact, contacts):
     robot = robot_in_contact(0, contacts=contacts, moves=0)
     generator = np.random.default_rng(0)
     centre, first, second = generator.standard_normal((3, 8 + contacts))

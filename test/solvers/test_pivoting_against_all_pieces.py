@@ -48,9 +48,7 @@ def test_the_local_minimum_is_nearly_always_the_global_one(robot_in_contact, eli
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("contacts, problems", [(2, 60), (4, 60), (6, 60), (8, 30), (10, 20)])
-def test_at_least_eight_of_ten_local_minima_are_global(
-    robot_in_contact, eliminated, contacts, problems
-):
+def test_at_least_eight_of_ten_local_minima_are_global(robot_in_contact, eliminated, contacts, problems):
     lost = compare_with_all_pieces(
         [robot_in_contact(seed, contacts) for seed in range(problems)], eliminated
     )

@@ -18,9 +18,7 @@ def known():
 @pytest.mark.parametrize("mesh, forces, lengths, state", [
     ("diamond_200.vtk", 0.08, 0.025, 0.04), ("diamond_600.vtk", 0.04, 0.025, 0.04),
 ])  # fmt: skip
-def test_smoothed_elements_of_the_diamond_are_near_its_reference(
-    known, mesh, forces, lengths, state
-):
+def test_smoothed_elements_of_the_diamond_are_near_its_reference(known, mesh, forces, lengths, state):
     smoothed, linear = (errors_of("diamond", mesh, element, known["diamond"])
                         for element in ("smoothed", "linear"))  # fmt: skip
     assert smoothed.forces < forces < 0.5 * linear.forces
@@ -53,9 +51,7 @@ def compared(name, mesh, element):
                  marks=FACETED if robot[0] == "springy" and given == "lengths" else ())
     for robot in ROBOTS for given in ("forces", "lengths")
 ])  # fmt: skip
-def test_the_estimate_of_the_mesh_s_error_is_near_that_by_the_reference(
-    known, name, mesh, given, element
-):
+def test_the_estimate_of_the_mesh_s_error_is_near_that_by_the_reference(known, name, mesh, given, element):
     errors, loads = compared(name, mesh, element)
     true, told = getattr(errors, given), max(getattr(one, given) for one in loads)
     key = {"forces": "by_effort", "lengths": "by_setpoint"}[given]

@@ -49,9 +49,7 @@ def splits(simulation):
 
 @pytest.mark.sampled
 @pytest.mark.parametrize("element", ["linear", "smoothed", "quadratic"])
-def test_a_chamber_of_twelve_triangles_grows_as_that_of_the_meshs_own_faces(
-    tmp_path, inflatable, element
-):
+def test_a_chamber_of_twelve_triangles_grows_as_that_of_the_meshs_own_faces(tmp_path, inflatable, element):
     def with_element(mapping):
         mapping["body"]["element"] = element
 

@@ -453,9 +453,7 @@ def test_a_block_that_lands_on_a_corner_gains_no_energy(box, tilt):
 
 
 @pytest.mark.parametrize("step", [0.001, 0.004])
-def test_a_soft_block_that_falls_gains_no_energy_and_comes_to_rest(
-    scene_of, write_block, energies, step
-):
+def test_a_soft_block_that_falls_gains_no_energy_and_comes_to_rest(scene_of, write_block, energies, step):
     simulation = scene_of(
         gravity=[0, 0, -G], **by_alpha(), solver={"newton_iterations": 10},
         obstacles=[{"name": "floor", "plane": {}}],
