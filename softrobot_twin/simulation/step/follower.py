@@ -47,9 +47,12 @@ from softrobot_twin.simulation.step.effector_path import EffectorPath
 from softrobot_twin.simulation.step.inverse_actuation import (
     Asked,
     InverseActuation,
+    Tracking,
     rest_rows,
     rows_to_track,
     with_contacts_closed,
+    with_stiffness,
+    write_wanted,
 )
 from softrobot_twin.simulation.step.linearized import Linearized
 from softrobot_twin.simulation.step.passed_places import MUCH_NEARER, PROGRESS, PassedPlaces, Place
@@ -104,7 +107,12 @@ class Pending(NamedTuple):
 
 
 class Follower(InverseActuation):
-    """Finds actuation that brings effectors nearer to targets, as far as it is trusted."""
+    """Finds actuation that brings effectors nearer to targets, as far as it is trusted.
+
+    Attributes:
+        move_limit: The radius, a share of the actuators' scales.
+        is_departing: Whether the actuators go to a place first, see `depart`.
+    """
 
     def __init__(self, model: Model, direct: DirectActuation):
         """See `InverseActuation`."""
@@ -114,8 +122,13 @@ class Follower(InverseActuation):
         super().__init__(model, direct)
         self._at_rest = np.zeros(len(self._scales))
 
+    def reset(self) -> None:
+        """Forget the last solution, the contacts that bore it, and all moves."""
+        super().reset()
+        self.forget()
+
     def forget(self) -> None:
-        """See `InverseActuation`."""
+        """Forget all targets."""
         self._first: Situation | None = None
         self._situation: Situation | None = None
         self._departure: np.ndarray | None = None
@@ -148,22 +161,26 @@ class Follower(InverseActuation):
 
     @property
     def misses(self) -> np.ndarray:
-        """See `InverseActuation`."""
+        """Distances from targets where the last step began, times the roots of their weights [m]."""
         last = self._situation
         return np.sqrt(last.weights) * (last.places - last.targets)
 
     @property
     def rests(self) -> bool:
-        """See `InverseActuation`."""
+        """Whether the actuators stay, since nothing brings the effectors nearer."""
         return self._resting is not None
 
     @property
     def least_share(self) -> float:
-        """See `InverseActuation`."""
+        """Least share of a move that is made rather than a shorter one sought."""
         return 0.0 if self._task is None else LEAST_SHARE
 
     def depart(self, goal: np.ndarray) -> None:
-        """See `InverseActuation`."""
+        """Forget all targets, and let the actuators go to a place first.
+
+        Args:
+            goal: Their displacements there, shape (actuator_count,).
+        """
         self.forget()
         self._departure = goal
 
@@ -171,13 +188,50 @@ class Follower(InverseActuation):
         self, linear: Linearized, target_rows: np.ndarray, held: Actuation, bounds: Bounds,
         stiffness: StiffnessRows | None = None,
     ) -> tuple[Actuation, Actuation]:  # fmt: skip
-        """See `InverseActuation`; leads effectors back along their path where they were caught."""
-        if self._learns and self._begins:
+        """Solve the inverse problem around one state.
+
+        Args:
+            linear: The condensed system.
+            target_rows: Wanted effector coordinates [m], NaN where free,
+                shape (effector_row_count,).
+            held: What the actuators do when they stay.
+            bounds: Bounds of this step.
+            stiffness: Rows of wanted stiffnesses; None if none is wanted.
+
+        Returns:
+            The actuation, or the held one with `solved` False; and what a shorter step than that
+            begins with: the held actuation, in which commanded actuators do as they are told.
+        """
+        begins, self._begins = self._learns and self._begins, False
+        if begins:
             self._path.follow(linear.effectors_now, target_rows)
-        rows = self._path.back[-1] if self._path.back else target_rows
-        return super().solve(linear, rows, held, bounds, stiffness)
+        if self._path.back:
+            # Effectors that were caught are led back along their path.
+            target_rows = self._path.back[-1]
+        least, most = self._limits.drive_bounds(bounds)
+        commanded, drives = least == most, held.drives(self._limits)
+        any_commanded = bool(commanded.any())
+        if begins:
+            wanted = np.empty((2, len(target_rows)))
+            write_wanted(target_rows, self._row_weights, *wanted)
+            situation = Situation(
+                *wanted,
+                linear.effector_places(held.efforts, held.contact.multipliers),
+                drives, np.where(commanded, most, np.nan) if any_commanded else self._nowhere,
+                self._is_balanced, self._loads, self._load, self._guided, self._is_stable,
+            )  # fmt: skip
+            self._begin(with_stiffness(situation, stiffness, held.efforts), linear, held)
+        if any_commanded:
+            held = self._direct.at_drives(linear, np.where(commanded, most, drives), bounds)
+        # Where nothing is left to choose, how hard contacts press is told all the same.
+        if len(held.contact.multipliers):
+            held = self._with_limits(held)
+        if (any_commanded and commanded.all()) or self.rests:
+            return held, held
+        return self._follow(Asked(linear, target_rows, held, bounds, commanded, stiffness)), held
 
     def _begin(self, situation: Situation, linear: Linearized, held: Actuation) -> None:
+        """Judge what came of the last step, and choose what to do, where a step begins."""
         situation = self._with_forces(situation, linear, held)
         now, greatest, is_same = situation.compared(self._first)
         if not is_same:
@@ -333,6 +387,7 @@ class Follower(InverseActuation):
         return True
 
     def _follow(self, asked: Asked) -> Actuation:
+        """What the actuators do; the held actuation with `solved` False where nothing is found."""
         held, self._task, self._is_noted = asked.held, None, False
         if self._goal is not None:
             return self._to_goal(asked)
@@ -483,12 +538,16 @@ class Follower(InverseActuation):
         return any(name.endswith(RATE) for name in names)
 
     def tries(self, found: Actuation, held: Actuation) -> Iterator[Actuation]:
-        """See `InverseActuation`; then optima within ever smaller boxes."""
+        """What is tried until the bodies accept a move: the optimum, then those within ever smaller boxes.
+
+        Args:
+            found: What was found by `solve`.
+            held: What the actuators do when they stay.
+        """
         asked, before, judges = self._task, self.move_limit, self._is_noted
-        if asked is None or found is held:
-            yield from super().tries(found, held)
-            return
         yield found
+        if asked is None or found is held:
+            return
         for _ in range(TRIES):
             self.move_limit = SHRINK * min(self._length(asked, found), self.move_limit)
             shorter = self._best(asked, self._branch) if self.move_limit > LEAST else None
@@ -506,7 +565,11 @@ class Follower(InverseActuation):
                 self.move_limit = SHRINK**2 * before
 
     def refuse(self, is_stuck: bool) -> None:
-        """See `InverseActuation`; the radius has shrunk already."""
+        """Note that the bodies accepted less than what was found; the radius has shrunk already.
+
+        Args:
+            is_stuck: Whether they cannot even stay as they are.
+        """
         self._is_stuck, self._is_refused = is_stuck, True
 
     def _best(self, asked: Asked, branch: np.ndarray | None = None) -> Actuation | None:
@@ -525,7 +588,7 @@ class Follower(InverseActuation):
             found = self.guessed(*given)
             if found is not None:
                 return found
-        return self._over_branches(*given, asked.commanded, extra, branch)
+        return self._over_branches(Tracking(*given, asked.commanded, extra), branch)
 
     def _curved(
         self, asked: Asked, errors: np.ndarray, weights: np.ndarray

@@ -41,7 +41,7 @@ from softrobot_twin.simulation.state import State, made
 from softrobot_twin.simulation.step.actuation import NO_EFFORT, Actuation
 from softrobot_twin.simulation.step.augmented_tangent import HeldActuators
 from softrobot_twin.simulation.step.direct_actuation import DirectActuation
-from softrobot_twin.simulation.step.inverse_actuation import InverseActuation
+from softrobot_twin.simulation.step.follower import Follower
 from softrobot_twin.simulation.step.inverse_choice import why_not_followed
 from softrobot_twin.simulation.step.linearized import Linearized
 from softrobot_twin.solvers.inverse_problem import Bounds
@@ -496,7 +496,7 @@ class Goals:
         none_commanded: Drives where no actuator is commanded beside targets, NaN, shape (actuator_count,).
     """
 
-    def __init__(self, model: Model, direct: DirectActuation, inverse: InverseActuation | None):
+    def __init__(self, model: Model, direct: DirectActuation, inverse: Follower | None):
         """Take what goals are read and solved by; see the attributes."""
         self.model, self.direct, self.inverse = model, direct, inverse
         self.wanted_sensors = {one.name: bool(one.weight) for _, one in in_order(model.scene)}

@@ -19,7 +19,6 @@ How far an optimum is trusted is a question of its own: `Follower`.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -375,7 +374,7 @@ class Unknowns(NamedTuple):
 
 
 class Asked(NamedTuple):
-    """What one linearization is asked for; see `InverseActuation.solve`.
+    """What one linearization is asked for; see `Follower.solve`.
 
     Attributes:
         linear: The condensed system.
@@ -394,6 +393,39 @@ class Asked(NamedTuple):
     stiffness: StiffnessRows | None
 
 
+class Tracking(NamedTuple):
+    """The inverse problem of one linearization, but for which cables are slack.
+
+    Attributes:
+        linear: The condensed system.
+        errors: δ_e,free less where effectors shall be, then those of further rows [m].
+        weights: Weight of each of these rows.
+        held: What the actuators do when they stay.
+        bounds: Bounds of this linearization.
+        commanded: Which actuators are commanded, shape (actuator_count,).
+        extra: Change of the further rows by the multipliers of the actuators, or None.
+    """
+
+    linear: Linearized
+    errors: np.ndarray
+    weights: np.ndarray
+    held: Actuation
+    bounds: Bounds
+    commanded: np.ndarray
+    extra: np.ndarray | None
+
+    def left(self, efforts: np.ndarray, forces: np.ndarray, system: Linearized | None = None) -> np.ndarray:
+        """How far effectors are from where they shall be [m], shape (effector_row_count,).
+
+        Args:
+            efforts: λ of the actuators, shape (actuator_count,).
+            forces: λ of the contacts [N], shape (contact_row_count,).
+            system: The system that these are of, if it is another one.
+        """
+        places = (system or self.linear).effector_places(efforts, forces)
+        return self.errors[: len(places)] + places - self.linear.effectors
+
+
 class InverseActuation:
     """Finds actuation and contact forces that bring effectors to their targets.
 
@@ -401,9 +433,6 @@ class InverseActuation:
     force; the tautness of a commanded cable. Limits of the hardware are always kept.
 
     Attributes:
-        misses: Distances from targets where the last step began, times the roots of their weights [m].
-        rests: Whether the actuators stay, since nothing brings the effectors nearer.
-        is_departing: Whether they go to a place first, see `depart`.
         least_progress: A step that shortens the way by this share is on its way.
         seeks_once: Whether the first linearization of a step in contact alone seeks the actuators.
         solver: Finds the optimum of each problem.
@@ -411,13 +440,6 @@ class InverseActuation:
 
     least_progress = 1.0
     seeks_once = False
-    # Least share of a move that is made rather than a shorter one sought.
-    least_share: float = 0.0
-    misses: np.ndarray
-    rests: bool
-    is_departing: bool
-    move_limit: float
-
     def __init__(self, model: Model, direct: DirectActuation):
         """Lay out the problem.
 
@@ -456,9 +478,8 @@ class InverseActuation:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the last solution, the contacts that bore it, and all moves."""
+        """Forget the last solution, and the contacts that bore it."""
         self._search.reset()
-        self.forget()
         if self._model.effectors.orientations:
             self._model.effectors.forget_targets()
         self.begin_step(True, True)
@@ -478,80 +499,6 @@ class InverseActuation:
         """
         self._begins, self._is_balanced, self._is_stable = True, is_balanced, is_stable
         self._loads, self._load, self._guided = loads, load, guided
-
-    def solve(
-        self, linear: Linearized, target_rows: np.ndarray, held: Actuation, bounds: Bounds,
-        stiffness: StiffnessRows | None = None,
-    ) -> tuple[Actuation, Actuation]:  # fmt: skip
-        """Solve the inverse problem around one state.
-
-        Args:
-            linear: The condensed system.
-            target_rows: Wanted effector coordinates [m], NaN where free,
-                shape (effector_row_count,).
-            held: What the actuators do when they stay.
-            bounds: Bounds of this step.
-            stiffness: Rows of wanted stiffnesses; None if none is wanted.
-
-        Returns:
-            The actuation, or the held one with `solved` False; and what a shorter step than that
-            begins with: the held actuation, in which commanded actuators do as they are told.
-        """
-        least, most = self._limits.drive_bounds(bounds)
-        commanded, drives = least == most, held.drives(self._limits)
-        any_commanded = bool(commanded.any())
-        begins, self._begins = self._learns and self._begins, False
-        if begins:
-            wanted = np.empty((2, len(target_rows)))
-            write_wanted(target_rows, self._row_weights, *wanted)
-            situation = Situation(
-                *wanted,
-                linear.effector_places(held.efforts, held.contact.multipliers),
-                drives, np.where(commanded, most, np.nan) if any_commanded else self._nowhere,
-                self._is_balanced, self._loads, self._load, self._guided, self._is_stable,
-            )  # fmt: skip
-            self._begin(_with_stiffness(situation, stiffness, held.efforts), linear, held)
-        if any_commanded:
-            held = self._direct.at_drives(linear, np.where(commanded, most, drives), bounds)
-        # Where nothing is left to choose, how hard contacts press is told all the same.
-        if len(held.contact.multipliers):
-            held = self._with_limits(held)
-        if (any_commanded and commanded.all()) or self.rests:
-            return held, held
-        return self._follow(Asked(linear, target_rows, held, bounds, commanded, stiffness)), held
-
-    def forget(self) -> None:
-        """Forget all targets."""
-
-    def depart(self, goal: np.ndarray) -> None:
-        """Forget all targets, and let the actuators go to a place first.
-
-        Args:
-            goal: Their displacements there, shape (actuator_count,).
-        """
-
-    def tries(self, found: Actuation, held: Actuation) -> Iterator[Actuation]:
-        """What is tried, one after the other, until the bodies accept a move.
-
-        Args:
-            found: What was found by `solve`.
-            held: What the actuators do when they stay.
-        """
-        yield found
-
-    def refuse(self, is_stuck: bool) -> None:
-        """Note that the bodies accepted less than what was found.
-
-        Args:
-            is_stuck: Whether they cannot even stay as they are.
-        """
-
-    def _begin(self, situation: Situation, linear: Linearized, held: Actuation) -> None:
-        """Judge what came of the last step, and choose what to do, where a step begins."""
-
-    def _follow(self, asked: Asked) -> Actuation:
-        """What the actuators do; the held actuation with `solved` False where nothing is found."""
-        raise NotImplementedError
 
     def _places(
         self, linear: Linearized, found: Actuation, stiffness: StiffnessRows | None
@@ -576,34 +523,29 @@ class InverseActuation:
         path = linear.actuator_displacements(held.efforts, held.contact.multipliers)
         return np.where(self._by_effort, held.drives(self._limits), path)
 
-    def _over_branches(
-        self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
-        bounds: Bounds, commanded: np.ndarray, extra: np.ndarray | None,
-        chosen: np.ndarray | None = None,
-    ) -> Actuation | None:  # fmt: skip
+    def _over_branches(self, tracking: Tracking, chosen: np.ndarray | None = None) -> Actuation | None:
         """The actuation, from the branch of slack cables that the held actuation is in.
 
         Each next branch contains the optimum of the branch before, hence the objective never rises.
         A cable becomes slack at most once, and taut again at most once. Cables that are `chosen`
         are slack in any case.
         """
+        linear, held, upper = tracking.linear, tracking.held, tracking.bounds.displacement_max
         count, contact = linear.groups.actuators.stop, held.contact.multipliers
         path, may_hang = linear.actuator_displacements(held.efforts, contact), self._may_hang
-        if commanded.any():
-            may_hang = may_hang & ~commanded
+        if tracking.commanded.any():
+            may_hang = may_hang & ~tracking.commanded
         if chosen is not None:
             # With wanted stiffnesses, the others bear.
-            may_hang = may_hang & ~chosen & (extra is None)
-        branches, upper = np.zeros((2, count), dtype=bool), bounds.displacement_max
+            may_hang = may_hang & ~chosen & (tracking.extra is None)
+        branches = np.zeros((2, count), dtype=bool)
         slack, was_slack = branches
         loads = linear.efforts(held.efforts, contact) / self._effort_scales
         some_hang = hang_beyond(path, loads, upper, self._at_limit, may_hang, slack)
         loose = slack if some_hang else None
         if chosen is not None:
             loose = slack | chosen
-        found, best = self._solved(
-            linear, errors, weights, held, path, loose, bounds, commanded, extra
-        ), None
+        found, best = self._solved(tracking, held, path, loose), None
         while found is not None:
             best = found
             loads = linear.efforts(found.efforts, found.contact.multipliers)
@@ -613,9 +555,7 @@ class InverseActuation:
             ):  # fmt: skip
                 break
             loose = slack if chosen is None else slack | chosen
-            found = self._solved(
-                linear, errors, weights, best, path, loose, bounds, commanded, extra
-            )
+            found = self._solved(tracking, best, path, loose)
         return best
 
     def guessed(
@@ -649,27 +589,21 @@ class InverseActuation:
         return Actuation(efforts, within, True, WARM_START, ContactLoads(NO_FORCES, sweeps=1))
 
     def _solved(
-        self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, start: Actuation,
-        path: np.ndarray, slack: np.ndarray | None, bounds: Bounds, commanded: np.ndarray,
-        extra: np.ndarray | None,
-    ) -> Actuation | None:  # fmt: skip
+        self, tracking: Tracking, start: Actuation, path: np.ndarray, slack: np.ndarray | None
+    ) -> Actuation | None:
         """The actuation in one branch of slack cables.
 
         Args:
-            linear: The condensed system.
-            errors: δ_e,free less the targets, then those of further rows [m].
-            weights: Their weights.
+            tracking: The problem.
             start: An actuation of this branch.
             path: Displacements of the paths when the actuators stay [m],
                 shape (actuator_row_count,).
             slack: Cables that hang slack in this branch, same shape; None without any.
-            bounds: Bounds of this step.
-            commanded: Which actuators are commanded, shape (actuator_count,).
-            extra: Change of the further rows by the multipliers of the actuators, or None.
 
         Returns:
             The actuation; None where the branch has no solution.
         """
+        linear, bounds = tracking.linear, tracking.bounds
         within = widened(path, bounds)
         if slack is not None:
             within = within._replace(
@@ -677,10 +611,10 @@ class InverseActuation:
                 effort_max=np.where(slack, 0.0, within.effort_max),
             )
         # What is two-sided is held by equal bounds, not by the law of a slack cable.
-        own = (commanded & self._one_sided)[linear.groups.actuators]
+        own = (tracking.commanded & self._one_sided)[linear.groups.actuators]
         unknowns = Unknowns(own, bool(own.any()))
-        problem = self._problem(linear, errors, weights, within, bounds, unknowns, extra)
-        solution = self._solution(linear, problem, start, unknowns, errors, weights)
+        problem = self._problem(tracking, within, unknowns)
+        solution = self._solution(tracking, problem, start, unknowns)
         if not solution.solved:
             return None
         efforts, forces = unknowns.split(solution.unknowns, linear.contact_row_count)
@@ -689,21 +623,15 @@ class InverseActuation:
         contact = ContactLoads(forces, solution.programs, residual, limits=limits)
         return self._settled(linear, efforts, contact, bounds, solution.solver)
 
-    def _problem(
-        self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, within: Bounds,
-        bounds: Bounds, unknowns: Unknowns, extra: np.ndarray | None,
-    ) -> QPCC:  # fmt: skip
+    def _problem(self, tracking: Tracking, within: Bounds, unknowns: Unknowns) -> QPCC:
         """The inverse problem around one state.
 
         Args:
-            linear: The condensed system.
-            errors: δ_e,free less the targets, then those of further rows [m].
-            weights: Their weights.
+            tracking: What it is made of.
             within: Bounds of the actuators in this branch of slack cables.
-            bounds: Bounds of this step.
             unknowns: Order of the unknowns.
-            extra: Change of the further rows by the multipliers of the actuators, or None.
         """
+        linear, bounds, extra = tracking.linear, tracking.bounds, tracking.extra
         commanded, force_max = unknowns.commanded, NO_FORCES
         if commanded.any():
             within = Bounds(*(bound[~commanded] for bound in within))
@@ -711,12 +639,12 @@ class InverseActuation:
             limits = np.full(linear.contact_row_count, self.force_limit)
             force_max = np.concatenate([bounds.effort_max[commanded], limits])
         system = inverse_system(
-            linear, errors, commanded, bounds.displacement_max, self._is_moved
+            linear, tracking.errors, commanded, bounds.displacement_max, self._is_moved
         )
         if extra is not None:
             system = with_effector_rows(system, extra, commanded)
         problem = build_inverse_problem(
-            system, weights, self._energy_now, within, force_max,
+            system, tracking.weights, self._energy_now, within, force_max,
             unknowns.stack(*self._last(linear)), self._proximal_weight,
             self._limits.displacement_scale[~commanded],
         )  # fmt: skip
@@ -749,20 +677,19 @@ class InverseActuation:
         )
 
     def _solution(
-        self, linear: Linearized, problem: QPCC, held: Actuation, unknowns: Unknowns,
-        errors: np.ndarray, weights: np.ndarray,
-    ) -> QPCCSolution:  # fmt: skip
+        self, tracking: Tracking, problem: QPCC, start: Actuation, unknowns: Unknowns
+    ) -> QPCCSolution:
         """Solve the problem; see `ContactSearch`."""
+        linear = tracking.linear
 
         def missed(z: np.ndarray) -> float:
             efforts, forces = unknowns.split(z, linear.contact_row_count)
             if not (forces > 0.0).any():
                 return np.nan
-            places = linear.effector_places(efforts, forces)
-            left, wanted = errors[: len(places)] + places - linear.effectors, weights[: len(places)] > 0.0
-            return float(np.linalg.norm(left[wanted]))
+            left = tracking.left(efforts, forces)
+            return float(np.linalg.norm(left[tracking.weights[: len(left)] > 0.0]))
 
-        efforts, forces = held.efforts, held.contact.multipliers
+        efforts, forces = start.efforts, start.contact.multipliers
         return self._search_of(linear).solve(
             problem, unknowns.stack(efforts, forces), efforts[unknowns.commanded], forces,
             self._contact_keys(linear), missed,
@@ -972,7 +899,7 @@ def rows_to_track(
     )  # fmt: skip
 
 
-def _with_stiffness(
+def with_stiffness(
     situation: Situation, stiffness: StiffnessRows | None, efforts: np.ndarray
 ) -> Situation:
     """A situation with the rows of wanted stiffnesses below those of the effectors."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.step.direct_actuation import DirectActuation
 from softrobot_twin.simulation.step.follower import Follower
-from softrobot_twin.simulation.step.inverse_actuation import InverseActuation
 from softrobot_twin.simulation.step.inverse_with_friction import InverseWithFriction
 from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT
 
@@ -21,7 +20,7 @@ def why_not_followed(model: Model) -> str:
     return ""
 
 
-def build_inverse(model: Model, direct: DirectActuation) -> InverseActuation | None:
+def build_inverse(model: Model, direct: DirectActuation) -> Follower | None:
     """The inverse of a scene; None for a scene that cannot follow targets.
 
     Args:

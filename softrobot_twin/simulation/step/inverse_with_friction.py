@@ -47,7 +47,7 @@ from softrobot_twin.simulation.step.contact_search import ContactSearch
 from softrobot_twin.simulation.step.detours import NEARER, Detours, Turn
 from softrobot_twin.simulation.step.direct_actuation import DirectActuation
 from softrobot_twin.simulation.step.follower import GREATEST, NO_PROMISE, SHRINK, Follower
-from softrobot_twin.simulation.step.inverse_actuation import Asked
+from softrobot_twin.simulation.step.inverse_actuation import Asked, Tracking
 from softrobot_twin.simulation.step.linearized import Linearized
 from softrobot_twin.simulation.step.situation import Situation, longest_move
 from softrobot_twin.solvers.inverse_problem import Bounds
@@ -259,76 +259,6 @@ def tied_by_contacts(
     return tied
 
 
-class Aim(NamedTuple):
-    """Where effectors shall be, in one linearization.
-
-    Attributes:
-        linear: The condensed system.
-        errors: δ_free of effectors less where they shall be, then of further rows [m].
-        weights: Weight of each of these rows.
-        beyond: How far forces beyond their limit press contacts in [m]; None without a limit.
-    """
-
-    linear: Linearized
-    errors: np.ndarray
-    weights: np.ndarray
-    beyond: Callable[[Linearized, Actuation], np.ndarray] | None
-
-    def left(self, found: Actuation, system: Linearized | None = None) -> np.ndarray:
-        """How far effectors are from there in a solution [m], shape (effector_row_count,).
-
-        Args:
-            found: The solution.
-            system: The system that it is of, if it is another one.
-        """
-        system = system or self.linear
-        places = system.effector_places(found.efforts, found.contact.multipliers)
-        return self.errors[: len(places)] + places - self.linear.effectors
-
-    def missed(self, found: Actuation, system: Linearized | None = None) -> float:
-        """Weighted sum of the squares of `left`, and of forces beyond their limit [m²].
-
-        Such a force counts by how far it presses its contact in, more than a distance of an effector.
-
-        Args:
-            found: See `left`.
-            system: See `left`.
-        """
-        left = self.left(found, system)
-        return float(self.weights[: len(left)] @ (left * left)) + self.pressed_too_hard(found)
-
-    def pressed_too_hard(self, found: Actuation) -> float:
-        """What forces beyond their limit count in `missed` [m²].
-
-        Args:
-            found: See `left`.
-        """
-        if not self.beyond:
-            return 0.0
-        beyond = self.beyond(self.linear, found)
-        return FORCES_FIRST * self.weights.max(initial=0.0) * float(beyond @ beyond)
-
-    def short_of_targets(
-        self, held: Actuation, share: float, motion: np.ndarray, brakes: bool
-    ) -> Aim:  # fmt: skip
-        """Aims short of the targets, where contacts press: what goes too far does not come back.
-
-        Args:
-            held: What the actuators do when they stay.
-            share: Share of the way that is left out, but for the motion of the targets.
-            motion: Steady motion of the targets in a step [m], shape (effector_row_count,).
-            brakes: Whether the way counts from where effectors are, not from where they go when the
-                actuators stay: by inertia they would go on, and swing about the targets.
-        """
-        if not (held.contact.multipliers > 0.0).any():
-            return self
-        left, errors = self.left(held), self.errors.copy()
-        if brakes:
-            left = errors[: len(left)] + self.linear.effectors_now - self.linear.effectors
-        errors[: len(left)] -= share * (left + motion)
-        return self._replace(errors=errors)
-
-
 class Grips(NamedTuple):
     """Least normal forces and least grip margins of pairs, each of a pair as a whole.
 
@@ -455,29 +385,45 @@ class Task(NamedTuple):
     """What a step is to find.
 
     Attributes:
-        linear: The condensed system.
-        aim: Where effectors shall be.
-        held: What the actuators do when they stay.
-        bounds: Bounds of the step.
-        commanded: Which actuators are commanded, shape (actuator_count,).
-        extra: Change of further rows by the multipliers of the actuators, or None.
+        tracking: Where effectors shall be, and by what.
+        beyond: How far forces beyond their limit press contacts in [m]; None without a limit.
         before: What is missed when the actuators stay [m²].
         negligible: Squares of misses that make no difference [m²].
     """
 
-    linear: Linearized
-    aim: Aim
-    held: Actuation
-    bounds: Bounds
-    commanded: np.ndarray
-    extra: np.ndarray | None
-    before: float
+    tracking: Tracking
+    beyond: Callable[[Linearized, Actuation], np.ndarray] | None
     negligible: float
+    before: float = np.nan
 
     @property
     def leaves_open(self) -> bool:
         """Whether there are more actuators than targets determine, which the energy decides."""
-        return np.count_nonzero(~self.commanded) > np.count_nonzero(self.aim.weights)
+        tracking = self.tracking
+        return np.count_nonzero(~tracking.commanded) > np.count_nonzero(tracking.weights)
+
+    def missed(self, found: Actuation, system: Linearized | None = None) -> float:
+        """Weighted sum of the squares of misses, and of forces beyond their limit [m²].
+
+        Such a force counts by how far it presses its contact in, more than a distance of an effector.
+
+        Args:
+            found: The solution.
+            system: The system that it is of, if it is another one.
+        """
+        left = self.tracking.left(found.efforts, found.contact.multipliers, system)
+        return float(self.tracking.weights[: len(left)] @ (left * left)) + self.pressed_too_hard(found)
+
+    def pressed_too_hard(self, found: Actuation) -> float:
+        """What forces beyond their limit count in `missed` [m²].
+
+        Args:
+            found: The solution.
+        """
+        if not self.beyond:
+            return 0.0
+        beyond = self.beyond(self.tracking.linear, found)
+        return FORCES_FIRST * self.tracking.weights.max(initial=0.0) * float(beyond @ beyond)
 
 
 class Made(NamedTuple):
@@ -595,49 +541,61 @@ class InverseWithFriction(Follower):
         self._motion = np.clip(moved, -before, before)
         self._targets, self._moved = target_rows.copy(), moved
 
-    def _over_branches(
-        self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
-        bounds: Bounds, commanded: np.ndarray, extra: np.ndarray | None,
-        chosen: np.ndarray | None = None,
-    ) -> Actuation | None:  # fmt: skip
+    def _over_branches(self, tracking: Tracking, chosen: np.ndarray | None = None) -> Actuation | None:
         """The actuation with friction that comes nearest; where none does, that which holds."""
+        linear, held = tracking.linear, tracking.held
         if not linear.contact_row_count:
-            return super()._over_branches(
-                linear, errors, weights, held, bounds, commanded, extra, chosen
-            )
+            return super()._over_branches(tracking, chosen)
         self._last_solution = self._direct.last_solution(linear)
-
-        beyond = self._beyond if self._judges_forces else None
-        aim = Aim(linear, errors, weights, beyond)
         left_out = self._left_out
         if self._brakes:
             left_out = max(left_out, self._friction * np.exp(-self._contacts.time_step / SETTLES))
             self.least_progress = 0.5 * (1.0 - left_out)
-        aim = aim.short_of_targets(held, left_out, self._motion, self._brakes)
-        before, negligible = aim.missed(held), self._negligible**2 * weights.max(initial=0.0)
-        reached = self._tolerance**2 * weights.max(initial=0.0)
+        tracking = self._short_of_targets(tracking, left_out)
+        beyond, greatest = self._beyond if self._judges_forces else None, tracking.weights.max(initial=0.0)
+        task = Task(tracking, beyond, self._negligible**2 * greatest)
+        before, reached = task.missed(held), self._tolerance**2 * greatest
         is_reached = self._learns and self._rubs and self._now <= self._reached
         self._has_come = is_reached and (self._has_come or before <= LEFT**2 * reached)
         if self._has_come:
             return held
-        task = Task(linear, aim, held, bounds, commanded, extra, before, negligible)
-        best = self._tried(task)
+        best = self._tried(task._replace(before=before))
         if best is None and held.solved:
             # What contacts do now may admit no solution; the actuators stay, and the bodies move on.
             best = held
         if best is None or not self._rubs:
             return best
-        is_stalled = aim.missed(best) > (1.0 - PROGRESS) * before
+        is_stalled = task.missed(best) > (1.0 - PROGRESS) * before
         self._detours.is_stalled = is_stalled and not is_reached
         slips = self._grips.names and self._grips.slips_on(
             self._contacts, held.contact.multipliers, best.contact.multipliers
         )
-        if aim.missed(best) > before + negligible or slips:
+        if task.missed(best) > before + task.negligible or slips:
             if not self._moved.any():
                 self.refuse(False)
             best = held
         self._direct.remember(best.efforts)
         return best
+
+    def _short_of_targets(self, tracking: Tracking, share: float) -> Tracking:
+        """Aims short of the targets, where contacts press: what goes too far does not come back.
+
+        In scenes that move in time the way counts from where effectors are, not from where they go
+        when the actuators stay: by inertia they would go on, and swing about the targets.
+
+        Args:
+            tracking: The problem.
+            share: Share of the way that is left out, but for the motion of the targets.
+        """
+        held, linear = tracking.held, tracking.linear
+        if not (held.contact.multipliers > 0.0).any():
+            return tracking
+        errors = tracking.errors.copy()
+        left = tracking.left(held.efforts, held.contact.multipliers)
+        if self._brakes:
+            left = errors[: len(left)] + linear.effectors_now - linear.effectors
+        errors[: len(left)] -= share * (left + self._motion)
+        return tracking._replace(errors=errors)
 
     def _optimum(
         self, task: Task, tied: Linearized, errors: np.ndarray, at: Actuation, bounds: Bounds
@@ -651,17 +609,14 @@ class InverseWithFriction(Follower):
             at: The solution.
             bounds: Bounds of the optimum.
         """
-        weights, from_normals = task.aim.weights, self._on_normals(at, tied)
-
-        def asked(rows: np.ndarray | None, *more: np.ndarray) -> Actuation | None:
-            return super(InverseWithFriction, self)._over_branches(
-                tied, *more, from_normals, bounds, task.commanded, rows
-            )
-
+        tracking = task.tracking._replace(
+            linear=tied, errors=errors, held=self._on_normals(at, tied), bounds=bounds
+        )
         if not self._grips.names:
-            return asked(task.extra, errors, weights)
-        grip, least = self._grips.tied_rows(task.linear, tied, self._contacts, at.contact.multipliers)
-        weight, extra = FORCES_FIRST * weights.max(initial=0.0), task.extra
+            return super()._over_branches(tracking)
+        weights, extra, linear = tracking.weights, tracking.extra, task.tracking.linear
+        grip, least = self._grips.tied_rows(linear, tied, self._contacts, at.contact.multipliers)
+        weight = FORCES_FIRST * weights.max(initial=0.0)
         extra = np.zeros((0, tied.groups.actuators.stop)) if extra is None else extra
         extra = np.pad(extra, ((0, 0), (0, grip.shape[1] - extra.shape[1])))
 
@@ -669,8 +624,10 @@ class InverseWithFriction(Follower):
             return grip @ np.append(found.efforts, found.contact.multipliers) < least
 
         def with_least(wanted: np.ndarray) -> Actuation | None:
-            return asked(np.concatenate([extra, grip[wanted]]), np.append(errors, -least[wanted]),
-                         np.append(weights, np.full(wanted.sum(), weight)))
+            return super(InverseWithFriction, self)._over_branches(tracking._replace(
+                errors=np.append(errors, -least[wanted]), extra=np.concatenate([extra, grip[wanted]]),
+                weights=np.append(weights, np.full(wanted.sum(), weight)),
+            ))  # fmt: skip
 
         # What lacked before lacks again in most steps. Where it does although it was asked for,
         # it would without; what lacks no more was held down.
@@ -694,20 +651,20 @@ class InverseWithFriction(Follower):
 
     def _tried(self, task: Task) -> Actuation | None:
         """What this step tries; None where the problem has no solution."""
-        moves, aim = self._moved.any(), task.aim
-        turn = Turn.STRAIGHT if moves else self._detours.next()
+        linear, held, bounds = task.tracking.linear, task.tracking.held, task.tracking.bounds
+        turn = Turn.STRAIGHT if self._moved.any() else self._detours.next()
         if turn is Turn.PROBE:
-            probe = self._displaced(task, task.bounds, self._detours.probe, LENGTHS)
+            probe = self._displaced(task, bounds, self._detours.probe, LENGTHS)
             if probe is not None:
-                found = self._nearest(task, probe, task.linear, task.bounds, 1)
-                return min(probe, found or probe, key=aim.missed)
+                found = self._nearest(task, probe, linear, bounds, 1)
+                return min(probe, found or probe, key=task.missed)
         if turn is Turn.DETOUR:
             self._look_for_detour(task)
-            return task.held
+            return held
         goes_on = self._rubs and not task.leaves_open
         if goes_on and task.before <= task.negligible:
-            return task.held
-        given, as_is = (task, task.held, task.linear, task.bounds), None
+            return held
+        given, as_is = (task, held, linear, bounds), None
         if goes_on:
             as_is, is_good = self._as_contacts_are(*given)
             if is_good:
@@ -715,8 +672,8 @@ class InverseWithFriction(Follower):
         found = self._nearest(*given, MOST_ROUNDS)
         if as_is is not None:
             # Actuators do not wind up against contacts that stick for what makes no difference.
-            other = task.before if found is None else min(task.before, aim.missed(found))
-            found = as_is if aim.missed(as_is) < other - task.negligible else found
+            other = task.before if found is None else min(task.before, task.missed(found))
+            found = as_is if task.missed(as_is) < other - task.negligible else found
         return found
 
     def _as_contacts_are(
@@ -752,16 +709,16 @@ class InverseWithFriction(Follower):
 
     def _look_for_detour(self, task: Task) -> None:
         """Look whether it is nearer to go somewhere else first; the actuators go if it is."""
-        wide = self._limits.bounds(task.held.drives(self._limits), np.inf)
+        wide = self._limits.bounds(task.tracking.held.drives(self._limits), np.inf)
         far, left = self._displaced(task, wide, self._detours.detour, FAR), np.inf
         if far is None:
             return
-        if not task.aim.pressed_too_hard(far):
-            later = self._from(task.linear, far)
+        if not task.pressed_too_hard(far):
+            later = self._from(task.tracking.linear, far)
             backs = [self._nearest(task, far, later, wide, MOST_ROUNDS)]
             if not task.leaves_open:
                 backs.append(self._as_contacts_are(task, far, later, wide)[0])
-            left = min((task.aim.missed(back) for back in backs if back), default=np.inf)
+            left = min((task.missed(back) for back in backs if back), default=np.inf)
         goal = self._detours.judge(far.drives(self._limits), left, task.before)
         if goal is not None:
             # What refused moves here says nothing of there.
@@ -786,8 +743,9 @@ class InverseWithFriction(Follower):
     ) -> Made | None:
         """What is best by what contacts do in a solution, made with friction; None without any."""
         tied = tied_by_contacts(system, self._contacts, at, self._negligible, closes)
-        errors, (ties, offset), (a, _, c) = task.aim.errors.copy(), tied.ties, tied.groups
-        errors[: len(tied.effectors)] += tied.effectors - task.linear.effectors
+        tracking, (ties, offset), (a, _, c) = task.tracking, tied.ties, tied.groups
+        errors = tracking.errors.copy()
+        errors[: len(tied.effectors)] += tied.effectors - tracking.linear.effectors
         found = self._optimum(task, tied, errors, at, bounds)
         if found is None:
             return None
@@ -795,7 +753,7 @@ class InverseWithFriction(Follower):
         forces += ties[c.start :, c.start :] @ found.contact.multipliers
         self._direct.expect(found.efforts, forces)
         made = self._with_friction(system, found.drives(self._limits), bounds, found)
-        return Made(made, task.aim.missed(made), task.aim.missed(found, tied))
+        return Made(made, task.missed(made), task.missed(found, tied))
 
     def _displaced(
         self, task: Task, bounds: Bounds, choice: int, lengths: tuple[float, ...]
@@ -804,10 +762,11 @@ class InverseWithFriction(Follower):
 
         But for contacts, effectors would be displaced by a multiple of what is missed.
         """
-        linear, held, (a, e, _) = task.linear, task.held, task.linear.groups
+        tracking, linear, held = task.tracking, task.tracking.linear, task.tracking.held
+        a, e, _ = linear.groups
         loads = np.abs(held.efforts[a]) / self._effort_scales
         bears = loads > NO_EFFORT * loads.max(initial=0.0)
-        free = np.flatnonzero(~task.commanded[a] & (bears | ~self._one_sided[a]))
+        free = np.flatnonzero(~tracking.commanded[a] & (bears | ~self._one_sided[a]))
         if not len(free):
             return None
         side, choice = choice % 2, choice // 2
@@ -815,7 +774,7 @@ class InverseWithFriction(Follower):
         self._detours.choices = 2 * len(free) * len(lengths)
         own = 1.0 if self._by_effort[moved] else linear.W[moved, moved]
         farther = np.linalg.norm(linear.W[e, moved]) / own
-        reach = length * np.sqrt(task.before / task.aim.weights.max())
+        reach = length * np.sqrt(task.before / tracking.weights.max())
         move = LONGEST * GREATEST * self._scales[moved]
         if farther > 0.0:
             move = min(move, reach / farther)

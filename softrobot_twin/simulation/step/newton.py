@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from softrobot_twin.geometry.vector_arrays import copy_vectors, write_product
+from softrobot_twin.geometry.vector_arrays import write_product
 from softrobot_twin.kernels.compilation import KERNEL, njit
 from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.step.actuation import Actuation

@@ -22,7 +22,7 @@ from softrobot_twin.simulation.result import Status
 from softrobot_twin.simulation.step.actuation import INVERSION, PASSING, Actuation
 from softrobot_twin.simulation.step.direct_actuation import DirectActuation
 from softrobot_twin.simulation.step.goals import Goal
-from softrobot_twin.simulation.step.inverse_actuation import InverseActuation
+from softrobot_twin.simulation.step.follower import Follower
 from softrobot_twin.simulation.step.linearized import Linearized
 from softrobot_twin.simulation.step.newton import Newton
 from softrobot_twin.simulation.step.step_part import StepPart, those_with
@@ -87,7 +87,7 @@ class StepLoop:
     """
 
     def __init__(
-        self, model: Model, newton: Newton, direct: DirectActuation, inverse: InverseActuation | None,
+        self, model: Model, newton: Newton, direct: DirectActuation, inverse: Follower | None,
         parts: tuple[StepPart, ...],
     ):
         """Build the loop.

@@ -20,7 +20,7 @@ from softrobot_twin.simulation.building.model import Model
 from softrobot_twin.simulation.command import Command, FollowTargets
 from softrobot_twin.simulation.result import StepResult
 from softrobot_twin.simulation.state import State
-from softrobot_twin.simulation.step.inverse_actuation import InverseActuation
+from softrobot_twin.simulation.step.follower import Follower
 from softrobot_twin.simulation.step.linearized import LinearizedState
 from softrobot_twin.simulation.step.newton import Newton
 from softrobot_twin.simulation.step.situation import NO_LOADS
@@ -119,7 +119,7 @@ class StepPart:
         return command
 
     def rows(self, state: LinearizedState, command: FollowTargets) -> Any:
-        """Its rows of the inverse problem, below those of the effectors; see `InverseActuation`.
+        """Its rows of the inverse problem, below those of the effectors; see `Follower`.
 
         Args:
             state: The linearized state.
@@ -338,7 +338,7 @@ class Steppable(Protocol):
     model: Model
     parts: tuple
     newton: Newton
-    inverse: InverseActuation | None
+    inverse: Follower | None
     state: State
     now: Callable[[], float]
     is_balanced: bool
