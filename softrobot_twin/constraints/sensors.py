@@ -38,7 +38,7 @@ class Sensors(ConstraintTerm):
 
     Attributes:
         row_lengths: Length that counts as one step of LONGEST_TURN's unit of each row [m], shape
-            (row_count,); see `TargetSteps`.
+            (row_count,); see `InverseActuation.steps_to_targets`.
         row_weights: Weight of each as a target, shape (row_count,).
         lengths: ℓ of each [m per unit], same shape.
     """

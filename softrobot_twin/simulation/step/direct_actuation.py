@@ -85,6 +85,7 @@ class DirectActuation:
 
     Attributes:
         solvers: Solvers of contacts; None in scenes without.
+        round_off: Displacement beyond a limit that is on it, shape (actuator_count,).
     """
 
     def __init__(self, model: Model):
@@ -102,7 +103,7 @@ class DirectActuation:
         rows = model.actuators.row_count
         self._are_all_by_effort = bool(self._by_effort.all()) and rows == model.actuators.count
         self._actuators, self._may_stall = model.actuators, bool(model.actuators.stalls.any())
-        self._round_off = ROUND_OFF * model.actuators.displacement_scale
+        self.round_off = ROUND_OFF * model.actuators.displacement_scale
         # What is no length counts as one beside contacts: by its scale as much as the robot's size.
         is_length = np.array([kind.displacement.unit == "m" for kind in model.actuators.kinds], bool)
         lengths = np.where(is_length, 1.0, model.nodes.finite_size / model.actuators.displacement_scale)
@@ -232,7 +233,7 @@ class DirectActuation:
             efforts, displacements = drives.copy(), drives.copy()
             if move_by_efforts(
                 linear.W, linear.violation, efforts, bounds.displacement_min,
-                bounds.displacement_max, self._round_off, displacements,
+                bounds.displacement_max, self.round_off, displacements,
             ):  # fmt: skip
                 return self._free(efforts, displacements)
         # An effort is no displacement that is missed, beside which those of the others would be none.
@@ -242,7 +243,7 @@ class DirectActuation:
             found = self._hold(linear, displacements, lower, upper)
             path = linear.actuator_displacements(found.efforts, found.contact.multipliers)
             if not release_at_limits(
-                path, bounds.displacement_min, bounds.displacement_max, self._round_off, by_effort,
+                path, bounds.displacement_min, bounds.displacement_max, self.round_off, by_effort,
                 lower, upper, displacements,
             ):  # fmt: skip
                 return found._replace(displacements=displacements)

@@ -213,7 +213,7 @@ class Follower(InverseActuation):
         any_commanded = bool(commanded.any())
         if begins:
             wanted = np.empty((2, len(target_rows)))
-            write_wanted(target_rows, self._row_weights, *wanted)
+            write_wanted(target_rows, self._target_rows.weights, *wanted)
             situation = Situation(
                 *wanted,
                 linear.effector_places(held.efforts, held.contact.multipliers),
@@ -575,7 +575,7 @@ class Follower(InverseActuation):
     def _best(self, asked: Asked, branch: np.ndarray | None = None) -> Actuation | None:
         """The optimum within the radius, in a branch of slack cables or in any."""
         linear, held = asked.linear, asked.held
-        steps, weights = self._steps.asked(asked.target_rows, linear.effectors_now)
+        steps, weights = self.steps_to_targets(linear, asked.target_rows)
         if not self._proves:
             self._energy_now = self._weight_of_energy(linear, steps)
         rows = asked.stiffness and self._in_branch(asked.stiffness, branch)

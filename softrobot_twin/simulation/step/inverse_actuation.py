@@ -60,8 +60,6 @@ LEAST_PROXIMAL_WEIGHT = 9.0
 # With friction along cables the least energy is another where cables slip one way, the other way, or
 # stick. Towards it go ever smaller shares, so that no cycle between these lasts.
 LEAST_PROXIMAL_WEIGHT_WITH_FRICTION = 99.0
-# A path beyond its bound by less, as a share of its natural scale, is on it.
-ROUND_OFF = 1.0e-11
 # A contact force, this near to its limit as a share of it, is on it.
 LIMIT_MARGIN = 1.0e-4
 # The path of a cable this near to its limit, as a share of the cable's scale, is at the limit.
@@ -73,7 +71,7 @@ def write_steps(
     targets, now, row_effector, row_weights, row_lengths, longest, longest_turn, squares, steps,
     weights,
 ):  # fmt: skip
-    """Displacements to targets, and turns, none longer than may be; see `TargetSteps.asked`.
+    """Displacements to targets, and turns, none longer than may be; see `InverseActuation.steps_to_targets`.
 
     Both of an effector are shortened by the same factor.
 
@@ -294,46 +292,6 @@ def guessed_actuation(
     return not is_changed, efforts, within, active
 
 
-class TargetSteps:
-    """What one step asks of the effectors: no displacement that is too long for a linearization.
-
-    Attributes:
-        row_effector: Effector of each row, shape (effector_row_count,).
-    """
-
-    def __init__(self, model: Model):
-        """Take the effectors.
-
-        Args:
-            model: A scene with effectors.
-        """
-        self.row_effector, *self._rows, self._effector_count = model.target_rows
-        self._longest = LONGEST_REACH * model.nodes.size
-
-    def asked(self, target_rows: np.ndarray, now: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Displacements to the targets, shortened where they are too long, and their weights.
-
-        Each effector's displacement is shortened by a share of its own. Its weight is divided by
-        the share: the slope of the tracking term stays that of the whole distances. So several
-        effectors out of reach rest where the weighted sum of their squared distances is least.
-
-        Args:
-            target_rows: Wanted effector coordinates [m], NaN where free,
-                shape (effector_row_count,).
-            now: Where they are [m], same shape.
-
-        Returns:
-            The displacement of each row [m] and the weight of its error, both zero where it is
-            free, same shape.
-        """
-        steps, weights = np.empty(len(now)), np.empty(len(now))
-        write_steps(
-            target_rows, now, self.row_effector, *self._rows, self._longest, LONGEST_TURN,
-            np.zeros((self._effector_count, 2)), steps, weights,
-        )  # fmt: skip
-        return steps, weights
-
-
 class Unknowns(NamedTuple):
     """Order of the unknowns z: efforts of free actuators, those of commanded ones, forces.
 
@@ -440,6 +398,7 @@ class InverseActuation:
 
     least_progress = 1.0
     seeks_once = False
+
     def __init__(self, model: Model, direct: DirectActuation):
         """Lay out the problem.
 
@@ -447,15 +406,14 @@ class InverseActuation:
             model: A scene with actuators and effectors.
             direct: Solves for λ at prescribed displacements.
         """
-        self._direct, self._contacts = direct, model.contacts
-        self._steps, self._row_weights = TargetSteps(model), model.target_rows.weights
+        self._direct, self._round_off, self._contacts = direct, direct.round_off, model.contacts
+        self._target_rows = model.target_rows
         self._energy_weight = max(model.scene.solver.energy_weight, LEAST_ENERGY_WEIGHT)
         self._energy_now, self._longest = self._energy_weight, LONGEST_REACH * model.nodes.size
         self.force_limit = (model.scene.contact and model.scene.contact.force_limit) or np.inf
         actuators = model.actuators
         count, self._is_moved, self._has_slides = actuators.count, actuators.is_moved, actuators.is_moved.any()
         self._one_sided = actuators.one_sided
-        self._round_off = ROUND_OFF * actuators.displacement_scale
         self._at_limit = AT_LIMIT * actuators.displacement_scale
         self._may_hang = actuators.one_sided & ~actuators.is_effort_driven
         self._may_hang &= actuators.limits.effort_min <= 0.0
@@ -499,6 +457,30 @@ class InverseActuation:
         """
         self._begins, self._is_balanced, self._is_stable = True, is_balanced, is_stable
         self._loads, self._load, self._guided = loads, load, guided
+
+    def steps_to_targets(self, linear: Linearized, target_rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Displacements to the targets, shortened where they are too long, and their weights.
+
+        Each effector's displacement is shortened by a share of its own. Its weight is divided by
+        the share: the slope of the tracking term stays that of the whole distances. So several
+        effectors out of reach rest where the weighted sum of their squared distances is least.
+
+        Args:
+            linear: The condensed system.
+            target_rows: Wanted effector coordinates [m], NaN where free,
+                shape (effector_row_count,).
+
+        Returns:
+            The displacement of each row [m] and the weight of its error, both zero where it is
+            free, same shape.
+        """
+        steps, weights = np.empty((2, len(target_rows)))
+        *rows, count = self._target_rows
+        write_steps(
+            target_rows, linear.effectors_now, *rows, self._longest, LONGEST_TURN, np.zeros((count, 2)),
+            steps, weights,
+        )  # fmt: skip
+        return steps, weights
 
     def _places(
         self, linear: Linearized, found: Actuation, stiffness: StiffnessRows | None
@@ -786,7 +768,7 @@ class InverseActuation:
             return False
         W, free = with_contacts_closed(linear, held.contact.multipliers)
         now, efforts, e = linear.effectors_now, held.efforts[:count], linear.groups.effectors
-        asked, weights = self._steps.asked(target_rows, now)
+        asked, weights = self.steps_to_targets(linear, target_rows)
         energy_weight = self._weight_of_energy(linear, asked)
         system = InverseSystem.without_contacts(
             W[e, :count], W[:count, :count], free[e] - now - asked, free[:count]
@@ -821,7 +803,7 @@ class InverseActuation:
             return np.nan
         errors = system.W_e @ solution.unknowns + system.effectors
         missed = np.where(weights > 0.0, errors, 0.0)
-        squares = np.bincount(self._steps.row_effector, weights=missed * missed)
+        squares = np.bincount(self._target_rows.owners, weights=missed * missed)
         return float(np.sqrt(squares.max(initial=0.0)))
 
 
