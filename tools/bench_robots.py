@@ -232,9 +232,7 @@ class FlopCount(NamedTuple):
     solves: float
 
 
-def flop_count(
-    factorization: Factorization, row_nodes: np.ndarray, row_count: int
-) -> FlopCount | None:
+def flop_count(factorization: Factorization, row_nodes: np.ndarray, row_count: int) -> FlopCount | None:
     """Counts operations, including those on zeros inside fronts.
 
     Args:

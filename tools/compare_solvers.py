@@ -106,9 +106,7 @@ def certified(problem: WhitenedQP) -> np.ndarray | None:
     return None if z is None else problem.T @ z
 
 
-def _meets_conditions(
-    problem: WhitenedQP, active: np.ndarray, upper: np.ndarray
-) -> np.ndarray | None:
+def _meets_conditions(problem: WhitenedQP, active: np.ndarray, upper: np.ndarray) -> np.ndarray | None:
     """z with these rows at these bounds, if all duals have the right sign and no bound is
     violated.
     """

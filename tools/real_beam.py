@@ -280,9 +280,7 @@ def measure(data_folder: Path, load: BeamLoad) -> BeamMeasurement:
 class BeamModel:
     """The beam on one mesh."""
 
-    def __init__(
-        self, folder: Path, cells: tuple[int, int, int] = CELLS, law: str = "corotational"
-    ):
+    def __init__(self, folder: Path, cells: tuple[int, int, int] = CELLS, law: str = "corotational"):
         """Mesh it.
 
         Args:

@@ -49,9 +49,7 @@ class Rollers(ForceTerm):
 
     name = "rollers"
 
-    def __init__(
-        self, rest: np.ndarray, free_index: np.ndarray, held: np.ndarray, stiffness: float
-    ):
+    def __init__(self, rest: np.ndarray, free_index: np.ndarray, held: np.ndarray, stiffness: float):
         """Take the nodes.
 
         Args:

@@ -114,9 +114,7 @@ def entries_in(annotation: Any) -> list[type[BaseModel]]:
     return [model for part in get_args(annotation) for model in entries_in(part)]
 
 
-def _introduction(
-    model: type[BaseModel], place: str, models: dict, shared: dict[str, list[str]]
-) -> str:
+def _introduction(model: type[BaseModel], place: str, models: dict, shared: dict[str, list[str]]) -> str:
     """What a section is, where it is explained, and the keys that it has of another one."""
     text = _plain(inspect.getdoc(model).split("\n\nAttributes:")[0])
     pages = [page for key, page in GUIDES.items() if key.partition(".")[0] == place]

@@ -57,9 +57,7 @@ class MarkerCompliance(HeldTangent):
     def _take_rows(self) -> None:
         self.own_rows = self.rows.stack
 
-    def at_state(
-        self, points: np.ndarray, may_be_slow: bool = True
-    ) -> MarkerMoves | None:
+    def at_state(self, points: np.ndarray, may_be_slow: bool = True) -> MarkerMoves | None:
         """What quantities yield, and how far they are from balance, by one linearization.
 
         By the factorization of the last step where it has that of statics; see

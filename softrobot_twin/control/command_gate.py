@@ -130,9 +130,7 @@ class CommandGate:
         tolerances: How far a command may exceed the limits.
     """
 
-    def __init__(
-        self, actuator_names: Sequence[str], rest_setpoints: np.ndarray, limits: ActuatorLimits
-    ):
+    def __init__(self, actuator_names: Sequence[str], rest_setpoints: np.ndarray, limits: ActuatorLimits):
         self._names = tuple(actuator_names)
         self._lowest, self._highest = limits.setpoint_range(rest_setpoints)
         self._limits, self._rest = limits, np.array(rest_setpoints, float)

@@ -402,9 +402,7 @@ class ForceObserver:
         simulation.restore(before)
         return model
 
-    def _use(
-        self, markers: np.ndarray, model: Moment, noise: float, since: float, limit: float
-    ) -> bool:
+    def _use(self, markers: np.ndarray, model: Moment, noise: float, since: float, limit: float) -> bool:
         """Uses quantities by one linearization; whether a load acts at another place than before."""
         beside = markers - self.under_loads(model).markers
         seen = np.isfinite(beside).all(axis=1)

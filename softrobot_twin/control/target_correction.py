@@ -310,9 +310,7 @@ class EffectorMeasurement:
         """
         return np.where(self._controlled, targets - positions, 0.0)
 
-    def errors(
-        self, targets: np.ndarray, predicted: np.ndarray, measured: np.ndarray
-    ) -> np.ndarray:
+    def errors(self, targets: np.ndarray, predicted: np.ndarray, measured: np.ndarray) -> np.ndarray:
         """Distances from the targets [m], shape (effector_count,), measured where possible.
 
         Args:

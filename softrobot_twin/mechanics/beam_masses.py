@@ -320,9 +320,7 @@ class BeamDamping(MassTerm):
     is_traceable = True
     remembers_start = True
 
-    def begin_step(
-        self, positions: np.ndarray, velocities: np.ndarray, time_step: float
-    ) -> None:
+    def begin_step(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:
         """Remember where the step of h [s] begins; see `ForceTerm.begin_step`."""
         _write_all_ends(positions, self.masses.origins, self.aims)
         np.divide(self.masses.damping, time_step, out=self.factors)
@@ -335,9 +333,7 @@ class BeamInertia(MassTerm, InertiaTerm):
     is_traceable = True
     remembers_start = True
 
-    def __init__(
-        self, masses: BeamMasses, frames: RigidFrames, rigid: RigidInertia | None = None
-    ):
+    def __init__(self, masses: BeamMasses, frames: RigidFrames, rigid: RigidInertia | None = None):
         """Take the mass.
 
         Args:
@@ -348,9 +344,7 @@ class BeamInertia(MassTerm, InertiaTerm):
         super().__init__(masses)
         self._frames, self._rigid = frames, rigid
 
-    def begin_step(
-        self, positions: np.ndarray, velocities: np.ndarray, time_step: float
-    ) -> None:
+    def begin_step(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:
         """Remember the state at the beginning of a step, and go on from there as in the step before.
 
         Args:

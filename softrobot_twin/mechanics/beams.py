@@ -656,9 +656,7 @@ class Beams(ForceTerm):
         self._linearized_at = self._linearized_before = np.empty((0, 3))
         self._predicted, self._nothing = np.empty((self.element_count, 6)), np.empty((0, 6))
 
-    def begin_step(
-        self, positions: np.ndarray, velocities: np.ndarray, time_step: float
-    ) -> None:
+    def begin_step(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:
         """Forget the last linearization; with damping, remember s and ψ where a step of h [s] begins.
         """
         self._linearized_at.fill(np.nan)

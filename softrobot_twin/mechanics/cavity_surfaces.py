@@ -170,9 +170,7 @@ def _triangle_areas(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
 
-def share_of_volumes(
-    volumes_at: Callable[[float], np.ndarray], sphere_volumes: np.ndarray
-) -> float:
+def share_of_volumes(volumes_at: Callable[[float], np.ndarray], sphere_volumes: np.ndarray) -> float:
     """Share of a move in which no cavity loses most of its volume, or grows by a multiple of it.
 
     So no volume becomes negative, and none runs away where no equilibrium exists.
@@ -340,9 +338,7 @@ class CavitySurfaces:
         )
         self.stencils = bound.sorted(self.stencils)
 
-    def add_stiffness(
-        self, positions: np.ndarray, pressures: np.ndarray, storage: np.ndarray
-    ) -> None:
+    def add_stiffness(self, positions: np.ndarray, pressures: np.ndarray, storage: np.ndarray) -> None:
         """Add -p ∂²V of each cavity to the system matrix.
 
         Args:

@@ -597,9 +597,7 @@ def _differentials_along(law, k, q, F, D, R, upright, weights, S):
         put_matrix(S, 0, e, answer)
 
 
-def add_force_curvature(
-    law, moves, direction, cells, free, gradients, weights, step, curvature
-):  # fmt: skip
+def add_force_curvature(law, moves, direction, cells, free, gradients, weights, step, curvature):
     """Add ∂²f/∂h² of the internal forces f = ∂E/∂q along q + h x: the third derivative of the energy.
 
     It is the central difference of the exact differential ∂P/∂F : D at F ± h D, D = Σ x_a ∇N_aᵀ,

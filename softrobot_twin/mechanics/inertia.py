@@ -58,9 +58,7 @@ class RememberedNodes(ForceTerm):
         self._start, self._start_velocities = np.zeros((2, len(self._nodes), 3))
         self._per_second = 0.0
 
-    def begin_step(
-        self, positions: np.ndarray, velocities: np.ndarray, time_step: float
-    ) -> None:
+    def begin_step(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:
         """Remember the state at the beginning of the step.
 
         Args:
@@ -303,9 +301,7 @@ class MassDamping(NodalMasses):
     name = "mass damping"
     is_traceable = True
 
-    def __init__(
-        self, nodes: np.ndarray, unknowns: np.ndarray, masses: np.ndarray, rate: float
-    ):
+    def __init__(self, nodes: np.ndarray, unknowns: np.ndarray, masses: np.ndarray, rate: float):
         """Take the masses and the rate.
 
         Args:
@@ -317,9 +313,7 @@ class MassDamping(NodalMasses):
         super().__init__(nodes, unknowns, masses)
         self.rate = float(rate)
 
-    def begin_step(
-        self, positions: np.ndarray, velocities: np.ndarray, time_step: float
-    ) -> None:
+    def begin_step(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:
         """Remember the positions at the beginning of the step.
 
         Args:

@@ -421,9 +421,7 @@ class CarriedPoints:
         """Whether all kinds write what changes by kernels; see `ForceTerm.is_traceable`."""
         return all(getattr(kind, "is_traceable", False) for kind in self._kinds)
 
-    def fold_forces(
-        self, point_forces: np.ndarray, forces: np.ndarray, own: np.ndarray
-    ) -> None:
+    def fold_forces(self, point_forces: np.ndarray, forces: np.ndarray, own: np.ndarray) -> None:
         """Add Dᵀ f of some carried points; `update` has been called for the state.
 
         Args:
@@ -525,9 +523,7 @@ def fold_own_forces(own, unknowns, derivatives, point_forces, forces):
 
 
 @njit(**KERNEL)
-def carry_rows(
-    free_count, unknowns, derivatives, rows, nodes, blocks, out_rows, out_nodes, out_blocks
-):
+def carry_rows(free_count, unknowns, derivatives, rows, nodes, blocks, out_rows, out_nodes, out_blocks):
     """Transform entries of H to the unknowns.
 
     Successive entries of one row at points with the same unknowns are summed into one set.
@@ -934,9 +930,7 @@ class FoldedStiffness:
         """Set the blocks of the points to zero."""
         clear(self.scratch)
 
-    def fold(
-        self, positions: np.ndarray, point_forces: np.ndarray | None, storage: np.ndarray
-    ) -> None:
+    def fold(self, positions: np.ndarray, point_forces: np.ndarray | None, storage: np.ndarray) -> None:
         """Add the stiffness in `scratch` to the system matrix.
 
         Args:

@@ -85,9 +85,7 @@ def _force_derivative(x, w, i, j):
 
 
 @njit(**KERNEL)
-def _add_liquid_stiffness(
-    points, triangles, cavity, tops, weights, shares, offsets, strides, storage
-):
+def _add_liquid_stiffness(points, triangles, cavity, tops, weights, shares, offsets, strides, storage):
     """Add -Σ w_ia w_jb ∂f_i/∂x_j of every triangle to the blocks of nodes a and b."""
     width = shares.shape[2]
     for t in range(len(triangles)):

@@ -200,9 +200,7 @@ def sum_energies(law, deformations, weights, rotations, uprights):
     return total
 
 
-def write_stress_changes(
-    law, deformations, weights, rotations, uprights, projected, gradients, changes
-):
+def write_stress_changes(law, deformations, weights, rotations, uprights, projected, gradients, changes):
     """w (∂P/∂F) G at all points.
 
     Args:
@@ -269,9 +267,7 @@ def _lower_cholesky(M):
 
 
 @njit(**KERNEL)
-def write_spin_rows(
-    law, root, deformations, weights, rotations, uprights, projected, spin_rows, signs
-):  # fmt: skip
+def write_spin_rows(law, root, deformations, weights, rotations, uprights, projected, spin_rows, signs):
     """Rows √λ R and v of ∂P/∂F = 2µ 1 + λ R Rᵀ - Σ s v vᵀ of the corotational law, times √w.
 
     The spin stiffness M = c G⁻¹ gives dF : dP a part -wᵀ M w with w the axial vector of dF Rᵀ:
@@ -659,9 +655,7 @@ class ReducedElements(ForceTerm):
             forces = forces + self._hourglass.cell_forces()
         return forces.reshape(-1, self._width)[: self.point_count, : self.mode_count]
 
-    def extreme_squares(
-        self, positions: np.ndarray, least: float, greatest: float
-    ) -> tuple[float, float]:
+    def extreme_squares(self, positions: np.ndarray, least: float, greatest: float) -> tuple[float, float]:
         """Squares of the least and greatest principal stretch of the sampled points beyond given
         ones; see `Elements.extreme_squares`."""
         if not self.knows(positions):

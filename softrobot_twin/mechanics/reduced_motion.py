@@ -42,9 +42,7 @@ from softrobot_twin.mechanics.strain_rate_damping import invert_transposed
 
 
 @njit(**KERNEL)
-def _subtract_pulls(
-    x, nodes, unknowns, matrix, start, start_velocities, per_second, rate, speeds, forces
-):
+def _subtract_pulls(x, nodes, unknowns, matrix, start, start_velocities, per_second, rate, speeds, forces):
     """f -= c M ((x - x₀)/h - v₀), with 1/h as `per_second` and c as `rate`."""
     for k in range(len(nodes)):
         for i in range(3):

@@ -64,9 +64,7 @@ def write_memory(shape, kept, gained, moves, cells, gradients, overstresses, mem
                 put_matrix(memory[k, q], 0, e, H)
 
 
-def advance_overstresses(
-    shape, kept, gained, before, after, cells, gradients, overstresses, advanced
-):  # fmt: skip
+def advance_overstresses(shape, kept, gained, before, after, cells, gradients, overstresses, advanced):
     """Q_i at the end of a step: e_i Q_i + f_i γ_i (S - S₀).
 
     Args:
@@ -227,9 +225,7 @@ class RememberingElements(Elements):
         self._hourglass_overstresses[:] = memory["hourglass"]
         self._forget()
 
-    def begin_step(
-        self, positions: np.ndarray, velocities: np.ndarray, time_step: float
-    ) -> None:
+    def begin_step(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:
         """Fix the potential of the step.
 
         Args:

@@ -589,9 +589,7 @@ class RigidInertia(RigidMotion, InertiaTerm):
     name = "rigid inertia"
     is_traceable = True
 
-    def begin_step(
-        self, positions: np.ndarray, velocities: np.ndarray, time_step: float
-    ) -> None:
+    def begin_step(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:
         """Store the state and the momenta at the beginning of the step.
 
         Args:
@@ -713,9 +711,7 @@ class RigidDamping(RigidMotion):
         rates = np.broadcast_to(np.asarray(rates, dtype=float), np.shape(masses))
         super().__init__(frames, rates * masses, rates[:, None, None] * np.asarray(inertias))
 
-    def begin_step(
-        self, positions: np.ndarray, velocities: np.ndarray, time_step: float
-    ) -> None:
+    def begin_step(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:
         """Remember where the step of h [s] begins; see `RigidInertia.begin_step`."""
         self._remember_poses(positions)
         self._scale = 1.0 / time_step

@@ -123,9 +123,7 @@ def write_projected_lengths(x, reference, nodes, coefficients, constants, least,
 
 
 @njit(**KERNEL)
-def add_spring_forces(
-    x, nodes, coefficients, constants, least, laws, lengths_before, free, forces
-):  # fmt: skip
+def add_spring_forces(x, nodes, coefficients, constants, least, laws, lengths_before, free, forces):
     """Add -c_a T d of every spring.
 
     Args:
@@ -290,9 +288,7 @@ class Springs(ForceTerm):
         self._nodes = bound.sorted(self._nodes)
         self._coefficients = bound.sorted(self._coefficients)
 
-    def begin_step(
-        self, positions: np.ndarray, velocities: np.ndarray, time_step: float
-    ) -> None:
+    def begin_step(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:
         """Remember the lengths at the beginning of a step of h [s]; see `RigidInertia`."""
         if self._damped:
             self._write_lengths(positions, self._lengths_before)

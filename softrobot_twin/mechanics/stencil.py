@@ -83,9 +83,7 @@ def stacked(tables: Sequence[np.ndarray], none: float = -1) -> np.ndarray:
                            for own in tables])  # fmt: skip
 
 
-def bind_stencils(
-    stencils: np.ndarray, elimination_rank: np.ndarray, slots: Slots
-) -> BoundStencils:
+def bind_stencils(stencils: np.ndarray, elimination_rank: np.ndarray, slots: Slots) -> BoundStencils:
     """Sort stencils by elimination rank and find the places of their blocks.
 
     Args:

@@ -149,9 +149,7 @@ class StrainRateDamping(Elements):
         if self.hourglass is not None:
             self.hourglass.scale[0] = 0.0
 
-    def begin_step(
-        self, positions: np.ndarray, velocities: np.ndarray, time_step: float
-    ) -> None:
+    def begin_step(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:
         """Take the shape at the beginning of the step as the stress-free one.
 
         Args:

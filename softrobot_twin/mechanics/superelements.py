@@ -322,9 +322,7 @@ def _write_unknown_slopes(x, nodes, axes, weight, slopes, by_unknowns, levers, d
 
 
 @njit(**KERNEL)
-def _add_enthalpy_forces(
-    unknowns, gradient, by_unknowns, weights, axes, centres, levers, shares, forces
-):
+def _add_enthalpy_forces(unknowns, gradient, by_unknowns, weights, axes, centres, levers, shares, forces):
     """Add -∂Π by the unknowns of every superelement."""
     for s in range(len(unknowns)):
         weight = row(weights, s)

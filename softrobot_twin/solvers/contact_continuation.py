@@ -95,9 +95,7 @@ class ContactContinuation:
         touching = ContactProblem(np.eye(3), three, none, none, np.ones(1), 3)
         solve_with_held_directions(*_given(touching), three, three, PROXIMAL)
 
-    def solve(
-        self, problem: ContactProblem, guess: np.ndarray, other: np.ndarray
-    ) -> ContactSolution:
+    def solve(self, problem: ContactProblem, guess: np.ndarray, other: np.ndarray) -> ContactSolution:
         """Multipliers from the one of two guesses that has the smaller residual.
 
         Args:
@@ -133,9 +131,7 @@ class ContactContinuation:
             best.force, best.gap, best.newtons, made, self._is_solved(best)
         )
 
-    def _nearer(
-        self, problem: ContactProblem, guess: np.ndarray, other: np.ndarray
-    ) -> _Forces:
+    def _nearer(self, problem: ContactProblem, guess: np.ndarray, other: np.ndarray) -> _Forces:
         """The guess with the smaller residual, admissible; the other if both are alike."""
         first = _judged(problem, *begin(*_given(problem), guess))
         if other is guess:
@@ -217,9 +213,7 @@ def _judged(problem: ContactProblem, force: np.ndarray, delta: np.ndarray) -> _F
 
 
 @njit(**KERNEL)
-def solve_with_held_directions(
-    W, violation, lower, upper, friction, per_contact, force, delta, share
-):
+def solve_with_held_directions(W, violation, lower, upper, friction, per_contact, force, delta, share):
     """Forces where each contact slides along the direction of the natural map, or sticks.
 
     Args:

@@ -86,9 +86,7 @@ class ContactGaussSeidel:
             exceeded, Newton steps continue from the solution as long as they help.
     """
 
-    def __init__(
-        self, tolerance: float = 1.0e-9, most_sweeps: int = 300, force_share: float = np.inf
-    ):
+    def __init__(self, tolerance: float = 1.0e-9, most_sweeps: int = 300, force_share: float = np.inf):
         self.tolerance = tolerance
         self.most_sweeps = most_sweeps
         self.force_share = force_share
@@ -362,9 +360,7 @@ def _iterate(
 
 
 @njit(**INNER)
-def _end(
-    W, violation, lower, upper, friction, rows_per_contact, force, workspace, gap, newtons, count
-):
+def _end(W, violation, lower, upper, friction, rows_per_contact, force, workspace, gap, newtons, count):
     """A few Newton steps from a solution, as long as the residual falls; force in place.
 
     Returns:

@@ -297,9 +297,7 @@ def _step_by_factor(Yt, slope, actuators, per_contact, g, step):
 
 
 @njit(**ONCE)
-def _step_by_matrix(
-    W, slope, force, delta, centre, stiffness, g, friction, actuators, per_contact, step
-):
+def _step_by_matrix(W, slope, force, delta, centre, stiffness, g, friction, actuators, per_contact, step):
     """Newton step Δ of λ, written.
 
     Raises:

@@ -136,9 +136,7 @@ def solve_towards(
     )  # fmt: skip
 
 
-def _solve(
-    W, scale, gradient, rows, effort_min, effort_max, row_min, row_max
-) -> np.ndarray | None:
+def _solve(W, scale, gradient, rows, effort_min, effort_max, row_min, row_max) -> np.ndarray | None:
     """min ½ zᵀPz + gradientᵀz in scaled unknowns z = λ / scale, by DAQP."""
     count = len(scale)
     if count == 0:

@@ -38,9 +38,7 @@ DISTINCT = 1.0e-8
 
 
 @njit(**KERNEL)
-def optimum_from_active_set(
-    P, g, lower, upper, A, row_lower, row_upper, C, d, force_max, touching, active
-):
+def optimum_from_active_set(P, g, lower, upper, A, row_lower, row_upper, C, d, force_max, touching, active):
     """The optimum of the guessed branch or one near it, with a proof.
 
     Args:

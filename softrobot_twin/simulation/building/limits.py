@@ -65,9 +65,7 @@ class Pulleys:
             shape (count,).
     """
 
-    def __init__(
-        self, scene: Scene | None, actuator_names: Sequence[str], zeros: np.ndarray
-    ):
+    def __init__(self, scene: Scene | None, actuator_names: Sequence[str], zeros: np.ndarray):
         """Find what each pulley winds.
 
         Args:

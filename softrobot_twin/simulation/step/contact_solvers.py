@@ -112,9 +112,7 @@ class ContactSolvers:
             return _better(found, self.swept(problem.with_matrix(), guess, expected))
         return self.swept(problem.with_matrix(), guess, expected)
 
-    def swept(
-        self, problem: ContactProblem, guess: np.ndarray, expected: np.ndarray
-    ) -> ContactSolution:
+    def swept(self, problem: ContactProblem, guess: np.ndarray, expected: np.ndarray) -> ContactSolution:
         """Sweeps, the active set or the continuation; where these fail, the proximal Newton method.
 
         Sweeps are slow if the load moves between two nearly identical contacts, or by friction

@@ -305,9 +305,7 @@ class DirectActuation:
         within = np.clip(path, bounds.displacement_min, bounds.displacement_max)
         return np.where(self._by_effort, path, within) if self._limits.has_effort_driven else within
 
-    def _free(
-        self, efforts: np.ndarray, displacements: np.ndarray, solved: bool = True
-    ) -> Actuation:
+    def _free(self, efforts: np.ndarray, displacements: np.ndarray, solved: bool = True) -> Actuation:
         """An actuation without contact."""
         self.remember(efforts)
         return Actuation(efforts, displacements, solved)

@@ -282,9 +282,7 @@ class ForceBalance:
             self._row_stages.run(ADD_STIFFNESS, positions, multipliers, storage, projected)
             self._row_stages.run(EVALUATE, positions)
 
-    def _assemble(
-        self, positions: np.ndarray, multipliers: np.ndarray, projected: bool = False
-    ) -> None:
+    def _assemble(self, positions: np.ndarray, multipliers: np.ndarray, projected: bool = False) -> None:
         """Sum the force terms, and the rows that may be traced; see `assemble`."""
         factorization = self._model.factorization
         clear(self.forces.reshape(-1))

@@ -184,9 +184,7 @@ class Goal:
         binding = self._limits.binding(actuation.displacements, efforts, self.reach, is_slack)
         return (*binding, *actuation.given_up)
 
-    def errors(
-        self, places: np.ndarray, positions: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray | None]:
+    def errors(self, places: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
         """How far each effector is from its target.
 
         Args:
@@ -430,9 +428,7 @@ class TargetGoal(Goal):
 
         return super().limits_met(actuation, is_slack or hangs)
 
-    def errors(
-        self, places: np.ndarray, positions: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray | None]:
+    def errors(self, places: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
         """See `Goal`."""
         effectors = self._model.effectors
         misses, count = effectors.rows_of(places - self.command.targets), len(effectors.effectors)

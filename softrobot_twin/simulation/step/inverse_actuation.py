@@ -482,9 +482,7 @@ class InverseActuation:
         )  # fmt: skip
         return steps, weights
 
-    def _places(
-        self, linear: Linearized, found: Actuation, stiffness: StiffnessRows | None
-    ) -> np.ndarray:
+    def _places(self, linear: Linearized, found: Actuation, stiffness: StiffnessRows | None) -> np.ndarray:
         """Coordinates of effectors, then of stiffnesses, that an actuation promises [m]."""
         places = linear.effector_places(found.efforts, found.contact.multipliers)
         if stiffness is not None:
@@ -844,9 +842,7 @@ def inverse_system(
     )  # fmt: skip
 
 
-def with_effector_rows(
-    system: InverseSystem, extra: np.ndarray, commanded: np.ndarray
-) -> InverseSystem:
+def with_effector_rows(system: InverseSystem, extra: np.ndarray, commanded: np.ndarray) -> InverseSystem:
     """Add rows below those of the effectors.
 
     Args:
@@ -881,9 +877,7 @@ def rows_to_track(
     )  # fmt: skip
 
 
-def with_stiffness(
-    situation: Situation, stiffness: StiffnessRows | None, efforts: np.ndarray
-) -> Situation:
+def with_stiffness(situation: Situation, stiffness: StiffnessRows | None, efforts: np.ndarray) -> Situation:
     """A situation with the rows of wanted stiffnesses below those of the effectors."""
     if stiffness is None:
         return situation
@@ -894,9 +888,7 @@ def with_stiffness(
     )  # fmt: skip
 
 
-def with_contacts_closed(
-    linear: Linearized, forces: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def with_contacts_closed(linear: Linearized, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """W and δ_free of actuators and effectors, where contacts that press stay closed.
 
     Args:

@@ -152,9 +152,7 @@ def tie(
 
 
 @njit(**KERNEL)
-def grip(
-    is_of, is_margin, shall, friction, at_start, pair, row_starts, forces, rows, least, whole, left
-):  # fmt: skip
+def grip(is_of, is_margin, shall, friction, at_start, pair, row_starts, forces, rows, least, whole, left):
     """Forces of pairs in a solution, see `Grips.sums`.
 
     Args:
@@ -856,18 +854,14 @@ class InverseWithFriction(Follower):
         efforts, forces = self._last_solution
         return efforts, forces[self._contacts.row_starts[:-1]]
 
-    def _places(
-        self, linear: Linearized, found: Actuation, stiffness: StiffnessRows | None
-    ) -> np.ndarray:
+    def _places(self, linear: Linearized, found: Actuation, stiffness: StiffnessRows | None) -> np.ndarray:
         """The same, then how far forces beyond their limit press contacts in [m]."""
         places = super()._places(linear, found, stiffness)
         if not self._judges_forces:
             return places
         return np.append(places, np.linalg.norm(self._beyond(linear, found)))
 
-    def _with_forces(
-        self, situation: Situation, linear: Linearized, held: Actuation
-    ) -> Situation:
+    def _with_forces(self, situation: Situation, linear: Linearized, held: Actuation) -> Situation:
         """A situation in which forces beyond their limit are judged too."""
         if not self._judges_forces:
             return situation

@@ -152,9 +152,7 @@ class Newton:
         self._look(positions, clock, held)
         return self.tangent.prepare(positions, efforts, clock, held)
 
-    def _look(
-        self, positions: np.ndarray, clock: StageClock, held: HeldActuators | None
-    ) -> None:
+    def _look(self, positions: np.ndarray, clock: StageClock, held: HeldActuators | None) -> None:
         """Find what is folded and what touches where a linearization begins."""
         if self.balance.is_folded is None:
             self.balance.sum_forces(positions)

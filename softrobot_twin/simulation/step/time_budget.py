@@ -52,9 +52,7 @@ class TimeBudget:
         self.expected *= OPTIMISM
         return True
 
-    def has_time(
-        self, iterations: int, elapsed: float, budget: float | None, most: int
-    ) -> bool:
+    def has_time(self, iterations: int, elapsed: float, budget: float | None, most: int) -> bool:
         """Whether one more linearization fits.
 
         Args:

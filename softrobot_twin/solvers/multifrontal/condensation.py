@@ -446,9 +446,7 @@ def gather_factor(trees, rows, Y, Yt, free):
 
 
 @njit(**KERNEL)
-def combine(
-    fronts, places, trees, ranges, rows, arrival, y, Y, multipliers, chosen, factors, x
-):
+def combine(fronts, places, trees, ranges, rows, arrival, y, Y, multipliers, chosen, factors, x):
     """x ← y + Y λ, by rank, shape (dof_count,).
 
     The columns are added in the order in which their rows came, wherever they are stored.
@@ -653,9 +651,7 @@ def solve_single(front, panel, triangle, y, work):
 
 
 @njit(**INNER)
-def _forward_columns(
-    front, rows, panel, triangle, places, Y, stride, place, first_strip, end_strip, work
-):
+def _forward_columns(front, rows, panel, triangle, places, Y, stride, place, first_strip, end_strip, work):
     """A reached front, a range of strips of Y at once; Y and work are addresses."""
     strips = end_strip - first_strip
     solve_columns(
@@ -673,9 +669,7 @@ def _forward_columns(
 
 
 @njit(**ONCE)
-def solve_columns(
-    front, panel, triangle, Y, stride, place, first_strip, end_strip, target, target_stride
-):
+def solve_columns(front, panel, triangle, Y, stride, place, first_strip, end_strip, target, target_stride):
     """The front's own rows of Y, and at `target` what its rows below are to lose."""
     strips = end_strip - first_strip
     own = Y + STRIP_BYTES * first_strip + 8 * stride * place

@@ -234,9 +234,7 @@ def _cut(
     return tasks, waits, costs
 
 
-def _cut_front(
-    s: int, front: np.void, block_places: np.ndarray, waited: Sequence[int], add
-) -> list[int]:
+def _cut_front(s: int, front: np.void, block_places: np.ndarray, waited: Sequence[int], add) -> list[int]:
     """Add the tasks of one front; the ones after which its update is complete."""
     columns, rows, padding, strips = (
         int(front[name]) for name in ("columns", "rows", "padding", "strips")

@@ -141,9 +141,7 @@ def factorize(fronts, children, runs, block_places, storage, panels, updates, tr
 
 
 @njit(**INNER)
-def factor_fronts(
-    first, end, fronts, children, runs, block_places, storage, panels, updates, triangles
-):
+def factor_fronts(first, end, fronts, children, runs, block_places, storage, panels, updates, triangles):
     """The same of fronts `first` to `end`, whose other children are factorized."""
     panels_at, updates_at, triangles_at = address(panels), address(updates), address(triangles)
     for s in range(first, end):
@@ -213,9 +211,7 @@ def add_to_panel(front, are_some, start, end, fronts, children, runs, panels_at,
 
 
 @njit(**INNER)
-def _add_update(
-    updates_at, child, runs, first_run, end_run, are_some, start, end, entry, stride
-):
+def _add_update(updates_at, child, runs, first_run, end_run, are_some, start, end, entry, stride):
     """Add those columns of a child's update that certain runs hold (extend-add).
 
     Args:

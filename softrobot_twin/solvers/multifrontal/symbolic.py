@@ -432,9 +432,7 @@ def front_of_rows(elimination: Elimination) -> np.ndarray:
     return np.repeat(np.arange(len(counts)), counts)
 
 
-def _numbered(
-    graph: sp.csr_array, order: np.ndarray, front: np.ndarray, parent: np.ndarray
-) -> Elimination:
+def _numbered(graph: sp.csr_array, order: np.ndarray, front: np.ndarray, parent: np.ndarray) -> Elimination:
     """The elimination with this order of nodes, and these fronts of ranks."""
     first = np.searchsorted(front, np.arange(len(parent) + 1)).astype(np.int64)
     row_start, rows = supernode_rows(*renumbered(graph, order), first, front, parent)
