@@ -272,23 +272,22 @@ class WatchedTeam:
     def run(self, task_count: int, kernel: Callable, *arguments):
         """See `Team.run`."""
         watch = self._watches.setdefault(kernel, _Watch())
-        is_alone = watch.left > 0
-        clock = time.thread_time if is_alone else time.perf_counter
+        clock = time.thread_time if watch.left else time.perf_counter
         begin = clock()
-        result = self._team.run(task_count, kernel, *arguments, is_alone=is_alone)
-        watch.see(clock() - begin, is_alone)
+        result = self._team.run(task_count, kernel, *arguments, is_alone=watch.left > 0)
+        watch.see(clock() - begin)
         return result
 
 
 class _Watch:
-    """Whether helpers save time in one kernel."""
+    """Whether helpers save time in one kernel; `left` are runs without them that are still to come."""
 
     def __init__(self) -> None:
         self.left, self._pause, self._alone_time = 0, 1, 0.0
 
-    def see(self, spent: float, is_alone: bool) -> None:
-        """Take the time of a run: processor time of one that was alone, else elapsed time [s]."""
-        if is_alone:
+    def see(self, spent: float) -> None:
+        """Take the time of a run: processor time of one without helpers, else elapsed time [s]."""
+        if self.left:
             self._alone_time = spent
             self.left -= 1
         elif spent > self._alone_time:

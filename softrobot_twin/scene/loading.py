@@ -95,7 +95,7 @@ def load_scene(path: Path | str, changes: Mapping[str, Any] | None = None) -> Sc
     """
     if changes is None:
         changes = changes_of(path)
-    if not isinstance(path, str | Path):
+    if not isinstance(path, str | os.PathLike):
         raise SceneError(None, "scene_file", path, "", "must be the path of a YAML file")
     path = given_file(path)
 

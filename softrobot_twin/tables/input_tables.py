@@ -102,6 +102,8 @@ def real_array(value: Any) -> np.ndarray:
         TypeError: Others are among them: texts, dates, truth values, complex or masked numbers.
     """
     given = as_given(value)
+    if given.dtype.kind in "iuf" and not np.ma.is_masked(given):
+        return np.array(given, float)
     return np.array([np.nan if one is None else _real(one) for one in np.ravel(given)]).reshape(given.shape)
 
 
@@ -115,7 +117,7 @@ def as_given(value: Any) -> np.ndarray:
 
 
 def _real(value: Any) -> float:
-    if hasattr(value, "__array__"):
+    if hasattr(value, "__array__") and not isinstance(value, Real):
         value = np.asanyarray(value)[()]
     if not isinstance(value, Real | Decimal) or isinstance(value, bool | np.timedelta64):
         raise TypeError(f"{value!r:.60} is no number")
@@ -276,8 +278,7 @@ class Columns:
         try:
             # Whether a grip holds may be a truth value.
             is_plain = isinstance(cell, str) or isinstance(cell, bool | np.bool_) and not unit_of(name)
-            number = float(cell) if is_plain else _real(cell)
-            fault = "" if may_be_open else "must be finite"
+            number, fault = (float if is_plain else _real)(cell), "" if may_be_open else "must be finite"
         except (TypeError, ValueError, OverflowError):
             number, fault = math.nan, "must be a number"
         if fault and not math.isfinite(number):

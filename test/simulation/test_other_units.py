@@ -16,11 +16,11 @@ from softrobot_twin.scene.refusal_messages import unit_at
 from softrobot_twin.tables.column_names import unit_of
 from test.places import SCENES
 
+pytest.importorskip("pandas")
 LENGTH, MASS, TIME = 8.0, 0.25, 2.0
 FORCE = LENGTH * MASS / TIME**2
 FACTORS = {"m": LENGTH, "kg": MASS, "s": TIME, "N": FORCE, "Pa": FORCE / LENGTH**2, "J": FORCE * LENGTH,
            "m3": LENGTH**3, "Nm": FORCE * LENGTH, "N_per_m": FORCE / LENGTH}  # fmt: skip
-SAME = dict.fromkeys(FACTORS, 1.0)
 # The units that values have in these scenes where entries may have several.
 CHOSEN = {"Pa/s or m³/s": "Pa/s", "m or rad": "rad", "m, N, Pa or m³": "m"}
 # How far the actuators go.
@@ -88,8 +88,8 @@ def _rows(scene, factors, seed):
 def test_a_robot_in_other_units_takes_the_same_steps(name, drawn_seed):
     # The usual tolerance is some part of a millimetre, whatever the size of the robot.
     scene = load_scene(SCENES / f"{name}.yaml").changed(solver={"reach_tolerance": 1.0e-5})
-    first, other = _rows(scene, SAME, drawn_seed), _rows(_in_other_units(scene), FACTORS, drawn_seed)
-    for one, two in zip(first, other, strict=True):
+    first = _rows(scene, dict.fromkeys(FACTORS, 1.0), drawn_seed)
+    for one, two in zip(first, _rows(_in_other_units(scene), FACTORS, drawn_seed), strict=True):
         assert len(one) > 5
         for column, value in one.items():
             assert two[column] == pytest.approx(value, rel=1.0e-5, abs=1.0e-9, nan_ok=True), column
