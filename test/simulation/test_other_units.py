@@ -25,9 +25,9 @@ FACTORS = {"m": LENGTH, "kg": MASS, "s": TIME, "N": FORCE, "Pa": FORCE / LENGTH*
 CHOSEN = {"Pa/s or m³/s": "Pa/s", "m or rad": "rad", "m, N, Pa or m³": "m"}
 # How far the actuators go.
 FAR = {"_shortening_m": 0.004, "_pressure_Pa": 4.0e3, "_angle_rad": 0.2}
-NAMES = ("finger", "octoleg", "bar_hexahedra", "tdcr", "diamond", "emio", "fast_trunk", "finray", "flexo", "grasper",
-         "pneunet", "pneunet_inverse", "segment", "stifface", "strider", "fast_pneunet", "trunk_cylinders",
-         pytest.param("fetch", marks=pytest.mark.exhaustive))
+NAMES = ("finger", "octoleg", "bar_hexahedra", "tdcr", "diamond", "emio", "fast_trunk", "finray", "flexo",
+         "grasper", "pneunet", "pneunet_inverse", "segment", "stifface", "strider", "fast_pneunet",
+         "trunk_cylinders", pytest.param("fetch", marks=pytest.mark.exhaustive))
 
 
 def _factor(unit):
@@ -92,4 +92,6 @@ def test_a_robot_in_other_units_takes_the_same_steps(name, drawn_seed):
     for one, two in zip(first, _rows(_in_other_units(scene), FACTORS, drawn_seed), strict=True):
         assert len(one) > 5
         for column, value in one.items():
-            assert two[column] == pytest.approx(value, rel=1.0e-5, abs=1.0e-9, nan_ok=True), column
+            # A component that is nearly zero has the round-off of the others.
+            largest = abs(np.nan_to_num([one[name] for name in one if unit_of(name) == unit_of(column)])).max()
+            assert two[column] == pytest.approx(value, 1.0e-5, 1.0e-9 + 1.0e-6 * largest, nan_ok=True), column
